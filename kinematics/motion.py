@@ -1,0 +1,148 @@
+"""Rigid-body motion: generalized coordinates per run, body and frequency, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.notices import Notice
+from kinematics.spatial import DOF_NAMES
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """Errors common to all lines, as named parameters.
+
+    Attributes
+    ----------
+    names : tuple of str, (p,)
+        ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (x, y, z,
+        alpha, beta, gamma: displacement of the footplate frame in its own axes, m and rad) is the same
+        error that stands in mass.json, so that fitting can join both.
+    covariance : ndarray, (p, p)
+        SI.
+    derivatives : ndarray, (p, run, body, freq, dof), complex
+        d q / d parameter.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+    derivatives: ComplexArray
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        if self.covariance.shape != (count, count) or self.derivatives.shape[:1] != (count,):
+            raise KinematicsError(
+                sentence(
+                    "shared errors",
+                    f"{count} parameters throughout",
+                    f"covariance {self.covariance.shape}, derivatives {self.derivatives.shape}",
+                )
+            )
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """Displacement amplitudes q of rigid bodies under harmonic motion e^{+i w t}.
+
+    Attributes
+    ----------
+    runs, bodies, dof : tuple of str
+        Names along the first, second and last axis of q; dof in the order of DOF_NAMES.
+    freq_hz : ndarray, (freq,)
+        Ascending, positive.
+    q : ndarray, (run, body, freq, dof), complex
+        m and rad, peak; NaN where a body was not measured at a line.
+    covariance : ndarray, complex
+        E[dq dq^H] of the channel noise: (run, body, freq, dof, dof), or joint over bodies,
+        (run, freq, body*dof, body*dof), when ``reference`` is set. The variance of the real part
+        (= of the imaginary part) is half its diagonal.
+    chi2, n_dof : ndarray, (run, body, freq)
+        Sum of squared normalised residuals over real and imaginary parts, and its degrees of freedom.
+    reference : str
+        ``BODY:DOF`` when q is per unit of that motion, else empty.
+    about, axes : str
+        Reference point and axes of q.
+    shared : SharedErrors or None
+        Errors common to all lines.
+    notices : tuple of Notice
+        Warnings that travel with the data.
+    """
+
+    runs: tuple[str, ...]
+    bodies: tuple[str, ...]
+    dof: tuple[str, ...]
+    freq_hz: Array
+    q: ComplexArray
+    covariance: ComplexArray
+    chi2: Array
+    n_dof: Array
+    reference: str = ""
+    about: str = "footplate_centre"
+    axes: str = "footplate"
+    shared: SharedErrors | None = None
+    notices: tuple[Notice, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        runs, bodies, lines, dof = len(self.runs), len(self.bodies), len(self.freq_hz), len(self.dof)
+        joint = (runs, lines, bodies * dof, bodies * dof)
+        separate = (runs, bodies, lines, dof, dof)
+        wanted = {
+            "q": (self.q.shape, (runs, bodies, lines, dof)),
+            "the covariance": (self.covariance.shape, joint if self.reference else separate),
+            "chi2": (self.chi2.shape, (runs, bodies, lines)),
+            "n_dof": (self.n_dof.shape, (runs, bodies, lines)),
+        }
+        faults = [
+            sentence(f"the shape of {name}", str(want), got)
+            for name, (got, want) in wanted.items()
+            if got != want
+        ]
+        if tuple(name for name in DOF_NAMES if name in self.dof) != self.dof or not self.dof:
+            faults.append(sentence("dof", f"in the order {', '.join(DOF_NAMES)}", self.dof))
+        if np.any(np.diff(self.freq_hz) <= 0.0) or np.any(self.freq_hz <= 0.0):
+            faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+        raise_all(KinematicsError, faults)
+
+    def body(self, name: str, option: str = "--structure") -> int:
+        """Return the position of a body.
+
+        Raises
+        ------
+        KinematicsError
+            There is no body of that name.
+        """
+        if name not in self.bodies:
+            raise KinematicsError(
+                sentence(
+                    "the body", f"one of {', '.join(self.bodies)}", name, next_step=f"Name it with {option}"
+                )
+            )
+        return self.bodies.index(name)
+
+    def pair(self, run: int, first: int, second: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the stacked motion of two bodies and its joint covariance.
+
+        Returns
+        -------
+        q : ndarray, (freq, 2 dof), complex
+        covariance : ndarray, (freq, 2 dof, 2 dof), complex
+        """
+        n = len(self.dof)
+        q = np.concatenate([self.q[run, first], self.q[run, second]], axis=-1)
+        if self.reference:
+            places = np.r_[first * n : (first + 1) * n, second * n : (second + 1) * n]
+            return q, self.covariance[run][:, places[:, None], places[None, :]]
+        joint = np.zeros((len(self.freq_hz), 2 * n, 2 * n), dtype=complex)
+        joint[:, :n, :n] = self.covariance[run, first]
+        joint[:, n:, n:] = self.covariance[run, second]
+        return q, joint

@@ -1,0 +1,87 @@
+"""Where a result comes from: input files with their content hash, versions, parameters, date, command."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+_CHUNK = 1 << 22
+_PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
+
+
+def content_hash(path: Path, sha256: bool = False) -> str:
+    """Return ``algorithm:hex`` of a file's bytes: xxh3-128, or SHA-256 when asked for.
+
+    A folder is hashed over the names and bytes of its files in name order.
+    """
+    if sha256:
+        import hashlib
+
+        digest: Any = hashlib.sha256()
+    else:
+        import xxhash
+
+        digest = xxhash.xxh3_128()
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if path.is_dir():
+            digest.update(str(file.relative_to(path)).encode())
+        with file.open("rb") as stream:
+            while chunk := stream.read(_CHUNK):
+                digest.update(chunk)
+    return f"{'sha256' if sha256 else 'xxh3_128'}:{digest.hexdigest()}"
+
+
+def input_record(path: Path, sha256: bool = False) -> dict[str, Any]:
+    """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash."""
+    path = Path(path)
+    stat = path.stat()
+    size = sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else stat.st_size
+    modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
+    return {"file": path.name, "size_bytes": size, "modified": modified, "hash": content_hash(path, sha256)}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python, of stapeskit and of the packages its numbers come from."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def record(
+    inputs: Mapping[str, Path | None],
+    parameters: Mapping[str, Any],
+    command: Sequence[str] | None = None,
+    sha256: bool = False,
+) -> dict[str, Any]:
+    """Write the ``provenance`` block of a result.
+
+    Parameters
+    ----------
+    inputs : mapping of str to Path or None
+        Files by their role; None is left out.
+    parameters : mapping
+        What the user chose and what was chosen for them, JSON-able.
+    command : sequence of str, optional
+        Defaults to the running command line, the program by its name alone.
+    sha256 : bool
+        Force SHA-256 as the content hash.
+    """
+    line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
+    return {
+        "inputs": {role: input_record(path, sha256) for role, path in inputs.items() if path is not None},
+        "versions": versions(),
+        "parameters": dict(parameters),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": " ".join(line),
+    }

@@ -1,0 +1,1 @@
+"""The scripted chain from a study file to one report."""
