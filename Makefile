@@ -1,0 +1,61 @@
+# Short names for the habits. Everything lives in .venv; nothing outside the repository is needed.
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help setup demo test test-shared lint types imports format check bench sample paper clean
+
+help:
+	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
+	@echo "make test         set up and run the tests"
+	@echo "make test-shared  also the tests on data that may not be copied into the repository"
+	@echo "make check        lint, types, import rules"
+	@echo "make bench        the slower evidence, with its tables"
+	@echo "make paper        the paper, recomputed: demo/paper.html"
+	@echo "make sample       make the sample study anew"
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt tools/setup.sh
+	@PYTHON="$(PYTHON)" sh tools/setup.sh
+	@touch $(READY)
+
+demo: $(READY)
+	$(BIN)/scan2kd sample_volumes/study.toml --out demo
+	$(BIN)/python -m fitting.paper_page demo/paper.html
+	@echo "Open demo/report.html"
+
+test: $(READY)
+	$(BIN)/python -m pytest -n 2
+
+test-shared: $(READY)
+	$(BIN)/python -m pytest -n 2 -m "shared or not shared"
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY)
+	$(BIN)/mypy
+
+imports: $(READY)
+	$(BIN)/lint-imports
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+check: lint types imports
+
+sample: $(READY)
+	$(BIN)/python -m sample_volumes.make_sample
+
+paper: $(READY)
+	mkdir -p demo
+	$(BIN)/python -m fitting.paper_page demo/paper.html
+
+bench: $(READY)
+	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
+
+clean:
+	rm -rf .venv demo

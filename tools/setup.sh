@@ -1,0 +1,29 @@
+#!/bin/sh
+# Makes .venv with stapeskit and its tools, and looks for the GL libraries that pictures and pymeshlab need.
+set -eu
+: "${PYTHON:=python3}"
+
+"$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
+    echo "stapeskit needs Python 3.11 or newer; got $("$PYTHON" --version). Name another one: make PYTHON=python3.12 ..." >&2
+    exit 1
+}
+
+missing=""
+for library in libGL.so.1:libgl1 libOpenGL.so.0:libopengl0 libEGL.so.1:libegl1; do
+    PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null | grep -q "${library%%:*}" || missing="$missing ${library##*:}"
+done
+if [ -n "$missing" ] && command -v apt-get >/dev/null 2>&1; then
+    as_root=""
+    [ "$(id -u)" = 0 ] || as_root="sudo -n"
+    echo "installing the GL libraries:$missing"
+    { $as_root apt-get update -qq && $as_root apt-get install -y -qq --no-install-recommends $missing; } >/dev/null 2>&1 ||
+        echo "The GL libraries could not be installed; pictures will be drawn by matplotlib. To have them: apt-get install -y --no-install-recommends$missing"
+elif [ -n "$missing" ]; then
+    echo "GL libraries are missing ($missing ); pictures will be drawn by matplotlib. Install them with your package manager."
+fi
+
+"$PYTHON" -m venv .venv
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e '.[dev]'
+# What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
+.venv/bin/python -m compileall -q kinematics ct_inertia fitting pipeline
+.venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure, pyvista' 2>/dev/null || true
