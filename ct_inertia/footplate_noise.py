@@ -1,0 +1,117 @@
+"""What noise of the surface does to the footplate frame: first-order propagation, no simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.surface_field import Diffusion, Patch, smoothing_response
+
+Array = NDArray[np.float64]
+_SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+
+
+def height_noise(diffusion: Diffusion, patch: Patch, normals: Array, sigma_mm: float) -> float:
+    """Estimate the spectral density of the surface's height noise from the surface itself, mm4.
+
+    Notes
+    -----
+    The mean of the height over an area A has the variance density / A. The density is found from the
+    difference of the heights diffused over ``sigma`` and ``2 sigma``, a band where noise is larger than
+    the curvature of bone, robustly (median absolute deviation) over the face.
+    """
+    from scipy.spatial import cKDTree
+
+    points = diffusion.mesh.points
+    fine = diffusion.smooth(points, 0.5 * sigma_mm)
+    coarse = diffusion.smooth(fine, sigma_mm)
+    height = np.sum((fine - coarse) * normals, axis=1)
+    distance, _ = cKDTree(patch.triangles.mean(axis=1)).query(points, distance_upper_bound=sigma_mm)
+    inner = height[np.isfinite(distance)]
+    if len(inner) == 0:
+        return 0.0
+    deviation = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
+    k = np.linspace(0.0, 60.0 / sigma_mm, 6001)
+    low = smoothing_response(k, 0.5 * sigma_mm)
+    band = low - low * smoothing_response(k, sigma_mm)
+    share = float(np.sum(k * band**2) * (k[1] - k[0]) / (2.0 * np.pi))
+    return deviation**2 / share
+
+
+def height_covariance(
+    frame: tuple[Array, Array], centres: Array, areas: Array, weight: Callable[[Array], Array], density: float
+) -> Array:
+    """Return what height noise inside the face adds: origin along y, tilts alpha and gamma, (6, 6), SI.
+
+    Parameters
+    ----------
+    frame : (origin (3,), axes (3, 3))
+        mm, scan coordinates.
+    centres, areas : ndarray, (n, 3), (n,)
+        Pieces of the face, mm and mm2.
+    weight : callable
+        Weights of the robust plane as a function of the distance in mm.
+    density : float
+        Spectral density of the noise, mm4.
+    """
+    origin, axes = frame
+    local = (centres - origin) @ axes
+    influence = np.zeros((len(local), 6))
+    influence[:, 1] = 1.0 / areas.sum()
+    influence[:, [3, 5]] = _tilts(local, areas, weight)
+    covariance = density * (influence * areas[:, None]).T @ influence
+    return np.asarray(covariance * np.outer(_SI, _SI))
+
+
+def boundary_covariance(
+    frame: tuple[Array, Array],
+    patch: Patch,
+    areas: Array,
+    centres: Array,
+    density: float,
+    angle_deg: float,
+    sigma_mm: float,
+    weight: Callable[[Array], Array],
+) -> Array:
+    """Return what noise of the normals adds by moving the rim where the face ends, (6, 6), SI.
+
+    Notes
+    -----
+    A normal that errs by e moves the rim by e / curvature. Errors of the normal across the rim have the
+    line density ``density / 2 pi * integral of k^2 H(k)^2``, H the smoothing of the normals.
+    """
+    origin, axes = frame
+    k = np.linspace(-60.0 / sigma_mm, 60.0 / sigma_mm, 12001)
+    line_density = (
+        density / (2.0 * np.pi) * float(np.sum((k * smoothing_response(k, sigma_mm)) ** 2) * (k[1] - k[0]))
+    )
+    middle = (patch.segments.mean(axis=1) - origin) @ axes
+    length = np.linalg.norm(patch.segments[:, 1] - patch.segments[:, 0], axis=1)
+    curvature = np.maximum(patch.segment_slope / np.sin(np.radians(angle_deg)), 0.2)
+    local = (centres - origin) @ axes
+    total = areas.sum()
+    influence = np.zeros((len(middle), 6))
+    influence[:, :3] = middle / total
+    influence[:, [3, 5]] = _tilts(local, areas, weight, middle) * middle[:, 1:2]
+    spread = areas @ (local[:, 0] ** 2 - local[:, 2] ** 2)
+    influence[:, 4] = -middle[:, 0] * middle[:, 2] * np.cos(np.radians(angle_deg)) / max(spread, 1e-6)
+    influence /= curvature[:, None]
+    covariance = line_density * (influence * length[:, None]).T @ influence
+    return np.asarray(covariance * np.outer(_SI, _SI))
+
+
+def _tilts(local: Array, areas: Array, weight: Callable[[Array], Array], at: Array | None = None) -> Array:
+    """Return the tilts (alpha, gamma) per area and per height error at points (n, 3), rad/mm3.
+
+    The robust plane y = a + b x + c z has b = gamma and c = -alpha for small tilts.
+    """
+    offset = np.median(local[:, 1])
+    weights = areas * weight(local[:, 1] - offset)
+    design = np.column_stack([np.ones(len(local)), local[:, 0], local[:, 2]])
+    inverse = np.linalg.inv((design * weights[:, None]).T @ design)
+    points = local if at is None else at
+    rows = np.column_stack([np.ones(len(points)), points[:, 0], points[:, 2]])
+    share = (rows @ inverse) * weight(points[:, 1] - offset)[:, None]
+    return np.column_stack([-share[:, 2], share[:, 1]])

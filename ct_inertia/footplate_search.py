@@ -1,0 +1,97 @@
+"""Find the face of the footplate: the largest near-planar face at an extremity of the body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.surface_field import Mesh
+
+Array = NDArray[np.float64]
+
+_DIRECTIONS = 1200
+_CELL = 0.02
+_CONE_DEG = 22.0
+_SLAB = 0.08
+_OTHER_DEG = 40.0
+
+
+@dataclass(frozen=True)
+class FaceCandidate:
+    """A face at an extremity.
+
+    Attributes
+    ----------
+    outward : ndarray, (3,)
+        Unit vector out of the body, square to the face.
+    area_mm2 : float
+        Its area projected on its plane.
+    """
+
+    outward: Array
+    area_mm2: float
+
+
+def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
+    """Return extremal faces by falling area, each more than 40 degrees off those before it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Closed and outward.
+    extent_mm : float
+        Diagonal of the body.
+
+    Notes
+    -----
+    For directions spread evenly over the sphere: the projected area of what faces that direction within
+    22 degrees and lies within 8 % of the body's diagonal of the extreme plane. Side views of the arch,
+    the head and the lateral side of the footplate score less: narrow, small, or not at an extremity.
+    """
+    centres, vectors = _pooled(mesh, _CELL * extent_mm)
+    areas = np.linalg.norm(vectors, axis=1)
+    normals = vectors / np.maximum(areas[:, None], 1e-30)
+    found = []
+    directions = _sphere(_DIRECTIONS)
+    scores = np.zeros(len(directions))
+    for number, direction in enumerate(directions):
+        height = centres @ direction
+        facing = normals @ direction
+        mask = (facing > np.cos(np.radians(_CONE_DEG))) & (height > height.max() - _SLAB * extent_mm)
+        scores[number] = np.sum(areas[mask] * facing[mask])
+    free = np.ones(len(directions), dtype=bool)
+    while np.any(free):
+        best = int(np.argmax(np.where(free, scores, -1.0)))
+        found.append(FaceCandidate(directions[best], float(scores[best])))
+        free &= directions @ directions[best] < np.cos(np.radians(_OTHER_DEG))
+    return found
+
+
+def _pooled(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:
+    """Pool faces by cells of space and main direction: centres (n, 3) and area vectors (n, 3).
+
+    Pooling averages the noise of single normals and leaves few pieces of a fine mesh.
+    """
+    vectors = mesh.area_vectors
+    centres = mesh.points[mesh.faces].mean(axis=1)
+    cells = np.floor((centres - centres.min(axis=0)) / cell_mm).astype(np.int64)
+    main = np.argmax(np.abs(vectors), axis=1)
+    sense = np.take_along_axis(vectors, main[:, None], axis=1)[:, 0] > 0.0
+    shape = cells.max(axis=0) + 1
+    key = ((cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]) * 6 + 2 * main + sense
+    _, group = np.unique(key, return_inverse=True)
+    count = np.bincount(group)
+    pooled = np.column_stack([np.bincount(group, vectors[:, k]) for k in range(3)])
+    middle = np.column_stack([np.bincount(group, centres[:, k]) / count for k in range(3)])
+    return middle, pooled
+
+
+def _sphere(count: int) -> Array:
+    """Return directions (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    angle = np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
