@@ -37,7 +37,7 @@ FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
 _EDGE_MM = 0.03
-_ANGLE_STEP_DEG = 3.0
+_RIM_DEG_PER_MM = 100.0
 _ROUNDS = 100
 _SIZE_MM = (2.0, 8.0)
 
@@ -338,8 +338,9 @@ def _contributions(solved: _Solved) -> dict[str, Array]:
         NORMAL_SCALE_MM,
         plane_weights,
     )
-    wider = _solve(region, y_axis, FACE_ANGLE_DEG + _ANGLE_STEP_DEG)
-    narrower = _solve(region, y_axis, FACE_ANGLE_DEG - _ANGLE_STEP_DEG)
+    step = min(_RIM_DEG_PER_MM * region.resolution_mm, 6.0)
+    wider = _solve(region, y_axis, FACE_ANGLE_DEG + step)
+    narrower = _solve(region, y_axis, FACE_ANGLE_DEG - step)
     rim = 0.5 * _displacement(narrower, wider, solved)
     scale = float(np.hypot(NORMAL_SCALE_MM, region.resolution_mm))
     blurred = _solve(region, y_axis, normals=region.diffusion.normals(scale))

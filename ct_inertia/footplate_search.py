@@ -83,8 +83,10 @@ def _pooled(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:
     key = ((cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]) * 6 + 2 * main + sense
     _, group = np.unique(key, return_inverse=True)
     count = np.bincount(group)
-    pooled = np.column_stack([np.bincount(group, vectors[:, k]) for k in range(3)])
-    middle = np.column_stack([np.bincount(group, centres[:, k]) / count for k in range(3)])
+    pooled: Array = np.stack([np.bincount(group, vectors[:, k]) for k in range(3)], axis=1, dtype=float)
+    middle: Array = np.stack(
+        [np.bincount(group, centres[:, k]) / count for k in range(3)], axis=1, dtype=float
+    )
     return middle, pooled
 
 

@@ -101,13 +101,14 @@ class Diffusion:
         areas = np.linalg.norm(vectors, axis=1)
         corners = mesh.points[mesh.faces]
         n = len(mesh.points)
+        longest = np.max(np.sum((corners - np.roll(corners, -1, axis=1)) ** 2, axis=-1), axis=1)
+        double = np.maximum(2.0 * areas, _LEAST_SINE * longest + 1e-30)
         rows, columns, weights = [], [], []
         for k in range(3):
             p = corners[:, k]
             u, v = corners[:, (k + 1) % 3] - p, corners[:, (k + 2) % 3] - p
             i, j = mesh.faces[:, (k + 1) % 3], mesh.faces[:, (k + 2) % 3]
-            longest = np.maximum(np.sum(u * u, axis=1), np.sum(v * v, axis=1))
-            cotangent = np.sum(u * v, axis=1) / np.maximum(2.0 * areas, _LEAST_SINE * longest)
+            cotangent = np.sum(u * v, axis=1) / double
             half = 0.5 * cotangent
             rows += [i, j, i, j]
             columns += [j, i, i, j]
@@ -116,7 +117,7 @@ class Diffusion:
             (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
         )
         third = np.repeat(areas / 3.0, 3)
-        self.mass = np.bincount(mesh.faces.ravel(), third, minlength=n) + 1e-15
+        self.mass: Array = 1e-15 + np.bincount(mesh.faces.ravel(), third, minlength=n)
         self.vertex_area_vectors = np.column_stack(
             [
                 np.bincount(mesh.faces.ravel(), np.repeat(vectors[:, k] / 3.0, 3), minlength=n)
@@ -145,10 +146,11 @@ class Diffusion:
         product = np.sum(residual * search, axis=0)
         goal = 1e-15 * np.maximum(np.sum(right * right / diagonal, axis=0), 1e-300)
         for _ in range(400):
-            if np.all(product <= goal):
+            open_columns = product > goal
+            if not np.any(open_columns):
                 break
             image = self.mass[:, None] * search + time * (self.stiffness @ search)
-            length = product / np.maximum(np.sum(search * image, axis=0), 1e-300)
+            length = np.where(open_columns, product / np.maximum(np.sum(search * image, axis=0), 1e-300), 0.0)
             solution = solution + length * search
             residual = residual - length * image
             scaled = residual / diagonal
