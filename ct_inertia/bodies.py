@@ -1,0 +1,164 @@
+"""What segmentation hands on: labels, surfaces, moments, levels, and why it believes in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.moments import Moments
+from ct_inertia.surface import Surface
+from ct_inertia.volume import Volume
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+BACKGROUND, STAPES, PLATE, OTHER_BONE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class LabelledVolume:
+    """Labels on a box of the scan's grid.
+
+    Attributes
+    ----------
+    labels : ndarray of uint8, [z, y, x]
+        0 background, 1 stapes, 2 plate, 3 other bone.
+    first_index : ndarray of int, (3,)
+        Index x, y, z in the scan of the box's first voxel.
+    grid : Volume
+        The scan, for its spacing, origin and direction.
+    """
+
+    labels: NDArray[np.uint8]
+    first_index: NDArray[np.int64]
+    grid: Volume
+
+    @property
+    def spacing_mm(self) -> Array:
+        """Voxel spacing along x, y, z, mm."""
+        return self.grid.spacing_mm
+
+    @property
+    def direction(self) -> Array:
+        """Directions of the array axes in scan coordinates, (3, 3), in columns."""
+        return self.grid.direction
+
+    @property
+    def origin_mm(self) -> Array:
+        """Scan coordinates of the centre of the box's first voxel, (3,), mm."""
+        return self.grid.scan_points(self.first_index)
+
+    def mask(self, label: int) -> NDArray[np.bool_]:
+        """Return the voxels [z, y, x] of one label."""
+        return np.asarray(self.labels == label)
+
+    def write(self, path: Path | str) -> None:
+        """Write the labels as NRRD (compressed) that lies on the scan in 3D Slicer and ITK-SNAP."""
+        from ct_inertia.label_file import write_labels
+
+        write_labels(Path(path), self)
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Grey levels of the materials, measured near the stapes.
+
+    Attributes
+    ----------
+    air, bone : float
+        Grey values of pure air around and of pure bone inside the stapes.
+    plastic : float or None
+        Grey value of the plate.
+    noise : float
+        Standard deviation of one voxel in air.
+    air_sd, bone_sd : float
+        Standard uncertainty of the levels.
+    bone_from : str
+        How the bone level was found: ``interior`` (voxels deep inside) or ``fit`` (edge profiles).
+    """
+
+    air: float
+    bone: float
+    plastic: float | None
+    noise: float
+    air_sd: float
+    bone_sd: float
+    bone_from: str = "interior"
+
+    @property
+    def contrast(self) -> float:
+        """Bone minus air."""
+        return self.bone - self.air
+
+
+@dataclass(frozen=True)
+class PlateFace:
+    """A plane face of the plate, fitted to sub-voxel accuracy in the grey values near the stapes.
+
+    Attributes
+    ----------
+    normal : ndarray, (3,)
+        Outward unit normal (from the plastic to the air), scan axes.
+    offset_mm : float
+        The plane is ``normal . r = offset_mm`` in scan coordinates.
+    sigma_mm : float
+        Standard deviation of the edge's blur along the normal.
+    air, plastic : float
+        Grey values on the two sides.
+    rms_mm : float
+        How far single edge positions scatter about the plane.
+    """
+
+    normal: Array
+    offset_mm: float
+    sigma_mm: float
+    air: float
+    plastic: float
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Everything found in a scan.
+
+    Attributes
+    ----------
+    volume : Volume
+        The scan itself.
+    labels : LabelledVolume
+    stapes : Surface
+        Iso surface of the stapes whose volume matches ``moments``.
+    frame_surface : Surface
+        The same, of lightly smoothed grey values, also matched in volume: less vertex noise.
+    plate : Surface or None
+    moments : Moments
+        Partial-volume moments of the stapes with their covariance by source: the numbers to use.
+    mesh_moments : Moments
+        Moments of ``stapes``: an independent cross-check.
+    levels : Levels or None
+        None when the bodies come from labels alone.
+    psf_sigma_mm : float
+        Standard deviation of the scan's point spread, voxel included; 0 for labels alone.
+    plate_face : PlateFace or None
+        The plate's plane face nearest to the stapes, where one could be fitted.
+    evidence : mapping of str to JSON-able
+        Why this body was taken for the stapes, and how it was cut out; for the report.
+    notices : tuple of Notice
+    """
+
+    volume: Volume
+    labels: LabelledVolume
+    stapes: Surface
+    frame_surface: Surface
+    plate: Surface | None
+    moments: Moments
+    mesh_moments: Moments
+    levels: Levels | None
+    psf_sigma_mm: float
+    plate_face: PlateFace | None = None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    notices: tuple[Notice, ...] = ()
