@@ -1,0 +1,164 @@
+"""What every reader checks: spacing, units, and sizes that the file can hold."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+# zlib packs at most 1032 to 1; nothing that a scanner writes comes near it.
+_MOST_PACKED = 1100
+_MM = {
+    **dict.fromkeys(("m", "meter", "metre", "meters"), 1e3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters"), 10.0),
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters"), 1.0),
+    **dict.fromkeys(("um", "µm", "μm", "\\u00b5m", "micron", "microns", "micrometer", "micrometre"), 1e-3),
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-6),
+    **dict.fromkeys(("inch", "in", "inches", '"'), 25.4),
+}
+
+
+def mm_per_unit(unit: str | None) -> float | None:
+    """Return the length of a unit in mm, or None when the word names no length (``pixel``)."""
+    return None if unit is None else _MM.get(unit.strip().lower())
+
+
+def settle_spacing(
+    from_file: Array | None, given: Sequence[float] | None, name: str, known: str = ""
+) -> tuple[Array, tuple[Notice, ...]]:
+    """Choose the voxel spacing: what the user gave, otherwise what the file says.
+
+    Parameters
+    ----------
+    from_file : ndarray, (3,), or None
+        Spacing along x, y, z in mm.
+    given : sequence of 1 or 3 floats, or None
+        The user's, in mm.
+    name : str
+        File name for messages.
+    known : str
+        What the file does say, for the message when the spacing is incomplete.
+
+    Raises
+    ------
+    CtInertiaError
+        There is none, or one that is not positive.
+    """
+    if given is not None:
+        values = np.asarray(given, dtype=float).ravel()
+        if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
+            raise CtInertiaError(
+                sentence("--spacing", "one or three positive numbers in mm (H or DX,DY,DZ)", values.tolist())
+            )
+        spacing = np.broadcast_to(values, 3).copy()
+        if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
+            text = (
+                f"{name} says voxels of {_listed(from_file)} mm; the given {_listed(spacing)} mm were used."
+            )
+            return spacing, (Notice("spacing_overridden", text),)
+        return spacing, ()
+    if from_file is None:
+        raise CtInertiaError(
+            sentence(
+                "the voxel spacing",
+                "in the file or given",
+                f"none{': ' + known if known else ''}",
+                name,
+                "Give it in mm with --spacing H or --spacing DX,DY,DZ",
+            )
+        )
+    return np.asarray(from_file, dtype=float), ()
+
+
+def check_size(shape: Sequence[int], dtype: np.dtype, stored_bytes: int, packed: bool, name: str) -> None:
+    """Refuse a header that claims more than its file can hold or than this machine can.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Claimed number of voxels along each axis.
+    dtype : dtype
+    stored_bytes : int
+        Bytes that the file has for them.
+    packed : bool
+        The data are compressed.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    claimed = int(np.dtype(dtype).itemsize)
+    for n in shape:
+        claimed *= int(n)
+    size = " x ".join(str(int(n)) for n in reversed(list(shape)))
+    if claimed > stored_bytes * (_MOST_PACKED if packed else 1):
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                f"as large as its header says ({size} voxels, {_amount(claimed)})",
+                f"{_amount(stored_bytes)} in the file",
+                name,
+                "The file is truncated or its header is wrong: copy or export it again",
+            )
+        )
+    if packed and claimed > _memory():
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                f"small enough to unpack in memory ({_amount(_memory())})",
+                _amount(claimed),
+                name,
+                "Export it uncompressed, or crop it",
+            )
+        )
+
+
+def existing_file(path: Path) -> Path:
+    """Return the path when it is a file with content."""
+    if not path.exists():
+        raise CtInertiaError(
+            sentence("the scan", "an existing file or folder", path, next_step="Check the path")
+        )
+    if path.is_file() and path.stat().st_size == 0:
+        raise CtInertiaError(sentence("the scan", "a file with content", "an empty file", path.name))
+    return path
+
+
+def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
+    """Make the error for a file that its library cannot read."""
+    told = str(fault).strip().splitlines()
+    return CtInertiaError(
+        sentence(
+            "the scan",
+            f"a readable {kind}",
+            f"{type(fault).__name__}{': ' + told[-1][:200] if told else ''}",
+            path.name,
+            "The file is truncated or damaged: copy or export it again",
+        )
+    )
+
+
+def _memory() -> int:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return 1 << 40
+
+
+def _amount(count: int) -> str:
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count} bytes"
+
+
+def _listed(values: Array) -> str:
+    return " x ".join(f"{v:.6g}" for v in values)
