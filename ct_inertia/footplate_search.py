@@ -54,7 +54,7 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
     areas = np.linalg.norm(vectors, axis=1)
     normals = vectors / np.maximum(areas[:, None], 1e-30)
     found = []
-    directions = _sphere(_DIRECTIONS)
+    directions = sphere(_DIRECTIONS)
     scores = np.zeros(len(directions))
     for number, direction in enumerate(directions):
         height = centres @ direction
@@ -90,7 +90,7 @@ def _pooled(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:
     return middle, pooled
 
 
-def _sphere(count: int) -> Array:
+def sphere(count: int) -> Array:
     """Return directions (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count

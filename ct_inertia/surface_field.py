@@ -117,7 +117,7 @@ class Diffusion:
             (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
         )
         third = np.repeat(areas / 3.0, 3)
-        self.mass: Array = 1e-15 + np.bincount(mesh.faces.ravel(), third, minlength=n)
+        self.mass = np.asarray(1e-15 + np.bincount(mesh.faces.ravel(), third, minlength=n), dtype=np.float64)
         self.vertex_area_vectors = np.column_stack(
             [
                 np.bincount(mesh.faces.ravel(), np.repeat(vectors[:, k] / 3.0, 3), minlength=n)
