@@ -71,8 +71,9 @@ class DampingLaw:
 
     def unit(self, stiffness_unit: str) -> str:
         """Return the unit of an entry of D beside that of K."""
-        suffix = {"viscous": " s", "hysteretic": "", "fractional": f" s^{self.exponent:.3g}"}[self.name]
-        return stiffness_unit + suffix
+        seconds = {"viscous": " s", "hysteretic": "", "fractional": f" s^{self.exponent:.3g}"}[self.name]
+        numerator, slash, denominator = stiffness_unit.partition("/")
+        return numerator + seconds + slash + denominator
 
 
 VISCOUS = DampingLaw()

@@ -127,7 +127,7 @@ def frequency_response(
     omega = 2.0 * np.pi * np.asarray(freq_hz, dtype=float)
     z = dynamic_stiffness(stiffness, damping, omega, law)
     inertia = omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
-    return np.linalg.solve(z - inertia, z)
+    return np.asarray(np.linalg.solve(z - inertia, z), dtype=complex)
 
 
 def simulate(
@@ -163,7 +163,7 @@ def simulate(
     if load is not None:
         force = force + np.asarray(load, dtype=complex)
     dynamic = z - omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
-    return np.linalg.solve(dynamic, force[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(dynamic, force[..., None])[..., 0], dtype=complex)
 
 
 def state_matrix(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike) -> Array:

@@ -1,0 +1,230 @@
+"""The budget of a result: which source of error brings how much, for entries, modes and principal axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.damping import DampingLaw
+from fitting.laws import LawFit
+from fitting.lines import Lines
+from fitting.model import modes
+from fitting.principal_axes import PRINCIPAL_DOF, principal_axes
+from fitting.problem import Problem
+from fitting.symmetric import entry_names, join, matrix, split, vector
+from fitting.uncertainty import (
+    ATTENUATION,
+    NOISE,
+    SharedEffect,
+    attenuation,
+    implicit_response,
+    noise_covariance,
+    shared_effects,
+)
+
+Array = NDArray[np.float64]
+EXPONENT = "damping_exponent"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Covariance of the parameters (SI) by source.
+
+    Attributes
+    ----------
+    names : tuple of str, (p,)
+        K11, K12, ..., Dnn.
+    sources : mapping of str to ndarray, (p, p)
+        They add up to ``covariance``.
+    covariance, noise : ndarray, (p, p)
+        Total, and channel noise alone.
+    effects : tuple of SharedEffect
+        Common errors, for propagation to derived quantities.
+    widened : float
+        Factor on the noise covariance because chi2 exceeded its degrees of freedom.
+    method : str
+        ``fisher`` or ``sandwich``.
+    bias : ndarray, (p,)
+        Estimated attenuation bias, SI; zero for ml.
+    """
+
+    names: tuple[str, ...]
+    sources: dict[str, Array]
+    covariance: Array
+    noise: Array
+    effects: tuple[SharedEffect, ...]
+    widened: float
+    method: str
+    bias: Array
+
+    def deviations(self) -> dict[str, dict[str, float]]:
+        """Return the standard deviation (SI) that each source brings to each entry."""
+        return {
+            source: {
+                name: float(np.sqrt(max(part[place, place], 0.0))) for place, name in enumerate(self.names)
+            }
+            for source, part in self.sources.items()
+        }
+
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Return each source's share of the variance of each entry, 0 to 1."""
+        total = np.maximum(np.diag(self.covariance), 1e-300)
+        return {
+            source: {name: float(part[place, place] / total[place]) for place, name in enumerate(self.names)}
+            for source, part in self.sources.items()
+        }
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Quantities derived from K, D and M, with standard deviations from all sources.
+
+    Attributes
+    ----------
+    frequency_sd_hz, undamped_frequency_sd_hz, damping_ratio_sd : ndarray, (modes,)
+    shape_sd : ndarray, (modes, n)
+        Of the magnitudes of the shapes.
+    principal : ndarray, (6,), or None
+        x0 and z0 (m), angle (rad), three stiffnesses (SI); None for other degrees of freedom.
+    principal_sd : ndarray, (6,), or None
+    """
+
+    frequency_sd_hz: Array
+    undamped_frequency_sd_hz: Array
+    damping_ratio_sd: Array
+    shape_sd: Array
+    principal: Array | None
+    principal_sd: Array | None
+
+
+def budget_of(problem: Problem, lines: Lines, fit: LawFit) -> Budget:
+    """Gather the covariance of an estimate from every source."""
+    scaled, widened, method = noise_covariance(problem, lines, fit.estimate)
+    units = problem.units
+    noise = scaled * np.outer(units, units)
+    sources = {NOISE: noise}
+    bias = attenuation(problem, lines, fit.estimate.parameters) * units
+    if np.any(bias):
+        sources[ATTENUATION] = np.outer(bias, bias)
+    effects = shared_effects(problem, lines, fit.estimate)
+    if fit.exponent_sd is not None:
+        effects.append(_exponent_effect(fit, widened))
+    for effect in effects:
+        sources.update(_by_source(effect))
+    covariance = sum(sources.values(), np.zeros_like(noise))
+    covariance = 0.5 * (covariance + covariance.T)
+    return Budget(entry_names(problem.n), sources, covariance, noise, tuple(effects), widened, method, bias)
+
+
+def _by_source(effect: SharedEffect) -> dict[str, Array]:
+    """Split a block of common errors by source; what two sources share is halved between them."""
+    if effect.source != "motion":
+        return {effect.source: effect.parameters @ effect.covariance @ effect.parameters.T}
+    groups: dict[str, list[int]] = {}
+    for place, name in enumerate(effect.names):
+        groups.setdefault(name.partition(".")[0], []).append(place)
+    parts = {}
+    for source, places in groups.items():
+        half = effect.parameters[:, places] @ effect.covariance[places] @ effect.parameters.T
+        parts[source] = 0.5 * (half + half.T)
+    return parts
+
+
+def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
+    """Return how the uncertainty of a fractional exponent moves the SI parameters."""
+    problem, parameters = fit.problem, fit.estimate.parameters
+    step = 1e-5
+    gradients = []
+    for sign in (1.0, -1.0):
+        moved = problem.with_law(DampingLaw("fractional", fit.law.exponent + sign * step))
+        gradients.append(problem.gradient(parameters, moved.lines()))
+    respond = implicit_response(problem, problem.lines(), fit.estimate)
+    column = respond((gradients[0] - gradients[1]) / (2.0 * step))
+    half = len(parameters) // 2
+    column[half:] -= np.log(problem.scale.omega) * parameters[half:] * problem.units[half:]
+    variance = np.array([[widened * (fit.exponent_sd or 0.0) ** 2]])
+    none = np.zeros((1, problem.n, problem.n))
+    return SharedEffect(EXPONENT, ("exponent",), variance, column[:, None], none)
+
+
+def derived_quantities(problem: Problem, stiffness: Array, damping: Array, budget: Budget) -> Derived:
+    """Propagate every source to modes and principal axes by the delta method.
+
+    M changes together with K and D where one error moves them all, so that e.g. an error of the mass scale
+    leaves the modes where they are.
+    """
+    n = problem.n
+    parameters = join(stiffness, damping)
+    mass = vector(problem.mass)
+    point = np.concatenate([parameters, mass])
+    base = _quantities(point, problem)
+    root = np.sqrt(np.diag(problem.mass))
+    steps = np.concatenate([_steps(stiffness), _steps(damping), vector(np.outer(root, root))]) * 1e-6
+    slopes = []
+    for place, step in enumerate(steps):
+        moved = [point.copy(), point.copy()]
+        moved[0][place] += step
+        moved[1][place] -= step
+        ahead, behind = (_quantities(one, problem) for one in moved)
+        if ahead.count == behind.count == base.count and ahead.with_axes == behind.with_axes:
+            slopes.append((ahead.values - behind.values) / (2.0 * step))
+        else:
+            slopes.append(np.full(len(base.values), np.nan))
+    slope = np.column_stack(slopes)
+    p = len(parameters)
+    by_parameters, by_mass = slope[:, :p], slope[:, p:]
+    variance = _variance(by_parameters, budget.noise)
+    if ATTENUATION in budget.sources:
+        variance += _variance(by_parameters, budget.sources[ATTENUATION])
+    for effect in budget.effects:
+        mass_columns = np.stack([vector(part) for part in effect.mass], axis=1)
+        columns = by_parameters @ effect.parameters + by_mass @ mass_columns
+        variance += _variance(columns, effect.covariance)
+    sd = np.sqrt(np.maximum(variance, 0.0))
+    count, axes = base.count, base.with_axes
+    return Derived(
+        sd[:count],
+        sd[count : 2 * count],
+        sd[2 * count : 3 * count],
+        sd[3 * count : 3 * count + count * n].reshape(count, n),
+        base.values[-6:] if axes else None,
+        sd[-6:] if axes else None,
+    )
+
+
+def _variance(columns: Array, covariance: Array) -> Array:
+    return np.asarray(np.einsum("qi,ij,qj->q", columns, covariance, columns))
+
+
+def _steps(part: Array) -> Array:
+    root = np.sqrt(np.abs(np.diag(part)))
+    root = np.maximum(root, 1e-3 * root.max() if root.max() > 0.0 else 1.0)
+    return vector(np.outer(root, root))
+
+
+@dataclass(frozen=True)
+class _Quantities:
+    """Numbers derived from one set of matrices: frequencies, ratios, shapes, axes, in one row."""
+
+    count: int
+    with_axes: bool
+    values: Array
+
+
+def _quantities(point: Array, problem: Problem) -> _Quantities:
+    n = problem.n
+    p = n * (n + 1)
+    stiffness, damping = split(point[:p], n)
+    pairs = modes(matrix(point[p:], n), stiffness, damping, problem.law).pairs
+    values: list[Array | list[float]] = [
+        [mode.frequency_hz for mode in pairs],
+        [mode.undamped_frequency_hz for mode in pairs],
+        [mode.damping_ratio for mode in pairs],
+        np.abs([mode.shape for mode in pairs]).ravel(),
+    ]
+    with_axes = problem.observation.dof == PRINCIPAL_DOF and stiffness[0, 0] > 0.0
+    if with_axes:
+        values.append(principal_axes(stiffness).as_vector())
+    return _Quantities(len(pairs), with_axes, np.concatenate(values))

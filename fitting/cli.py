@@ -1,0 +1,125 @@
+"""The command dof2kd."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import NoReturn
+
+from kinematics.command import Outcome, Parser, numbers, run
+
+_EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of --dof.
+Writes kd.json and kd.html (named after --out). Example:
+  dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55"""
+
+
+def _range(text: str) -> tuple[float, float]:
+    parts = text.replace(",", "-").split("-")
+    try:
+        low, high = (float(part) for part in parts)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"the range must be two frequencies in Hz as F1-F2; got {text}"
+        ) from None
+    return low, high
+
+
+def _bound(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"the bound must be an entry and a number in SI, as K11=100; got {text}"
+        ) from None
+
+
+def parser() -> Parser:
+    """Return the parser of the command."""
+    made = Parser("dof2kd", "Stiffness and damping from rigid-body motion and mass matrix.", _EPILOG)
+    made.add_argument("motion", type=Path, metavar="DOF", help="dof.csv or dof.h5")
+    made.add_argument(
+        "--mass", type=Path, required=True, metavar="FILE", help="mass.json of ct2mass, or M.csv"
+    )
+    made.add_argument("--structure", default="stapes", metavar="BODY", help="the moving body (stapes)")
+    made.add_argument("--base", default="base", metavar="BODY", help="the excited body (base)")
+    made.add_argument(
+        "--dof",
+        default="y,alpha,gamma",
+        metavar="LIST",
+        help="degrees of freedom of the model (y,alpha,gamma)",
+    )
+    made.add_argument(
+        "--estimator",
+        default="ml",
+        choices=("ml", "irls", "pinv", "constrained"),
+        help="ml: errors in variables (default); pinv: paper Eq. 5; constrained: the paper's bounded variant",
+    )
+    made.add_argument(
+        "--robust", default="none", choices=("none", "t4"), help="t4: outlying lines lose weight (ml)"
+    )
+    made.add_argument(
+        "--damping", default="viscous", choices=("viscous", "hysteretic", "fractional", "compare")
+    )
+    made.add_argument(
+        "--inplane",
+        default="auto",
+        choices=("auto", "load", "ignore"),
+        help="measured motion outside --dof as a known inertial load (auto: when significant)",
+    )
+    made.add_argument(
+        "--constraint",
+        default="eigenvalues",
+        choices=("eigenvalues", "psd"),
+        help="of the constrained estimator: the paper's stability, or K and D positive semidefinite",
+    )
+    for option, word in (("--lower", "lower"), ("--upper", "upper")):
+        made.add_argument(
+            option,
+            type=_bound,
+            action="append",
+            default=None,
+            metavar="ENTRY=VALUE",
+            help=f"{word} bound of an entry in SI, e.g. K11=100 (constrained)",
+        )
+    made.add_argument(
+        "--band", type=numbers(2, "--band"), default=None, metavar="F1,F2", help="fit these frequencies, Hz"
+    )
+    made.add_argument(
+        "--exclude", type=_range, action="append", default=None, metavar="F1-F2", help="leave out, Hz"
+    )
+    made.add_argument("--out", type=Path, default=Path("kd.json"), metavar="FILE.json")
+    made.add_config()
+    return made
+
+
+def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
+    options = parser().parse(arguments)
+    from fitting.dof2kd import dof2kd
+    from fitting.kd import KDOptions
+    from fitting.report import summary_rows
+    from kinematics.spatial import parse_dof
+
+    chosen = KDOptions(
+        dof=parse_dof(options.dof),
+        structure=options.structure,
+        base=options.base,
+        estimator=options.estimator,
+        robust=options.robust,
+        damping=options.damping,
+        inplane=options.inplane,
+        band_hz=options.band,
+        exclude_hz=tuple(options.exclude or ()),
+        constraint=options.constraint,
+        lower=dict(options.lower or ()),
+        upper=dict(options.upper or ()),
+    )
+    done = dof2kd(options.motion, options.mass, chosen, options.out)
+    return options, Outcome(
+        "stiffness and damping", summary_rows(done.fit), done.fit.notices, done.files, dict(done.content)
+    )
+
+
+def main() -> NoReturn:
+    """Run the command and leave with its exit code."""
+    run("dof2kd", _work)

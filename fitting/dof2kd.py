@@ -1,0 +1,92 @@
+"""From motion file and mass file to a fit and its files: one library call for the command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.kd import KDFit, KDOptions, fit_kd
+from fitting.kd_json import kd_json
+from fitting.mass_file import read_mass
+from fitting.report import kd_page
+from kinematics.errors import sentence
+from kinematics.mass_record import MassRecord
+from kinematics.motion_files import read_motion
+from kinematics.output import staged
+from kinematics.provenance import record
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KDResult:
+    """A fit with what was written.
+
+    Attributes
+    ----------
+    fit : KDFit
+    content : mapping
+        kd.json.
+    files : tuple of Path
+    """
+
+    fit: KDFit
+    content: Mapping[str, Any]
+    files: tuple[Path, ...]
+
+
+def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path) -> KDResult:
+    """Read, fit and write ``out`` (kd.json) and the page of the same name.
+
+    Raises
+    ------
+    FittingError, KinematicsError
+        A file or an option is at fault.
+    """
+    out = Path(out)
+    if out.suffix.lower() != ".json":
+        raise FittingError(sentence("--out", "a file name that ends with .json", out.name))
+    mass, mass_record = read_mass(mass_path, options.dof)
+    fit = fit_kd(read_motion(motion_path), mass, options)
+    provenance = record({"motion": motion_path, "mass": mass_path}, parameters(options))
+    content = kd_json(fit, provenance)
+    with staged(out.parent) as folder:
+        (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        html = Path(out.name).with_suffix(".html").name
+        kd_page(fit, provenance, footplate_outline(mass_record)).write(folder / html)
+    return KDResult(fit, content, (out, out.with_name(html)))
+
+
+def parameters(options: KDOptions) -> dict[str, Any]:
+    """Return the options as JSON-able data."""
+    return {
+        "dof": list(options.dof),
+        "structure": options.structure,
+        "base": options.base,
+        "estimator": options.estimator,
+        "robust": options.robust,
+        "damping": options.damping,
+        "inplane": options.inplane,
+        "band_hz": None if options.band_hz is None else list(options.band_hz),
+        "exclude_hz": [list(one) for one in options.exclude_hz],
+        "constraint": options.constraint,
+        "lower": dict(options.lower),
+        "upper": dict(options.upper),
+    }
+
+
+def footplate_outline(mass_record: MassRecord | None) -> Array | None:
+    """Return the footplate's outline in footplate axes (points, 2 or 3), mm, when mass.json holds one."""
+    raw = None if mass_record is None else mass_record.raw.get("footplate_outline_mm")
+    if raw is None:
+        return None
+    outline = np.asarray(raw, dtype=float)
+    good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
+    return outline if good and np.all(np.isfinite(outline)) else None

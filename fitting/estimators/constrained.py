@@ -1,0 +1,247 @@
+"""Least squares under signs, bounds and stability: the paper's constrained variant, made unit free.
+
+Minimise |A p - b|^2 (balanced rows) subject to bounds of every entry (diagonals not negative) and to
+
+* ``eigenvalues``: every eigenvalue of the model has a negative real part (the paper's criterion), or
+* ``psd``: K and D positive semidefinite, which is sufficient for it and makes the problem convex.
+
+The bounded problem without stability is a convex relaxation; where its solution satisfies the constraint it
+is the global optimum, and the certificate is zero. For ``psd`` the certificate is the barrier's duality gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import pinv
+from fitting.estimators.base import Estimate, EstimatorOptions
+from fitting.estimators.interior import active_names, inside, minimise, pull_inside
+from fitting.lines import Lines, real_rows, regressor
+from fitting.symmetric import entry_names, pairs, split
+
+Array = NDArray[np.float64]
+# Scaled entries are of order one; an eigenvalue counts as stable from this far left of the imaginary axis.
+_STABLE = -1e-6
+_GAP = 1e-10
+_EXTRA_STARTS = 4
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """|A p - b|^2 / |b|^2 reduced to its triangle: |R p - c|^2 + rest, with bounds and the scaled mass.
+
+    Attributes
+    ----------
+    triangle : ndarray, (p, p)
+    right : ndarray, (p,)
+    rest : float
+    mass : ndarray, (n, n)
+    lower, upper : ndarray, (p,)
+    """
+
+    triangle: Array
+    right: Array
+    rest: float
+    mass: Array
+    lower: Array
+    upper: Array
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.mass)
+
+    def value(self, parameters: Array) -> float:
+        """Return the objective."""
+        return float(np.sum((self.triangle @ parameters - self.right) ** 2)) + self.rest
+
+    def expansion(self, parameters: Array) -> tuple[float, Array, Array]:
+        """Return value, gradient and Hessian."""
+        residual = self.triangle @ parameters - self.right
+        gradient = 2.0 * self.triangle.T @ residual
+        return float(residual @ residual) + self.rest, gradient, 2.0 * self.triangle.T @ self.triangle
+
+    def within(self, parameters: Array) -> bool:
+        """Return whether the bounds hold."""
+        return bool(np.all(parameters >= self.lower) and np.all(parameters <= self.upper))
+
+
+def reduce(lines: Lines, options: EstimatorOptions) -> Quadratic:
+    """Write the constrained problem of some lines."""
+    rows = real_rows(regressor(lines.dq, lines.factor))
+    right = real_rows(lines.force)
+    size = float(np.linalg.norm(right)) or 1.0
+    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, right]) / size, mode="r"))
+    p = rows.shape[1]
+    padded = np.zeros((p + 1, p + 1))
+    padded[: len(triangle)] = triangle[: p + 1]
+    half = p // 2
+    lower = np.full(p, -np.inf) if options.lower is None else options.lower.copy()
+    upper = np.full(p, np.inf) if options.upper is None else options.upper.copy()
+    for place, (row, column) in enumerate(pairs(lines.n)):
+        if row == column:
+            for entry in (place, place + half):
+                lower[entry] = max(lower[entry], 0.0)
+    return Quadratic(padded[:p, :p], padded[:p, p], float(padded[p, p] ** 2), lines.mass, lower, upper)
+
+
+def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
+    """Return the constrained least squares solution and the constraints that hold it."""
+    problem = reduce(lines, options)
+    if options.constraint == "psd":
+        return _psd(lines, problem)
+    relaxed, active = _bounded(lines, problem)
+    if _largest_real(relaxed, problem) < 0.0:
+        return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
+    starts = [start] if start is not None else _starts(lines, problem, relaxed)
+    found = [_stable(problem, begin) for begin in starts]
+    parameters, converged, steps = min(
+        found, key=lambda one: (not _feasible(one[0], problem), problem.value(one[0]))
+    )
+    names = (*_at_bounds(parameters, problem), "stability")
+    return Estimate(parameters, problem.value(parameters), steps, converged, names)
+
+
+def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
+    """Solve the convex problem of signs and bounds alone."""
+    free = pinv.weighted(lines, np.ones(lines.n)).parameters
+    if problem.within(free):
+        return free, ()
+    from scipy.optimize import lsq_linear
+
+    found = lsq_linear(
+        problem.triangle, problem.right, (problem.lower, problem.upper), method="bvls", tol=1e-14
+    ).x
+    return found, _at_bounds(found, problem)
+
+
+def _psd(lines: Lines, problem: Quadratic) -> Estimate:
+    """Solve the convex problem with K >= 0 and D >= 0."""
+    free = pinv.weighted(lines, np.ones(lines.n)).parameters
+    if problem.within(free) and inside(free, lines.n):
+        return Estimate(free, problem.value(free), 1, True, certificate=0.0)
+    begin = _interior_start(problem, pull_inside(free, lines.n))
+    zero = np.where(problem.lower == 0.0, -np.inf, problem.lower)
+    found, gap, steps = minimise(problem.expansion, problem.value, begin, lines.n, _GAP, zero, problem.upper)
+    level = problem.value(found)
+    active = (*_at_bounds(found, problem), *active_names(found, lines.n))
+    return Estimate(found, level, steps, True, active, certificate=gap / max(level, _GAP))
+
+
+def _interior_start(problem: Quadratic, begin: Array) -> Array:
+    """Move a positive definite start strictly between the bounds, towards an uncoupled model."""
+    diagonal = np.array([row == column for row, column in pairs(problem.n)] * 2)
+    low = np.where(np.isfinite(problem.lower), problem.lower, -1e6)
+    high = np.where(np.isfinite(problem.upper), problem.upper, 1e6)
+    margin = 1e-3 * (high - low)
+    clipped = np.clip(begin, low + margin, high - margin)
+    for share in (1.0, 0.5, 0.1, 0.0):
+        trial = np.where(diagonal, clipped, np.clip(share * clipped, low + margin, high - margin))
+        if inside(trial, problem.n):
+            return trial
+    from fitting.errors import FittingError
+    from kinematics.errors import sentence
+
+    raise FittingError(
+        sentence(
+            "the bounds",
+            "wide enough for positive semidefinite K and D",
+            "bounds that exclude them",
+            next_step="Widen --lower or --upper",
+        )
+    )
+
+
+def _starts(lines: Lines, problem: Quadratic, relaxed: Array) -> list[Array]:
+    """Return starts: the convex solution, the relaxation pulled inside, and random ones around them."""
+    generator = np.random.default_rng(0)
+    pulled = pull_inside(relaxed, lines.n, 0.1)
+    starts = [_psd(lines, problem).parameters, pulled]
+    for _ in range(_EXTRA_STARTS):
+        starts.append(pull_inside(pulled * generator.uniform(0.5, 1.5, len(pulled)), lines.n, 0.1))
+    return starts
+
+
+def _stable(problem: Quadratic, start: Array) -> tuple[Array, bool, int]:
+    """Minimise under stability by sequential quadratic programming, repeated from its end until it stays."""
+    from scipy.optimize import Bounds, minimize
+
+    constraint = {
+        "type": "ineq",
+        "fun": lambda parameters: _STABLE - _spectrum(parameters, problem)[0],
+        "jac": lambda parameters: -_spectrum(parameters, problem)[1],
+    }
+    unit = max(problem.value(start), problem.rest, 1e-300)
+    now, steps, converged = np.clip(start, problem.lower, problem.upper), 0, False
+    for _ in range(6):
+        found = minimize(
+            lambda parameters: problem.value(parameters) / unit,
+            now,
+            jac=lambda parameters: problem.expansion(parameters)[1] / unit,
+            method="SLSQP",
+            bounds=Bounds(problem.lower, problem.upper),
+            constraints=[constraint],
+            options={"maxiter": 500, "ftol": 1e-14},
+        )
+        steps += int(found.nit)
+        change = float(np.max(np.abs(found.x - now)))
+        now = found.x
+        converged = bool(found.success)
+        if change < 1e-9:
+            break
+    return np.asarray(now), converged, steps
+
+
+def _spectrum(parameters: Array, problem: Quadratic) -> tuple[Array, Array]:
+    """Return the real parts of the eigenvalues (2n,), descending, and their derivatives (2n, p)."""
+    from scipy.linalg import eig
+
+    n = problem.n
+    stiffness, damping = split(parameters, n)
+    inverse = np.linalg.inv(problem.mass)
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+    values, _, right = eig(state, left=True)
+    order = np.argsort(-values.real)
+    half = len(parameters) // 2
+    derivatives = np.zeros((2 * n, 2 * half))
+    for place, index in enumerate(order):
+        value, shape = values[index], right[:n, index]
+        norm = shape @ (2.0 * value * problem.mass + damping) @ shape
+        if abs(norm) < 1e-12:
+            continue
+        for entry, (row, column) in enumerate(pairs(n)):
+            product = shape[row] * shape[column] * (1.0 if row == column else 2.0)
+            derivatives[place, entry] = float((-product / norm).real)
+            derivatives[place, entry + half] = float((-value * product / norm).real)
+    return values.real[order], derivatives
+
+
+def _largest_real(parameters: Array, problem: Quadratic) -> float:
+    return float(_spectrum(parameters, problem)[0][0])
+
+
+def _feasible(parameters: Array, problem: Quadratic) -> bool:
+    slack = 1e-9
+    return (
+        _largest_real(parameters, problem) < 0.0
+        and bool(np.all(parameters >= problem.lower - slack))
+        and bool(np.all(parameters <= problem.upper + slack))
+    )
+
+
+def _at_bounds(parameters: Array, problem: Quadratic) -> tuple[str, ...]:
+    names = entry_names(problem.n)
+    near = 1e-9
+    low = [f"{name}_lower" for name, gap in zip(names, parameters - problem.lower, strict=True) if gap < near]
+    high = [
+        f"{name}_upper" for name, gap in zip(names, problem.upper - parameters, strict=True) if gap < near
+    ]
+    return (*low, *high)
+
+
+def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001
+    """Return Re(A^H e) of every line, (lines, p)."""
+    return pinv.weighted_scores(parameters, lines, np.ones(lines.n))

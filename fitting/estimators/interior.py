@@ -1,0 +1,165 @@
+"""Minimisation within K >= 0 and D >= 0 by a log-determinant barrier (path following).
+
+For a convex objective the multiplier that the barrier leaves bounds the distance to the global optimum by
+2 n / t in the objective's own units (Boyd and Vandenberghe 2004, Convex Optimization, section 11.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.symmetric import basis, join, split
+
+Array = NDArray[np.float64]
+Objective = Callable[[Array], float]
+Expansion = Callable[[Array], tuple[float, Array, Array]]
+_MOST_STEPS = 40
+_GROWTH = 12.0
+_ACTIVE = 1e-4
+
+
+def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
+    """Return the smallest eigenvalue of scaled K over its largest magnitude, and the same of D."""
+    found = []
+    for part in split(parameters, n):
+        values = np.linalg.eigvalsh(part)
+        found.append(float(values[0] / max(np.max(np.abs(values)), 1e-300)))
+    return found[0], found[1]
+
+
+def inside(parameters: Array, n: int) -> bool:
+    """Return whether both K and D are positive definite."""
+    return min(smallest_eigenvalues(parameters, n)) > 0.0
+
+
+def pull_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
+    """Return the nearest K and D whose eigenvalues are at least ``margin`` of the largest magnitude."""
+    pulled = []
+    for part in split(parameters, n):
+        values, vectors = np.linalg.eigh(part)
+        floor = margin * max(float(np.max(np.abs(values))), 1e-12)
+        pulled.append((vectors * np.maximum(values, floor)) @ vectors.T)
+    return join(pulled[0], pulled[1])
+
+
+def barrier(
+    parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None
+) -> tuple[float, Array, Array]:
+    """Return -log det K - log det D with its gradient and Hessian, bounds joined likewise; inf outside."""
+    half = len(parameters) // 2
+    value, gradient = 0.0, np.zeros(2 * half)
+    hessian = np.zeros((2 * half, 2 * half))
+    for place, part in enumerate(split(parameters, n)):
+        try:
+            root = np.linalg.cholesky(part)
+        except np.linalg.LinAlgError:
+            return np.inf, gradient, hessian
+        value -= 2.0 * float(np.sum(np.log(np.diag(root))))
+        inverse = np.linalg.inv(part)
+        products = inverse @ basis(n)
+        block = slice(place * half, (place + 1) * half)
+        gradient[block] = -np.einsum("kii->k", products)
+        hessian[block, block] = np.einsum("kij,lji->kl", products, products)
+    for bound, sign in ((lower, 1.0), (upper, -1.0)):
+        if bound is None:
+            continue
+        finite = np.isfinite(bound)
+        slack = sign * (parameters - bound)[finite]
+        if np.any(slack <= 0.0):
+            return np.inf, gradient, hessian
+        value -= float(np.sum(np.log(slack)))
+        gradient[finite] -= sign / slack
+        hessian[finite, finite] += 1.0 / slack**2
+    return value, gradient, hessian
+
+
+def minimise(
+    expansion: Expansion,
+    value: Objective,
+    start: Array,
+    n: int,
+    gap: float,
+    lower: Array | None = None,
+    upper: Array | None = None,
+) -> tuple[Array, float, int]:
+    """Follow the barrier path from an interior start until the barrier's share is below ``gap``.
+
+    Parameters
+    ----------
+    expansion : callable
+        Value, gradient and (Gauss-Newton) Hessian of the objective.
+    value : callable
+        Value alone.
+    start : ndarray, (p,)
+        Both matrices positive definite.
+    n : int
+    gap : float
+        Largest 2 n / t to end with, in units of the objective; finite bounds count with 2 n.
+    lower, upper : ndarray, (p,), optional
+        Bounds, infinite where there is none; the start must be strictly between them.
+
+    Returns
+    -------
+    parameters : ndarray, (p,)
+    gap : float
+        The last 2 n / t.
+    steps : int
+    """
+    now = np.array(start)
+    order = 2.0 * n + sum(int(np.sum(np.isfinite(bound))) for bound in (lower, upper) if bound is not None)
+    sharpness = order / max(0.1 * abs(value(now)), gap)
+    steps = 0
+    while True:
+        for _ in range(_MOST_STEPS):
+            steps += 1
+            level, gradient, hessian = expansion(now)
+            wall, wall_gradient, wall_hessian = barrier(now, n, lower, upper)
+            slope = sharpness * gradient + wall_gradient
+            curvature = sharpness * hessian + wall_hessian
+            move = -np.linalg.solve(curvature, slope)
+            decrement = float(-slope @ move)
+            length = 1.0
+            height = sharpness * level + wall
+            while length > 1e-12:
+                trial = now + length * move
+                trial_wall = barrier(trial, n, lower, upper)[0]
+                if np.isfinite(trial_wall):
+                    reached = sharpness * value(trial) + trial_wall
+                    if reached <= height - 1e-4 * length * decrement + 1e-12 * abs(height):
+                        break
+                length *= 0.5
+            else:
+                break
+            now = trial
+            if decrement < 1e-6:
+                break
+        if order / sharpness <= gap * (1.0 + 1e-9):
+            return now, order / sharpness, steps
+        sharpness = min(sharpness * _GROWTH, order / gap)
+
+
+def active_names(parameters: Array, n: int) -> tuple[str, ...]:
+    """Name which of K >= 0 and D >= 0 an estimate leans on."""
+    stiffness, damping = smallest_eigenvalues(parameters, n)
+    named = (("stiffness_psd", stiffness), ("damping_psd", damping))
+    return tuple(name for name, smallest in named if smallest < _ACTIVE)
+
+
+def shortest_distance(target: Array, metric: Array, start: Array, n: int) -> tuple[Array, tuple[str, ...]]:
+    """Return the positive semidefinite K, D nearest to ``target`` in a metric (p, p), and what holds them.
+
+    This is the constrained minimum of a least squares objective with that Hessian.
+    """
+
+    def expansion(parameters: Array) -> tuple[float, Array, Array]:
+        gradient = metric @ (parameters - target)
+        return 0.5 * float(gradient @ (parameters - target)), gradient, metric
+
+    def value(parameters: Array) -> float:
+        return expansion(parameters)[0]
+
+    reached, _, _ = minimise(expansion, value, start, n, 1e-7 * max(1.0, value(start)))
+    return reached, active_names(reached, n)

@@ -1,0 +1,52 @@
+"""Iteratively reweighted equation error: Eq. 5 weighted by the noise of its own equations, Ce(p)^-1."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import pinv
+from fitting.estimators.base import Estimate, EstimatorOptions, least_squares, solve_symmetric
+from fitting.estimators.interior import inside, pull_inside, shortest_distance
+from fitting.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
+
+Array = NDArray[np.float64]
+_MOST_ITERATIONS = 60
+
+
+def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
+    """Repeat p = argmin |Ce^-1/2 (A p - b)|^2 with Ce of the last p until it stays."""
+    balanced = np.ones(lines.n)
+    now = pinv.weighted(lines, balanced).parameters if start is None else start
+    fixed = regressor(lines.dq, lines.factor)
+    converged, count = False, 0
+    while count < _MOST_ITERATIONS and not converged:
+        count += 1
+        factor = cholesky(evaluate(now, lines).noise)
+        rows = real_rows(forward(factor, fixed))
+        right = real_rows(forward(factor, lines.force))
+        following = least_squares(rows, right)
+        change = rows @ (following - now)
+        now = following
+        converged = bool(change @ change < options.tolerance)
+    value = float(np.sum((rows @ now - right) ** 2))
+    if not options.passive or inside(now, lines.n):
+        return Estimate(now, value, count, converged)
+    hessian = rows.T @ rows
+    held, active = shortest_distance(now, hessian, pull_inside(now, lines.n), lines.n)
+    return Estimate(held, value, count, converged, active)
+
+
+def reweighted_once(lines: Lines, start: Array) -> Array:
+    """Return one step of the iteration: a start for ml."""
+    factor = cholesky(evaluate(start, lines).noise)
+    rows = real_rows(forward(factor, regressor(lines.dq, lines.factor)))
+    return solve_symmetric(rows.T @ rows, rows.T @ real_rows(forward(factor, lines.force)))
+
+
+def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001
+    """Return Re(A^H Ce^-1 e) of every line, (lines, p)."""
+    state = evaluate(parameters, lines)
+    factor = cholesky(state.noise)
+    multiplier = backward(factor, forward(factor, state.residual))
+    return np.einsum("ilp,il->lp", regressor(lines.dq, lines.factor).conj(), multiplier).real

@@ -1,0 +1,197 @@
+"""Maximum likelihood with errors in all variables: sum of e^H Ce^-1 e, e = B(p) y, Ce = B S B^H.
+
+S is the full covariance of the measured motions of both bodies at a line. The corrected regressor takes the
+fitted motion ``yhat = y - S B^H Ce^-1 e``; with it the Gauss-Newton step's right side is the exact gradient,
+so that the iteration ends at the true optimum (Pintelon and Schoukens 2012, System Identification, ch. 9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import irls, pinv
+from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric
+from fitting.estimators.interior import active_names, inside, minimise, pull_inside
+from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_MOST_ITERATIONS = 60
+_STUDENT = 4.0
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Residual and corrected regressor in units of their noise.
+
+    Attributes
+    ----------
+    distance : ndarray, (lines,)
+        e^H Ce^-1 e.
+    residual : ndarray, (n, lines), complex
+        L^-1 e with Ce = L L^H.
+    state : State
+    factor : ndarray, (n, n, lines), complex
+        L.
+    """
+
+    distance: Array
+    residual: ComplexArray
+    state: State
+    factor: ComplexArray
+
+    def corrected(self, lines: Lines) -> ComplexArray:
+        """Return the whitened corrected regressor, (n, lines, p)."""
+        multiplier = backward(self.factor, self.residual)
+        fitted = lines.dq - np.einsum("ijl,jl->il", self.state.gain, multiplier)
+        return forward(self.factor, regressor(fitted, lines.factor))
+
+
+def whiten(parameters: Array, lines: Lines) -> Whitened:
+    """Evaluate the equations and divide them by their noise."""
+    state = evaluate(parameters, lines)
+    factor = cholesky(state.noise)
+    residual = forward(factor, state.residual)
+    distance = np.sum(residual.real**2 + residual.imag**2, axis=0)
+    return Whitened(distance, residual, state, factor)
+
+
+@dataclass(frozen=True)
+class _Merit:
+    """What is minimised as a function of the distances of the lines: their sum, or Student's t."""
+
+    robust: bool
+    dimension: int
+    spread: float = 1.0
+
+    def value(self, distance: Array) -> float:
+        if not self.robust:
+            return float(np.sum(distance))
+        tail = np.log1p(2.0 * distance / (_STUDENT * self.spread))
+        return float(0.5 * (_STUDENT + self.dimension) * np.sum(tail))
+
+    def weights(self, distance: Array) -> Array:
+        if not self.robust:
+            return np.ones(len(distance))
+        return (_STUDENT + self.dimension) / (_STUDENT * self.spread + 2.0 * distance)
+
+
+def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
+    """Minimise by Gauss-Newton with step control; within K >= 0, D >= 0 when the free optimum is outside."""
+    merit = _Merit(options.robust == "t4", 2 * lines.n)
+    begin = irls.reweighted_once(lines, pinv.weighted(lines, np.ones(lines.n)).parameters)
+    found = _descend(lines, options, begin if start is None else start, merit)
+    if merit.robust:
+        found, merit = _with_spread(lines, options, found, merit)
+    active: tuple[str, ...] = ()
+    if options.passive and not inside(found.parameters, lines.n):
+        found, active = _held(lines, found, merit)
+    weights = None
+    if merit.robust:
+        weights = merit.weights(whiten(found.parameters, lines).distance)
+        weights = weights * (_STUDENT * merit.spread) / (_STUDENT + merit.dimension)
+    return Estimate(found.parameters, found.objective, found.iterations, found.converged, active, weights)
+
+
+def normal_equations(parameters: Array, lines: Lines, merit: _Merit | None = None) -> tuple[Array, Array]:
+    """Return the Gauss-Newton Hessian (p, p) and the gradient (p,) of the sum of e^H Ce^-1 e, halved."""
+    now = whiten(parameters, lines)
+    return _normal(now, lines, (merit or _Merit(False, 2 * lines.n)).weights(now.distance))
+
+
+def _normal(now: Whitened, lines: Lines, weights: Array) -> tuple[Array, Array]:
+    root = np.sqrt(weights)
+    rows = real_rows(now.corrected(lines) * root[:, None])
+    return rows.T @ rows, rows.T @ real_rows(now.residual * root)
+
+
+def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Merit) -> Estimate:
+    """Gauss-Newton steps, damped after Levenberg when a step does not lower the objective."""
+    parameters = np.array(start)
+    now = whiten(parameters, lines)
+    value = merit.value(now.distance)
+    damping, iterations, converged = 0.0, 0, False
+    while iterations < _MOST_ITERATIONS and not converged:
+        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
+        while iterations < _MOST_ITERATIONS:
+            iterations += 1
+            step = -solve_symmetric(hessian + damping * np.diag(np.diag(hessian)), gradient)
+            decrement = float(step @ hessian @ step)
+            trial = whiten(parameters + step, lines)
+            reached = merit.value(trial.distance)
+            converged = decrement < options.tolerance
+            if reached <= value or (converged and reached <= value * (1.0 + 1e-9)):
+                parameters, now, value = parameters + step, trial, reached
+                damping = damping / 10.0 if damping > 1e-6 else 0.0
+                break
+            if converged:
+                break
+            damping = max(10.0 * damping, 1e-3)
+    return Estimate(parameters, value, iterations, converged)
+
+
+def _with_spread(
+    lines: Lines, options: EstimatorOptions, found: Estimate, merit: _Merit
+) -> tuple[Estimate, _Merit]:
+    """Alternate between the parameters and the spread of Student's t."""
+    for _ in range(20):
+        distance = whiten(found.parameters, lines).distance
+        spread = merit.spread
+        for _ in range(50):
+            weights = _Merit(True, merit.dimension, spread).weights(distance) * spread
+            following = float(
+                2.0 * np.sum(weights * distance) / (lines.count * merit.dimension - lines.parameters)
+            )
+            settled = abs(following - spread) < 1e-6 * spread
+            spread = max(following, 1e-300)
+            if settled:
+                break
+        done = abs(spread - merit.spread) < 1e-4 * spread
+        merit = _Merit(True, merit.dimension, spread)
+        found = _descend(lines, options, found.parameters, merit)
+        if done:
+            break
+    return found, merit
+
+
+def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[str, ...]]:
+    """Minimise within the positive semidefinite K and D, from several starts."""
+
+    def value(parameters: Array) -> float:
+        return merit.value(whiten(parameters, lines).distance)
+
+    def expansion(parameters: Array) -> tuple[float, Array, Array]:
+        now = whiten(parameters, lines)
+        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
+        return merit.value(now.distance), 2.0 * gradient, 2.0 * hessian
+
+    balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
+    reached = [
+        minimise(expansion, value, pull_inside(start, lines.n), lines.n, 1e-5)
+        for start in (free.parameters, balanced)
+    ]
+    best = min((parameters for parameters, _, _ in reached), key=value)
+    steps = free.iterations + sum(count for _, _, count in reached)
+    return Estimate(best, value(best), steps, True), active_names(best, lines.n)
+
+
+def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
+    """Return Re(Jhat^H Ce^-1 e) of every line, (lines, p): half the exact gradient, weighted when robust."""
+    now = whiten(parameters, lines)
+    weights = np.ones(lines.count)
+    if options.robust == "t4":
+        merit = _Merit(True, 2 * lines.n, _spread(now.distance, lines))
+        weights = merit.weights(now.distance)
+    corrected = now.corrected(lines)
+    return np.einsum("ilp,il->lp", corrected.conj(), now.residual * weights).real
+
+
+def _spread(distance: Array, lines: Lines) -> float:
+    spread, dimension = 1.0, 2 * lines.n
+    for _ in range(100):
+        weights = _Merit(True, dimension, spread).weights(distance) * spread
+        spread = float(2.0 * np.sum(weights * distance) / (lines.count * dimension - lines.parameters))
+    return spread

@@ -1,0 +1,154 @@
+"""Whether the measured motion outside the model enters as a known inertial load.
+
+Leaving the load w^2 M_rc q_c out moves the estimate by d; taking it in adds the noise of q_c, which spreads
+the estimate by a covariance V. The load is taken when d is significant against V: d^T V^-1 d over its 99.9 %
+quantile under mere noise, and over 2 p, where removing the bias outweighs the added variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.estimators import EstimatorOptions, ml
+from fitting.identifiability import relative_sizes
+from fitting.lines import forward, real_rows
+from fitting.problem import Problem
+from fitting.symmetric import entry_names
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+CHOICES: tuple[str, ...] = ("auto", "load", "ignore")
+_LEVEL = 0.999
+
+
+@dataclass(frozen=True)
+class InplaneChoice:
+    """What was decided about the motion outside the model, and why.
+
+    Attributes
+    ----------
+    used : bool
+        Whether it enters as a load.
+    dof : tuple of str
+        Measured degrees of freedom outside the model.
+    reason : str
+        One sentence.
+    statistic, threshold : float or None
+        Significance of its effect on the parameters, and what it must exceed.
+    largest_effect : float or None
+        Largest change of an entry, relative to sqrt(Xii Xjj).
+    entry : str
+        That entry.
+    """
+
+    used: bool
+    dof: tuple[str, ...]
+    reason: str
+    statistic: float | None = None
+    threshold: float | None = None
+    largest_effect: float | None = None
+    entry: str = ""
+
+    def notices(self) -> list[Notice]:
+        """Return a warning when significant motion is left out."""
+        significant = self.statistic is not None and self.threshold is not None
+        if self.used or not significant or (self.statistic or 0.0) <= (self.threshold or 0.0):
+            return []
+        return [
+            Notice(
+                "neglected_motion",
+                f"The measured motion {', '.join(self.dof)} is significant but left out; it moves "
+                f"{self.entry} by {100.0 * (self.largest_effect or 0.0):.2g} % of "
+                "sqrt(Xii Xjj). Use --inplane load.",
+            )
+        ]
+
+
+def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
+    """Decide about the load and return the problem with or without it.
+
+    Raises
+    ------
+    FittingError
+        A load is asked for but the mass matrix or the motion lacks the other degrees of freedom.
+    """
+    others = problem.observation.load_dof
+    without = replace(problem, observation=problem.observation.without_load())
+    if not others:
+        if choice == "load":
+            raise FittingError(
+                sentence(
+                    "--inplane load",
+                    "given with measured motion outside --dof",
+                    "none",
+                    next_step="Run points2dof with --dof all, or use --inplane ignore",
+                )
+            )
+        return without, InplaneChoice(False, (), "no motion outside the model was measured")
+    if not problem.inertia.complete:
+        if choice == "load":
+            raise FittingError(
+                sentence(
+                    "--inplane load",
+                    "given with the mass matrix of all six degrees of freedom",
+                    "one of the chosen ones only",
+                    next_step="Give --mass mass.json, or use --inplane ignore",
+                )
+            )
+        return without, InplaneChoice(
+            False, others, "the mass matrix of the other degrees of freedom is not given"
+        )
+    statistic, threshold, effect, entry = significance(problem, without)
+    significant = statistic > threshold
+    used = choice == "load" or (choice == "auto" and significant)
+    words = "significant" if significant else "not significant"
+    reason = f"its effect on K and D is {words} against its noise"
+    if choice != "auto":
+        reason = f"asked for with --inplane {choice}; {reason}"
+    made = InplaneChoice(used, others, reason, statistic, threshold, effect, entry)
+    return (problem if used else without), made
+
+
+def significance(problem: Problem, without: Problem) -> tuple[float, float, float, str]:
+    """Return statistic, threshold, and the largest relative change of an entry with its name."""
+    from scipy.stats import chi2
+
+    lines = without.lines()
+    parameters = ml.estimate(lines, EstimatorOptions(passive=False)).parameters
+    now = ml.whiten(parameters, lines)
+    rows = now.corrected(lines)
+    loaded = problem.lines()
+    load = forward(now.factor, loaded.force - lines.force)
+    flat = real_rows(rows)
+    inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-13)
+    shift = inverse @ (flat.T @ real_rows(load))
+    spread = np.zeros_like(inverse)
+    root = _load_root(problem)
+    for column in range(root.shape[1]):
+        part = forward(now.factor, np.ascontiguousarray(root[:, column]))
+        terms = np.einsum("ilp,il->lp", rows.conj(), part)
+        spread += 0.5 * (terms.conj().T @ terms).real
+    variance = inverse @ spread @ inverse
+    statistic = float(shift @ np.linalg.pinv(variance, rcond=1e-12) @ shift)
+    relative = np.abs(shift) / relative_sizes(parameters, lines.n)
+    worst = int(np.argmax(relative))
+    threshold = max(float(chi2.ppf(_LEVEL, len(shift))), 2.0 * len(shift))
+    return statistic, threshold, float(relative[worst]), entry_names(lines.n)[worst]
+
+
+def _load_root(problem: Problem) -> NDArray[np.complex128]:
+    """Return F_c times a root of the covariance of q_c, scaled, (n, c, lines)."""
+    observation, scale = problem.observation, problem.scale
+    n, c = problem.n, len(observation.load_dof)
+    coupling = problem.inertia.rows(observation.dof, observation.load_dof)[:, n:]
+    coupling = coupling / scale.root_mass[:, None] / scale.amplitude
+    covariance = observation.covariance[:, n : n + c, n : n + c]
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    square = (2.0 * np.pi * observation.freq_hz / scale.omega) ** 2
+    return np.moveaxis(square[:, None, None] * (coupling @ root), 0, 2)

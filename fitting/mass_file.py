@@ -1,0 +1,89 @@
+"""The mass matrix from a file: mass.json, or a plain square CSV in SI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.inertia import check_mass
+from kinematics.errors import sentence
+from kinematics.mass_record import MassMatrix, MassRecord, read_mass_record
+
+Array = NDArray[np.float64]
+
+
+def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, MassRecord | None]:
+    """Read a mass matrix about the footplate centre in footplate axes.
+
+    Parameters
+    ----------
+    path : Path
+        ``*.json``: a mass.json. Anything else: comma separated, square, no header, SI, in the
+        order of ``dof``.
+    dof : tuple of str
+        Chosen degrees of freedom.
+
+    Returns
+    -------
+    mass : MassMatrix or ndarray, (n, n)
+    record : MassRecord or None
+        The whole mass.json.
+
+    Raises
+    ------
+    FittingError
+        The CSV is missing, is not square, holds text, has another size than ``dof``, or is no mass matrix.
+    KinematicsError
+        The mass.json is at fault.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        record = read_mass_record(path)
+        return record.mass_matrix, record
+    matrix = _read_csv(path, dof)
+    check_mass(matrix, path.name)
+    return matrix, None
+
+
+def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
+    if not path.is_file():
+        raise FittingError(
+            sentence(
+                "--mass", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
+            )
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as fault:
+        raise FittingError(
+            sentence("--mass", "a text file of numbers or a mass.json", "a binary file", path.name)
+        ) from fault
+    rows = [line.split(",") for line in text.splitlines() if line.strip()]
+    try:
+        values = [[float(cell) for cell in row] for row in rows]
+    except ValueError as fault:
+        raise FittingError(
+            sentence(
+                "M.csv",
+                "numbers separated by commas, without a header",
+                f"{fault}",
+                path.name,
+                "Write SI numbers with decimal points",
+            )
+        ) from fault
+    n = len(dof)
+    if len(values) != n or any(len(row) != n for row in values):
+        widths = sorted({len(row) for row in values}) or [0]
+        raise FittingError(
+            sentence(
+                "M.csv",
+                f"{n} x {n} for --dof {','.join(dof)}",
+                f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
+                path.name,
+                "Give M in the order of --dof, or change --dof",
+            )
+        )
+    return np.array(values)

@@ -1,0 +1,164 @@
+"""Warnings about a result: stability, passivity, identifiability, misfit, attenuation, plausibility."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fitting.identifiability import relative_sizes
+from kinematics.notices import Notice
+
+if TYPE_CHECKING:
+    from fitting.kd import KDFit
+
+# Published stiffness of the human annular ligament in piston direction, N/m.
+PISTON_RANGE = (120.0, 3200.0)
+# Half length and half width of a human footplate, mm: radii of gyration about x, z lie below its size.
+_GYRATION_RANGE_MM = (0.2, 4.0)
+_MISFIT = 1e-4
+_BIASED = 0.02
+
+
+def verdicts(fit: KDFit) -> list[Notice]:
+    """Return every warning that a result deserves."""
+    found = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
+    return [*found, *_fit_quality(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
+
+
+def physics(fit: KDFit) -> list[Notice]:
+    """Return warnings about stability and passivity."""
+    found = []
+    if not fit.modes.stable:
+        found.append(
+            Notice(
+                "unstable",
+                f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. "
+                "No passive ligament does this; use --estimator ml.",
+            )
+        )
+    stiffness, damping = fit.passive
+    wrong = [name for name, good in (("K", stiffness), ("D", damping)) if not good]
+    if wrong:
+        found.append(
+            Notice(
+                "not_passive",
+                f"{' and '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} not positive semidefinite: "
+                "the model can give off energy that it never took in.",
+            )
+        )
+    if fit.estimate.active:
+        found.append(
+            Notice(
+                "constraint_active",
+                f"The estimate is held back by {', '.join(fit.estimate.active)}; the data alone would lead "
+                "elsewhere, and intervals near the constraint are approximate.",
+            )
+        )
+    return found
+
+
+def _fit_quality(fit: KDFit) -> list[Notice]:
+    from scipy.stats import chi2
+
+    found = []
+    if not fit.estimate.converged:
+        found.append(
+            Notice("not_converged", "The estimator stopped before it settled; do not trust the result.")
+        )
+    if fit.n_dof > 0 and fit.options.robust == "none":
+        ratio = fit.chi2 / fit.n_dof
+        if chi2.sf(fit.chi2, fit.n_dof) < _MISFIT:
+            found.append(
+                Notice(
+                    "misfit",
+                    f"Residuals exceed their noise: chi2 per degree of freedom is {ratio:.3g}. Noise may be "
+                    "understated, or the model (damping law, neglected motion, mass matrix) is wrong; "
+                    "intervals were widened accordingly.",
+                )
+            )
+        elif chi2.cdf(fit.chi2, fit.n_dof) < _MISFIT:
+            found.append(
+                Notice(
+                    "noise_overstated",
+                    f"Residuals are smaller than their stated noise: chi2 per degree of "
+                    f"freedom is {ratio:.3g}.",
+                )
+            )
+    if fit.estimate.weights is not None:
+        low = int(np.sum(fit.estimate.weights < 0.3))
+        if low:
+            found.append(
+                Notice(
+                    "outliers",
+                    f"{low} of {len(fit.estimate.weights)} lines were weighted below 0.3 as outliers.",
+                )
+            )
+    return found
+
+
+def _bias(fit: KDFit) -> list[Notice]:
+    bias = fit.budget.bias
+    if not np.any(bias):
+        return []
+    sizes = relative_sizes(np.concatenate([fit.estimate.parameters]), len(fit.dof))
+    relative = bias / fit.problem.units / sizes
+    worst = int(np.argmax(np.abs(relative)))
+    if abs(relative[worst]) < _BIASED:
+        return []
+    return [
+        Notice(
+            "attenuation_bias",
+            f"{fit.options.estimator} is biased by the noise of its regressor however many lines there are: "
+            f"{fit.parameters[worst]} by about {100.0 * relative[worst]:+.2g} % of sqrt(Xii Xjj). "
+            "--estimator ml is not.",
+        )
+    ]
+
+
+def _inputs(fit: KDFit) -> list[Notice]:
+    found = []
+    if fit.observation.dropped:
+        found.append(
+            Notice(
+                "lines_dropped", f"{fit.observation.dropped} lines were left out: a value is missing there."
+            )
+        )
+    if not fit.problem.inertia.contributions:
+        found.append(
+            Notice(
+                "mass_uncertainty_not_given",
+                "The mass matrix came without an uncertainty; the intervals of K and D do not include it.",
+            )
+        )
+    return found
+
+
+def plausibility(fit: KDFit) -> list[Notice]:
+    """Compare with the literature: piston stiffness, radii of gyration."""
+    found = []
+    if "y" in fit.dof:
+        place = fit.dof.index("y")
+        value = float(fit.stiffness[place, place])
+        if not PISTON_RANGE[0] <= value <= PISTON_RANGE[1]:
+            found.append(
+                Notice(
+                    "implausible_stiffness",
+                    f"The piston stiffness {value:.4g} N/m lies outside the published {PISTON_RANGE[0]:g} to "
+                    f"{PISTON_RANGE[1]:g} N/m of human annular ligaments.",
+                )
+            )
+        for name in ("alpha", "gamma"):
+            if name in fit.dof:
+                other = fit.dof.index(name)
+                radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[place, place]))
+                if not _GYRATION_RANGE_MM[0] <= radius <= _GYRATION_RANGE_MM[1]:
+                    found.append(
+                        Notice(
+                            "implausible_inertia",
+                            f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human "
+                            "stapes; "
+                            "check the units of M.",
+                        )
+                    )
+    return found
