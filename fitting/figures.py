@@ -67,7 +67,7 @@ def _amplitude(
     simulated = np.abs(responses.simulated[chosen, place]) * scale
     band = 1.96 * responses.amplitude_sd[chosen, place] * scale
     noise = responses.measured_sd[chosen, place] * scale
-    style: dict[str, Any] = {"fmt": "o", "ms": 2.2, "lw": 0.6, "color": MEASURED, "alpha": 0.75}
+    style: dict[str, Any] = {"fmt": "o", "ms": 2.2, "lw": 0.6, "color": MEASURED, "alpha": 0.6, "zorder": 2}
     axis.plot(
         freq, np.abs(responses.base[chosen, place]) * scale, color=BASE, lw=1.2, label="base, transported"
     )
@@ -75,8 +75,8 @@ def _amplitude(
     axis.fill_between(
         freq, np.maximum(simulated - band, 0.0), simulated + band, color=SIMULATED, alpha=0.25, lw=0
     )
-    axis.plot(freq, simulated, color=SIMULATED, lw=1.5, label="simulated (Eq. 8), 95 % band")
-    axis.set_yscale("log")
+    axis.plot(freq, simulated, color=SIMULATED, lw=1.3, label="simulated (Eq. 8), 95 % band", zorder=3)
+    _log_scale(axis)
     low = float(np.nanmin(np.where(measured > 0.0, measured, np.nan)))
     high = float(max(np.nanmax(measured), np.nanmax(simulated)))
     axis.set_ylim(max(0.6 * low, high * 1e-4), 1.8 * high)
@@ -91,10 +91,19 @@ def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: 
     )
     band = np.degrees(np.minimum(1.96 * spread, np.pi))
     degrees = np.degrees(simulated)
-    axis.plot(freq, np.degrees(measured), "o", ms=2.2, color=MEASURED, alpha=0.75)
+    axis.plot(freq, np.degrees(measured), "o", ms=2.2, color=MEASURED, alpha=0.6)
     axis.fill_between(freq, degrees - band, degrees + band, color=SIMULATED, alpha=0.25, lw=0)
-    axis.plot(freq, degrees, color=SIMULATED, lw=1.5)
+    axis.plot(freq, degrees, color=SIMULATED, lw=1.3, zorder=3)
     _tidy(axis, freq)
+
+
+def _log_scale(axis: Axes) -> None:
+    from matplotlib.ticker import LogFormatter
+
+    axis.set_yscale("log")
+    axis.yaxis.set_major_formatter(LogFormatter(labelOnlyBase=False))
+    axis.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    axis.tick_params(axis="y", which="minor", labelsize=8)
 
 
 def _tidy(axis: Axes, freq: Array) -> None:

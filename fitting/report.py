@@ -118,7 +118,8 @@ def _responses(fit: KDFit) -> Section:
             "The stapes' motion at the footplate centre (dots) against the response of the fitted model "
             f"(line) to the measured base motion, transported to the same point{load}: paper Eq. 8, "
             "Figs. 4 and 5. The band "
-            "is what the uncertainty of K and D leaves open (95 %)."
+            "is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise "
+            "of the measured base motion."
         )
     )
     for run in np.unique(found.run)[:_MOST_RUNS]:

@@ -34,7 +34,7 @@ nav a { margin-right: 14px; color: var(--accent); text-decoration: none; font-si
 table { border-collapse: collapse; margin: 10px 0; font-size: 14px; font-variant-numeric: tabular-nums; }
 th, td { padding: 4px 11px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 th { background: var(--tint); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
-table.text td, table.text th { text-align: left; white-space: normal; vertical-align: top; overflow-wrap: anywhere; }
+table.text td, table.text th { text-align: left; white-space: normal; vertical-align: top; overflow-wrap: break-word; }
 td small { color: var(--soft); }
 figure { margin: 14px 0; } figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4px; }
