@@ -15,8 +15,8 @@ from kinematics.notices import Notice
 Array = NDArray[np.float64]
 
 LANDMARK_NAMES = ("anterior", "posterior", "superior", "inferior", "head", "footplate_centre")
-_SQUARE_DEG = 80.0
-_WEAK_DEG = 60.0
+_SQUARE_DEG = 87.0
+_WEAK_DEG = 70.0
 _LEAST_OFFSET_MM = 0.1
 
 

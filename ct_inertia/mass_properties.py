@@ -115,7 +115,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
             )
         )
     linear = density_kg_m3 * _by_moments(moments)
-    parameters = _uniform(moments) * density_kg_m3
+    parameters = unit_parameters(moments) * density_kg_m3
     contributions = {name: linear @ part @ linear.T for name, part in moments.contributions.items()}
     if sd_kg_m3 is not None:
         step = parameters * (sd_kg_m3 / density_kg_m3)
@@ -153,7 +153,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
                 next_step="Check the mass (mg) and the voxel size",
             )
         )
-    parameters = _uniform(moments) * density
+    parameters = unit_parameters(moments) * density
     linear = density * _by_moments(moments)
     linear[:, 0] -= parameters / moments.volume_mm3
     contributions = {name: linear @ part @ linear.T for name, part in moments.contributions.items()}
@@ -260,7 +260,7 @@ def _packed(tensor: Array) -> Array:
     return np.array([tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]])
 
 
-def _uniform(moments: Moments) -> Array:
+def unit_parameters(moments: Moments) -> Array:
     """Return the inertial parameters about the centroid per unit density (kg/m3), SI."""
     tensor = moments.inertia_mm5 * 1e-15
     return np.concatenate([[moments.volume_mm3 * 1e-9], np.zeros(3), _packed(tensor)])

@@ -1,0 +1,237 @@
+"""The command `ct2mass`: a micro-CT scan in, the mass matrix of the stapes out."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from kinematics.command import Outcome, Parser, numbers, run, value_with_sd
+from kinematics.errors import StapeskitError, sentence
+
+if TYPE_CHECKING:
+    from ct_inertia.ct2mass import MassOptions, MassResult
+
+_DESCRIPTION = """Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
+
+SCAN is a volume (TIFF, NRRD, MHA, NIfTI, ...), a folder of slices or DICOM files, or a closed surface mesh
+(STL, PLY, OBJ, GLB; mm). Coordinates and directions are x, y, z in scan coordinates, mm."""
+
+_EPILOG = """Exit code 0: done; 2: the input is at fault, with one sentence that says what to do; 1: a bug.
+
+examples:
+  ct2mass scan.tif --density 1900+-60 --anterior -0.9,0.1,0 --side left
+  ct2mass scan.tif --spacing 0.018 --mass-mg 3.1+-0.05
+  ct2mass --labels corrected.seg.nrrd --density 1900
+  ct2mass stapes.stl --density 1900"""
+
+_ENDINGS = (".nii.gz", ".seg.nrrd", ".ome.tiff", ".ome.tif", ".ome.zarr")
+
+
+def parser() -> Parser:
+    """Return the parser of the command's options."""
+    made = Parser("ct2mass", _DESCRIPTION, _EPILOG)
+    made.add_argument("scan", nargs="?", type=Path, metavar="SCAN", help="volume, folder of slices, or mesh")
+    mass = made.add_argument_group("mass (one of these)")
+    mass.add_argument("--density", type=value_with_sd, metavar="RHO[+-SD]", help="density of the bone, kg/m3")
+    mass.add_argument(
+        "--mass-mg", type=value_with_sd, metavar="M[+-SD]", help="mass of the bone from a balance, mg"
+    )
+    mass.add_argument(
+        "--calibration", type=Path, metavar="FILE.toml", help="density of every voxel from its grey value"
+    )
+    mass.add_argument(
+        "--add-mass",
+        type=_added_mass,
+        action="append",
+        metavar="X,Y,Z,MG[+-SD]",
+        help="a bead, glue, a tendon stump: a point mass; may be repeated",
+    )
+    reading = made.add_argument_group("reading")
+    reading.add_argument(
+        "--spacing", type=_spacing, metavar="H|DX,DY,DZ", help="voxel size, mm; overrides the file"
+    )
+    reading.add_argument(
+        "--voxel-size-sd", type=float, metavar="PERCENT", help="standard deviation of the voxel size"
+    )
+    reading.add_argument(
+        "--mirror",
+        choices=("x", "y", "z"),
+        help="reverse the slices along an axis; points are those of the mirrored scan",
+    )
+    reading.add_argument("--nan-as-air", action="store_true", help="let voxels that are not finite be air")
+    finding = made.add_argument_group("finding the stapes")
+    finding.add_argument("--labels", type=Path, metavar="FILE", help="label volume made elsewhere")
+    finding.add_argument("--stapes-label", type=int, default=1, metavar="N", help="default 1")
+    finding.add_argument("--plate-label", type=int, default=2, metavar="N", help="default 2")
+    finding.add_argument("--threshold", type=float, metavar="T", help="grey value between air and bone")
+    finding.add_argument(
+        "--seed", type=numbers(3, "--seed"), metavar="X,Y,Z", help="a point inside the stapes"
+    )
+    finding.add_argument(
+        "--box", type=numbers(6, "--box"), metavar="X0,Y0,Z0,X1,Y1,Z1", help="part of the scan to look at"
+    )
+    frames = made.add_argument_group("frames")
+    frames.add_argument(
+        "--anterior",
+        type=numbers(3, "--anterior"),
+        metavar="X,Y,Z",
+        help="direction towards anterior; only its sign along the footplate is used",
+    )
+    frames.add_argument(
+        "--side", choices=("left", "right"), help="names z superior (left) or inferior (right)"
+    )
+    frames.add_argument(
+        "--landmarks", type=Path, metavar="FILE", help=".mrk.json, .fcsv, .pp or .csv with named points"
+    )
+    frames.add_argument(
+        "--plate-fiducials",
+        type=Path,
+        metavar="FILE",
+        help="CSV name,x_mm,y_mm,z_mm in the scan [,x_ref_mm,y_ref_mm,z_ref_mm in the plate frame]",
+    )
+    output = made.add_argument_group("output")
+    output.add_argument("--out", type=Path, metavar="DIR", help="default <scan name>_mass")
+    output.add_argument("--no-report", action="store_true", help="do not write report.html")
+    output.add_argument("--sha256", action="store_true", help="hash the inputs with SHA-256")
+    made.add_config()
+    return made
+
+
+def _spacing(text: str) -> tuple[float, ...]:
+    values = numbers((1, 3), "--spacing")(text)
+    if min(values) <= 0.0:
+        raise argparse.ArgumentTypeError(f"--spacing must be positive, in mm; got {text}")
+    return values
+
+
+def _added_mass(text: str) -> tuple[float, float, float, float, float]:
+    place, _, last = text.rpartition(",")
+    x, y, z = numbers(3, "--add-mass before the mass")(place)
+    value, sd = value_with_sd(last)
+    return x, y, z, value, sd or 0.0
+
+
+def options_from(given: argparse.Namespace) -> MassOptions:
+    """Turn parsed options into the library's.
+
+    Raises
+    ------
+    StapeskitError
+        They contradict each other or one is missing.
+    """
+    import numpy as np
+
+    from ct_inertia.ct2mass import MassOptions
+    from ct_inertia.mass_properties import PointMass
+
+    percent = given.voxel_size_sd
+    if percent is not None and not 0.0 <= percent < 50.0:
+        raise StapeskitError(sentence("--voxel-size-sd", "a percentage from 0 to 50", percent))
+    if given.box is not None and any(
+        low >= high for low, high in zip(given.box[:3], given.box[3:], strict=True)
+    ):
+        raise StapeskitError(sentence("--box", "X0,Y0,Z0,X1,Y1,Z1 with X0 < X1, Y0 < Y1, Z0 < Z1", given.box))
+    return MassOptions(
+        scan=given.scan,
+        density=given.density,
+        mass_mg=given.mass_mg,
+        calibration=given.calibration,
+        spacing_mm=given.spacing,
+        labels=given.labels,
+        stapes_label=given.stapes_label,
+        plate_label=given.plate_label,
+        landmarks=given.landmarks,
+        plate_fiducials=given.plate_fiducials,
+        side=given.side,
+        anterior=given.anterior,
+        threshold=given.threshold,
+        seed_mm=given.seed,
+        box_mm=given.box,
+        mirror=given.mirror,
+        nan_as_air=given.nan_as_air,
+        added=tuple(
+            PointMass(np.array(entry[:3]), entry[3] * 1e-6, entry[4] * 1e-6) for entry in given.add_mass or ()
+        ),
+        voxel_size_sd=None if percent is None else percent / 100.0,
+    )
+
+
+def output_folder(given: argparse.Namespace) -> Path:
+    """Return ``--out``, or ``<scan name>_mass`` in the current folder."""
+    if given.out is not None:
+        return Path(given.out)
+    name = Path(given.scan if given.scan is not None else given.labels).resolve().name
+    for ending in _ENDINGS:
+        if name.lower().endswith(ending):
+            return Path(f"{name[: -len(ending)]}_mass")
+    return Path(f"{Path(name).stem}_mass")
+
+
+def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
+    """Parse, compute, write, and return the outcome."""
+    given = parser().parse(arguments)
+    options = options_from(given)
+    from ct_inertia.ct2mass import ct2mass
+    from ct_inertia.mass_json import mass_json, write_outputs
+    from kinematics.output import staged
+
+    folder = output_folder(given)
+    result = ct2mass(options)
+    content = mass_json(result, given.sha256)
+    with staged(folder) as stage:
+        if not given.no_report:
+            from ct_inertia.report import write_report
+
+            content = write_report(stage / "report.html", result, content)
+        names = write_outputs(result, stage, content)
+    if not given.no_report:
+        names.append("report.html")
+    files = [folder / name for name in names]
+    return given, Outcome(
+        f"ct2mass: {options.scan or options.labels}", _rows(result), result.notices, files, content
+    )
+
+
+def _rows(result: MassResult) -> Sequence[tuple[str, str]]:
+    import numpy as np
+
+    body, footplate, matrix = result.body, result.footplate, result.matrix
+    deviation = matrix.standard_deviation
+    pose = np.sqrt(np.diag(footplate.covariance))
+
+    def entry(row: int, column: int, factor: float, unit: str) -> str:
+        return f"{matrix.matrix[row, column] * factor:.4f} ± {deviation[row, column] * factor:.4f} {unit}"
+
+    rows: list[tuple[str, str]] = [
+        ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
+        ("mass", entry(0, 0, 1e6, "mg")),
+        ("centre of mass (footplate)", _vector(matrix.parameters[1:4] / matrix.parameters[0] * 1e3, "mm")),
+        ("M(alpha, alpha)", entry(3, 3, 1e12, "e-12 kg m2")),
+        ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
+        ("M(y, alpha)", entry(1, 3, 1e12, "e-12 kg m")),
+        ("M(y, gamma)", entry(1, 5, 1e12, "e-12 kg m")),
+        (
+            "footplate",
+            f"{footplate.length_mm:.2f} x {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
+        ),
+        ("footplate centre (scan)", _vector(footplate.scan_from_footplate.translation_mm, "mm")),
+        (
+            "frame sd",
+            f"{1e6 * np.max(pose[:3]):.1f} um, {np.degrees(np.max(pose[3:])):.2f} degrees; "
+            f"x by {footplate.anterior_from}",
+        ),
+    ]
+    if result.plate_frame is not None:
+        rows.append(("plate frame (scan)", _vector(result.plate_frame.scan_from_plate.translation_mm, "mm")))
+    return rows
+
+
+def _vector(values: Any, unit: str) -> str:
+    return ", ".join(f"{value:.4f}" for value in values) + f" {unit}"
+
+
+def main() -> NoReturn:
+    """Run `ct2mass`."""
+    run("ct2mass", work)

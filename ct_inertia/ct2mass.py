@@ -1,0 +1,378 @@
+"""From a scan, a label volume or a closed mesh to the mass matrix: everything `ct2mass` does but writing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.anatomy import AnatomyHints
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.footplate import FootplateFrame, footplate_frame
+from ct_inertia.mass_properties import (
+    MassProperties,
+    PointMass,
+    footplate_mass_matrix,
+    from_density,
+    from_mass,
+    plate_axes_mass_matrix,
+    with_added,
+)
+from ct_inertia.moments import Moments
+from ct_inertia.surface import SURFACE_SUFFIXES, Surface, read_surface
+from kinematics.errors import sentence
+from kinematics.mass_record import MassMatrix
+from kinematics.notices import Notice, unique
+
+if TYPE_CHECKING:
+    from ct_inertia.bodies import Bodies
+    from ct_inertia.calibration import Calibration
+    from ct_inertia.plate_fiducials import PlateFiducials
+    from ct_inertia.plate_frame import PlateFrame
+
+Array = NDArray[np.float64]
+Value = tuple[float, float | None]
+
+
+@dataclass(frozen=True)
+class MassOptions:
+    """What a user can say to `ct2mass`; every field is one option.
+
+    Attributes
+    ----------
+    scan : Path or None
+        Volume, folder of slices or closed surface mesh (mm); None with ``labels`` alone.
+    density, mass_mg : (value, sd or None) or None
+        kg/m3 and mg. One of these or ``calibration``.
+    calibration : Path or None
+    spacing_mm : tuple of 1 or 3 floats, or None
+    labels : Path or None
+        A label volume made elsewhere.
+    stapes_label, plate_label : int
+    landmarks, plate_fiducials : Path or None
+    side : str or None
+        ``left`` or ``right``.
+    anterior : tuple of 3 floats, or None
+        Direction in scan axes.
+    threshold : float or None
+        Grey value between air and bone.
+    seed_mm : tuple of 3 floats, or None
+        A point inside the stapes, scan coordinates.
+    box_mm : tuple of 6 floats, or None
+        Two corners of the part of the scan to look at.
+    mirror : str or None
+        ``x``, ``y`` or ``z``. Landmarks, seed and box are then coordinates of the mirrored scan.
+    nan_as_air : bool
+    added : tuple of PointMass
+    voxel_size_sd : float or None
+        Relative standard deviation of the voxel size.
+    """
+
+    scan: Path | None
+    density: Value | None = None
+    mass_mg: Value | None = None
+    calibration: Path | None = None
+    spacing_mm: tuple[float, ...] | None = None
+    labels: Path | None = None
+    stapes_label: int = 1
+    plate_label: int = 2
+    landmarks: Path | None = None
+    plate_fiducials: Path | None = None
+    side: str | None = None
+    anterior: tuple[float, float, float] | None = None
+    threshold: float | None = None
+    seed_mm: tuple[float, float, float] | None = None
+    box_mm: tuple[float, float, float, float, float, float] | None = None
+    mirror: str | None = None
+    nan_as_air: bool = False
+    added: tuple[PointMass, ...] = ()
+    voxel_size_sd: float | None = None
+
+    def __post_init__(self) -> None:
+        known = [
+            name
+            for name, value in (
+                ("--density", self.density),
+                ("--mass-mg", self.mass_mg),
+                ("--calibration", self.calibration),
+            )
+            if value is not None
+        ]
+        if len(known) != 1:
+            raise CtInertiaError(
+                sentence(
+                    "the mass of the stapes",
+                    "given by exactly one of --density, --mass-mg and --calibration",
+                    " and ".join(known) or "none of them",
+                    next_step="" if known else "Bone has 1400 to 2200 kg/m3",
+                )
+            )
+        if self.scan is None and self.labels is None:
+            raise CtInertiaError(
+                sentence(
+                    "the scan", "given as the first argument", "none", next_step="Or give --labels alone"
+                )
+            )
+        if self.is_mesh:
+            unused = [name for name, value in self._volume_options() if value]
+            if unused:
+                raise CtInertiaError(
+                    sentence(
+                        unused[0],
+                        "left out when the input is a surface mesh",
+                        "it",
+                        str(self.scan),
+                        "It speaks of grey values or voxels",
+                    )
+                )
+
+    def _volume_options(self) -> list[tuple[str, Any]]:
+        return [
+            ("--calibration", self.calibration),
+            ("--spacing", self.spacing_mm),
+            ("--labels", self.labels),
+            ("--threshold", self.threshold is not None),
+            ("--seed", self.seed_mm),
+            ("--box", self.box_mm),
+            ("--mirror", self.mirror),
+            ("--nan-as-air", self.nan_as_air),
+        ]
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the input is a surface mesh by its suffix."""
+        return self.scan is not None and Path(self.scan).suffix.lower() in SURFACE_SUFFIXES
+
+    @property
+    def mass_known_by(self) -> str:
+        """``density``, ``mass`` or ``calibration``."""
+        if self.density is not None:
+            return "density"
+        return "mass" if self.mass_mg is not None else "calibration"
+
+    @property
+    def inputs(self) -> dict[str, Path | None]:
+        """Every input file by its role."""
+        return {
+            "scan": self.scan,
+            "labels": self.labels,
+            "calibration": self.calibration,
+            "landmarks": self.landmarks,
+            "plate_fiducials": self.plate_fiducials,
+        }
+
+
+@dataclass(frozen=True)
+class MassResult:
+    """What `ct2mass` found.
+
+    Attributes
+    ----------
+    options : MassOptions
+    stapes : Surface
+    plate : Surface or None
+    moments, mesh_moments : Moments
+        The ones used, and those of the surface.
+    body : MassProperties
+        In scan axes.
+    footplate : FootplateFrame
+    plate_frame : PlateFrame or None
+    matrix : MassMatrix
+        About the footplate centre in footplate axes.
+    plate_matrix : MassMatrix or None
+        About the footplate centre in plate axes.
+    mesh_matrix : MassMatrix
+        As ``matrix``, from the moments of the surface: a cross-check.
+    bodies : Bodies or None
+        The segmentation; None for a mesh.
+    notices : tuple of Notice
+    """
+
+    options: MassOptions
+    stapes: Surface
+    plate: Surface | None
+    moments: Moments
+    mesh_moments: Moments
+    body: MassProperties
+    footplate: FootplateFrame
+    plate_frame: PlateFrame | None
+    matrix: MassMatrix
+    plate_matrix: MassMatrix | None
+    mesh_matrix: MassMatrix
+    bodies: Bodies | None = None
+    notices: tuple[Notice, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The small inputs, read before the large one."""
+
+    hints: AnatomyHints
+    fiducials: PlateFiducials | None
+    calibration: Calibration | None
+
+
+def ct2mass(options: MassOptions) -> MassResult:
+    """Find the stapes, its frames and its mass matrix.
+
+    Parameters
+    ----------
+    options : MassOptions
+
+    Raises
+    ------
+    CtInertiaError, KinematicsError
+        Anything that is wrong with the options or the files, in one sentence.
+    """
+    known = _known(options)
+    if options.is_mesh:
+        surface = read_surface(Path(str(options.scan)))
+        exact = Notice(
+            "surface_taken_as_exact",
+            "The input is a surface: it is taken as exact, and the budget holds density or mass and the "
+            "frame only.",
+        )
+        return _result(options, known, None, surface, surface, None, (*surface.notices, exact))
+    bodies = _bodies(options)
+    return _result(options, known, bodies, bodies.stapes, bodies.frame_surface, bodies.plate, bodies.notices)
+
+
+def _known(options: MassOptions) -> _Known:
+    landmarks: dict[str, Array] = {}
+    if options.landmarks is not None:
+        from ct_inertia.landmarks import read_landmarks
+
+        landmarks = read_landmarks(options.landmarks)
+    anterior = None if options.anterior is None else np.array(options.anterior, dtype=float)
+    hints = AnatomyHints(anterior, landmarks, options.side)
+    fiducials = None
+    if options.plate_fiducials is not None:
+        from ct_inertia.plate_fiducials import read_plate_fiducials
+
+        fiducials = read_plate_fiducials(options.plate_fiducials)
+    calibration = None
+    if options.calibration is not None:
+        from ct_inertia.calibration import read_calibration
+
+        calibration = read_calibration(options.calibration)
+    return _Known(hints, fiducials, calibration)
+
+
+def _bodies(options: MassOptions) -> Bodies:
+    raise NotImplementedError
+
+
+def _result(
+    options: MassOptions,
+    known: _Known,
+    bodies: Bodies | None,
+    stapes: Surface,
+    frame_surface: Surface,
+    plate: Surface | None,
+    notices: Sequence[Notice],
+) -> MassResult:
+    footplate = footplate_frame(frame_surface, known.hints)
+    mesh_moments = stapes.moments() if bodies is None else bodies.mesh_moments
+    moments = mesh_moments if bodies is None else bodies.moments
+    frame = _plate_frame(known, bodies, stapes, plate)
+    bare = _mass_properties(options, known, bodies, moments, mesh_moments)
+    body = with_added(bare, options.added)
+    matrix = _matrix(options, body, footplate)
+    by_mesh = with_added(_by_mesh(bare, mesh_moments), options.added)
+    plate_matrix = None
+    if frame is not None:
+        plate_from_footplate = frame.scan_from_plate.inverse() @ footplate.scan_from_footplate
+        plate_matrix = plate_axes_mass_matrix(
+            matrix, plate_from_footplate, footplate.covariance, frame.covariance
+        )
+    found = [*notices, *footplate.notices, *(() if frame is None else frame.notices), *_gaps(options, matrix)]
+    return MassResult(
+        options,
+        stapes,
+        plate,
+        moments,
+        mesh_moments,
+        body,
+        footplate,
+        frame,
+        matrix,
+        plate_matrix,
+        _matrix(options, by_mesh, footplate),
+        bodies,
+        unique(found),
+    )
+
+
+def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFrame) -> MassMatrix:
+    return footplate_mass_matrix(
+        body, footplate.scan_from_footplate, footplate.covariance, options.voxel_size_sd
+    )
+
+
+def _mass_properties(
+    options: MassOptions, known: _Known, bodies: Bodies | None, moments: Moments, mesh_moments: Moments
+) -> MassProperties:
+    if options.density is not None:
+        return from_density(moments, *options.density)
+    if options.mass_mg is not None:
+        value, sd = options.mass_mg
+        return from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
+    from ct_inertia.calibration import from_calibration
+
+    if bodies is None or bodies.levels is None or known.calibration is None:
+        raise CtInertiaError(
+            sentence(
+                "--calibration",
+                "used with grey values",
+                "labels alone",
+                next_step="Give the scan as well, or --density",
+            )
+        )
+    return from_calibration(moments, mesh_moments, bodies.levels.air, bodies.levels.bone, known.calibration)
+
+
+def _by_mesh(body: MassProperties, mesh_moments: Moments) -> MassProperties:
+    """Return the surface's own properties, at the density of the body."""
+    exact = replace(mesh_moments, contributions={})
+    return from_density(exact, body.density_kg_m3, None)
+
+
+def _plate_frame(
+    known: _Known, bodies: Bodies | None, stapes: Surface, plate: Surface | None
+) -> PlateFrame | None:
+    middle = stapes.vertices_mm.mean(axis=0)
+    if known.fiducials is not None:
+        from ct_inertia.plate_fiducials import plate_frame_from_fiducials
+
+        return plate_frame_from_fiducials(known.fiducials, middle)
+    if plate is None:
+        return None
+    from ct_inertia.plate_frame import plate_frame
+
+    return plate_frame(plate, stapes, None if bodies is None else _on_border(bodies, plate))
+
+
+def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:
+    """Return which vertices (n,) of the plate lie at the border of the scan."""
+    index = bodies.volume.index_points(plate.vertices_mm)
+    return np.asarray(np.any((index < 0.6) | (index > bodies.volume.size - 1.6), axis=1))
+
+
+_GAPS = {
+    "density": ("density_sd_not_given", "the density", "--density RHO+-SD", "density"),
+    "mass": ("mass_sd_not_given", "the mass", "--mass-mg M+-SD", "mass"),
+    "calibration": ("calibration_sd_not_given", "the calibration", "sd_kg_m3 in its file", "calibration"),
+}
+
+
+def _gaps(options: MassOptions, matrix: MassMatrix) -> list[Notice]:
+    """Say what nobody gave an uncertainty of."""
+    if options.mass_known_by in matrix.contributions:
+        return []
+    code, thing, way, name = _GAPS[options.mass_known_by]
+    text = f"No standard deviation of {thing} was given ({way}): {name} not included in the budget."
+    return [Notice(code, text)]

@@ -1,0 +1,362 @@
+"""The report of a mass matrix: sections that other reports reuse, and a page of its own.
+
+The sections are made from what stands on disk (mass.json, the surfaces, the labels, the scan), so that a
+result read back gives the same report as a fresh one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.budget import described
+from ct_inertia.surface import Surface, read_surface
+from kinematics import page
+from kinematics.frames import RigidTransform
+from kinematics.notices import Notice, from_json
+from kinematics.spatial import DOF_NAMES
+
+if TYPE_CHECKING:
+    from ct_inertia.bodies import LabelledVolume
+    from ct_inertia.ct2mass import MassResult
+
+Array = NDArray[np.float64]
+
+# Published human stapes: mean (range). Sim et al. 2013, JARO 14:159, micro-CT of 53 stapes.
+_ANATOMY = {
+    "height_mm": "3.43 (3.20 to 3.80)",
+    "footplate_length_mm": "2.71 (2.52 to 2.97)",
+    "footplate_width_mm": "1.23 (1.12 to 1.46)",
+    "mass_mg": "about 3",
+    "holes": "1",
+}
+_UNITS = {("t", "t"): "kg", ("t", "r"): "kg m", ("r", "t"): "kg m", ("r", "r"): "kg m²"}
+
+
+@dataclass(frozen=True)
+class Pictured:
+    """What the pictures need beside mass.json.
+
+    Attributes
+    ----------
+    stapes : Surface
+    plate : Surface or None
+    labelled : LabelledVolume or None
+        With the scan as its grid; None: no pictures of slices.
+    """
+
+    stapes: Surface
+    plate: Surface | None = None
+    labelled: LabelledVolume | None = None
+
+
+def read_pictured(folder: Path, labelled: LabelledVolume | None = None) -> Pictured:
+    """Read back stapes.ply and plate.ply from an output folder."""
+    plate = Path(folder) / "plate.ply"
+    return Pictured(
+        read_surface(Path(folder) / "stapes.ply"), read_surface(plate) if plate.exists() else None, labelled
+    )
+
+
+def mass_sections(
+    content: Mapping[str, Any], pictured: Pictured
+) -> tuple[list[page.Section], tuple[Notice, ...]]:
+    """Return the sections on bodies, frames and mass matrix.
+
+    Parameters
+    ----------
+    content : mapping
+        The content of mass.json.
+    pictured : Pictured
+
+    Returns
+    -------
+    sections : list of page.Section
+        What was found; the bodies in their frames; the segmentation; the mass matrix; its uncertainty.
+    notices : tuple of Notice
+        What went wrong with the pictures.
+    """
+    picture, notices = _bodies_section(content, pictured)
+    sections = [_found_section(content), picture]
+    if pictured.labelled is not None:
+        sections.append(_segmentation_section(content, pictured))
+    sections += [_matrix_section(content), _budget_section(content)]
+    return sections, notices
+
+
+def write_report(path: Path, result: MassResult, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Write report.html; return ``content`` with the notices that drawing added."""
+    labelled = None if result.bodies is None else result.bodies.labels
+    sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
+    full = dict(content)
+    full["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
+    source = result.options.scan or result.options.labels
+    made = page.Page(
+        f"Mass matrix of {Path(str(source)).name}",
+        "A stapes from micro-CT: its volume, frames and generalized mass matrix about the footplate centre.",
+        [
+            page.Section("Warnings", [page.notices(from_json(full["warnings"]))]),
+            *sections,
+            inputs_section(full),
+        ],
+    )
+    made.write(path)
+    return full
+
+
+def inputs_section(content: Mapping[str, Any]) -> page.Section:
+    """Return inputs with hashes, options and versions."""
+    provenance = content["provenance"]
+    options = [(key, value) for key, value in provenance["parameters"].items()]
+    versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
+    return page.Section(
+        "Inputs",
+        [
+            page.inputs_table(provenance),
+            page.table(("option", "value"), options, words=True),
+            page.text(f"{provenance['command']} — {provenance['date']}. {versions}."),
+        ],
+    )
+
+
+def _found_section(content: Mapping[str, Any]) -> page.Section:
+    found, check = content["found"], content["cross_check"]
+    com = np.array(content["inertial_parameters"]["values_si"])
+    com = com[1:4] / com[0] * 1e3
+    deviation = content["uncertainty"]["total"]
+    com_sd = ", ".join(f"{value * 1e6:.2g}" for value in deviation["center_of_mass_m"])
+    rows = [
+        (
+            "mass",
+            f"{content['mass_kg'] * 1e6:.4f} ± {deviation['mass_kg'] * 1e6:.2g} mg",
+            _ANATOMY["mass_mg"] + " mg",
+        ),
+        ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³", ""),
+        ("volume of the bone", f"{content['volume_m3'] * 1e9:.4f} mm³", ""),
+        (
+            "centre of mass, footplate axes",
+            f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
+            "",
+        ),
+        ("height of the stapes", f"{found['height_mm']:.2f} mm", _ANATOMY["height_mm"] + " mm"),
+        (
+            "length of the footplate",
+            f"{found['footplate_length_mm']:.2f} mm",
+            _ANATOMY["footplate_length_mm"] + " mm",
+        ),
+        (
+            "width of the footplate",
+            f"{found['footplate_width_mm']:.2f} mm",
+            _ANATOMY["footplate_width_mm"] + " mm",
+        ),
+        (
+            "medial face of the footplate",
+            f"{found['footplate_area_mm2']:.3f} mm², "
+            f"{found['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
+            "",
+        ),
+        ("holes through the body", str(found["holes"]), _ANATOMY["holes"]),
+    ]
+    for mass in found["added_masses"]:
+        place = ", ".join(f"{value:g}" for value in mass["position_mm"])
+        rows.append(("added mass", f"{mass['mass_kg'] * 1e6:g} mg at {place} (scan, mm)", ""))
+    blocks = [page.table(("", "found", "published human stapes"), rows)]
+    blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
+    if check["used"] != check["other"]:
+        apart = np.linalg.norm(check["centroid_difference_mm"]) * 1e3
+        worst = float(np.max(np.abs(check["mass_matrix_difference_percent"])))
+        blocks.append(
+            page.text(
+                f"Cross-check: the {check['used']} gives the numbers used; the closed surface's own volume "
+                f"differs by {check['volume_difference_percent']:+.3f} %, its centroid by {apart:.2f} µm, "
+                f"and the largest difference of the mass matrix is {worst:.3f} % of √(Mii Mjj)."
+            )
+        )
+    return page.Section("What was found", blocks)
+
+
+def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
+    matrix = content["frames"][f"scan_from_{key}"]
+    return None if matrix is None else RigidTransform(np.array(matrix, dtype=float), "scan", key)
+
+
+def _bodies_section(
+    content: Mapping[str, Any], pictured: Pictured
+) -> tuple[page.Section, tuple[Notice, ...]]:
+    from ct_inertia.pictures import Body, Scene, render_scenes
+
+    footplate = _frame(content, "footplate")
+    if footplate is None:
+        return page.Section("Bodies and frames"), ()
+    plate = _frame(content, "plate")
+    codes = {warning["code"] for warning in content["warnings"]}
+    known = "anterior_not_given" not in codes
+    side = content["frames"].get("side")
+    stapes = Body(pictured.stapes.vertices_mm, pictured.stapes.faces)
+    scenes = [Scene([stapes], footplate, None, side, known)]
+    if pictured.plate is not None:
+        body = Body(pictured.plate.vertices_mm, pictured.plate.faces, "#9fb8c8", 0.45, "plate", smooth=False)
+        scenes.append(Scene([stapes, body], footplate, plate, side, known))
+    pictures, notices = render_scenes(scenes)
+    captions = (
+        "The stapes in the footplate frame: x along the footplate, y the piston direction, z = x × y.",
+        "Stapes and plate with both frames, seen along the footplate axes.",
+    )
+    blocks = [
+        page.image(picture, caption, caption) for picture, caption in zip(pictures, captions, strict=False)
+    ]
+    blocks.append(_frames_table(content))
+    return page.Section("Bodies and frames", blocks), notices
+
+
+def _frames_table(content: Mapping[str, Any]) -> Any:
+    rows = []
+    poses = content["frames"]["pose_covariance"]
+    for key in ("footplate", "plate"):
+        frame = _frame(content, key)
+        if frame is None:
+            continue
+        sd = np.sqrt(np.diag(np.array(poses[f"scan_from_{key}"]["matrix_si"], dtype=float)))
+        rows.append(
+            (
+                key,
+                _listed(frame.translation_mm, 4),
+                *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
+                ", ".join(f"{value * 1e6:.2g}" for value in sd[:3]),
+                ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
+            )
+        )
+    header = (
+        "frame",
+        "origin (scan, mm)",
+        "x in scan axes",
+        "y in scan axes",
+        "z in scan axes",
+        "sd of origin (µm)",
+        "sd of rotation (°)",
+    )
+    return page.table(header, rows)
+
+
+def _listed(values: Array, digits: int) -> str:
+    return ", ".join(f"{value:+.{digits}f}" for value in values)
+
+
+def _segmentation_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
+    from ct_inertia.slices_figure import slices_figure
+
+    footplate = _frame(content, "footplate")
+    section = page.Section("Segmentation")
+    if footplate is None or pictured.labelled is None:
+        return section
+    drawing = slices_figure(pictured.labelled, footplate)
+    section.add(
+        page.figure(
+            drawing,
+            "Grey values with the outlines of the labels. Top: planes of the footplate frame, through the "
+            "arch (z = 0), across it (x = 0), and along the footplate. Bottom: slices of the scan itself "
+            "through the middle of the stapes.",
+            "Six slices with the outlines of stapes, plate and other bone.",
+            vector=False,
+        )
+    )
+    told = content.get("segmentation") or {}
+    rows = [(key, value) for key, value in _flat(told).items() if value is not None]
+    if rows:
+        section.add(page.subheading("Evidence"), page.table(("", "value"), rows, words=True))
+    return section
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for key, entry in value.items():
+        name = f"{prefix}{key}".replace("_", " ")
+        if isinstance(entry, Mapping):
+            flat |= _flat(entry, f"{name}: ")
+        elif isinstance(entry, list) and entry and isinstance(entry[0], Mapping):
+            for place, part in enumerate(entry):
+                flat |= _flat(part, f"{name} {place + 1}: ")
+        else:
+            flat[name] = _short(entry)
+    return flat
+
+
+def _short(entry: Any) -> str:
+    if isinstance(entry, float):
+        return f"{entry:.5g}"
+    if isinstance(entry, list):
+        return ", ".join(_short(part) for part in entry)
+    return str(entry)
+
+
+def _matrix_section(content: Mapping[str, Any]) -> page.Section:
+    section = page.Section("Mass matrix")
+    section.add(
+        page.text(
+            "Order of the degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, "
+            "gamma (small rotations about x, y, z). SI units; ± one standard deviation with all sources."
+        )
+    )
+    for key, words in (
+        ("mass_matrix_reduced", "Reduced mass matrix about the footplate centre in footplate axes"),
+        ("mass_matrix", "Mass matrix about the footplate centre in footplate axes"),
+        ("mass_matrix_plate_axes", "Mass matrix about the footplate centre in plate axes"),
+    ):
+        block = content[key]
+        if block is not None:
+            section.add(
+                page.matrix(
+                    block["matrix_si"],
+                    block["dof"],
+                    words,
+                    block["standard_deviation_si"],
+                    _entry_units(block["dof"]),
+                )
+            )
+    return section
+
+
+def _entry_units(dof: Sequence[str]) -> list[list[str]]:
+    kinds = ["t" if name in DOF_NAMES[:3] else "r" for name in dof]
+    return [[_UNITS[row, column] for column in kinds] for row in kinds]
+
+
+def _budget_section(content: Mapping[str, Any]) -> page.Section:
+    matrix = np.array(content["mass_matrix"]["matrix_si"], dtype=float)
+    diagonal = np.diag(matrix)
+    rows = []
+    for source, row in content["uncertainty"].items():
+        if not isinstance(row, Mapping):
+            continue
+        shares = [
+            f"{100.0 * sd / value:.3f}"
+            for sd, value in zip(row["mass_matrix_diagonal_si"][2:], diagonal[2:], strict=True)
+        ]
+        com = ", ".join(f"{value * 1e6:.2f}" for value in row["center_of_mass_m"])
+        rows.append((described(source), com, *shares))
+    header = (
+        "source",
+        "centre of mass x, y, z (µm)",
+        "mass (%)",
+        "M(alpha, alpha) (%)",
+        "M(beta, beta) (%)",
+        "M(gamma, gamma) (%)",
+    )
+    section = page.Section(
+        "Uncertainty budget",
+        [
+            page.text(
+                "One standard deviation that each source adds, in footplate axes about the footplate centre."
+            ),
+            page.table(header, rows),
+        ],
+    )
+    missing = content["uncertainty"].get("not_included", [])
+    if missing:
+        section.add(page.text("Not in the budget: " + "; ".join(missing) + "."))
+    return section
