@@ -89,7 +89,7 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
             sentence("column names", "different", ", ".join(twice) + " twice", f"{path.name}, line 1")
         )
     numbers, texts = choose(header, path.name)
-    if not body.strip():
+    if not body[:4096].strip() and not body.strip():
         raise KinematicsError(sentence(path.name, "a table with rows below its header", "the header alone"))
     decimal = "," if separator != "," and b"," in body else "."
     table = _fast(path.name, body, header, separator, decimal, numbers, texts)

@@ -49,7 +49,7 @@ def standard_deviation(motion: RigidMotion) -> Array:
 def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Path]:
     """Write ``<stem>.csv`` and ``<stem>.h5`` into a folder and return their paths.
 
-    A line at which a body has neither motion nor channels has no row. The HDF5 file holds the hash of the
+    A line at which a body's motion is not determined has no row. The HDF5 file holds the hash of the
     CSV file, so that a reader knows whether the two still belong together.
     """
     csv_path, h5_path = Path(folder) / f"{stem}.csv", Path(folder) / f"{stem}.h5"
@@ -62,7 +62,7 @@ def _write_csv(path: Path, motion: RigidMotion) -> None:
     import pandas as pd
 
     runs, bodies, lines, dof = motion.q.shape
-    keep = ((motion.n_dof >= 0) & ~np.isnan(motion.chi2) | ~np.isnan(motion.q[..., 0].real)).ravel()
+    keep = np.isfinite(motion.q[..., 0].real).ravel()
     run, body, line = (index.ravel()[keep] for index in np.indices((runs, bodies, lines)))
     q = motion.q.reshape(-1, dof)[keep]
     sd = standard_deviation(motion).reshape(-1, dof)[keep]
@@ -170,8 +170,10 @@ def _read_h5(path: Path) -> RigidMotion:
 
 
 def _motion_from_h5(file: Any) -> RigidMotion:
-    names = {key: tuple(word.decode() for word in file[key][()]) for key in ("runs", "bodies", "dof")}
-    arrays = {key: file[key][()] for key in ("freq_hz", "q", "covariance", "chi2", "n_dof")}
+    parts: dict[str, Any] = {
+        key: tuple(word.decode() for word in file[key][()]) for key in ("runs", "bodies", "dof")
+    }
+    parts |= {key: file[key][()] for key in ("freq_hz", "q", "covariance", "chi2", "n_dof")}
     shared = None
     if "shared" in file:
         group = file["shared"]
@@ -181,8 +183,7 @@ def _motion_from_h5(file: Any) -> RigidMotion:
             group["derivatives"][()],
         )
     return RigidMotion(
-        **names,
-        **arrays,
+        **parts,
         reference=str(file.attrs["reference"]),
         about=str(file.attrs["about"]),
         axes=str(file.attrs["axes"]),
@@ -228,27 +229,29 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
         _, first = np.unique(place, return_index=True)
         for row in np.setdiff1d(np.arange(len(place)), first):
             faults.append(
-                sentence("a row", "the only one of its run, body and frequency", "another", table.where(row))
+                sentence(
+                    "a row", "the only one of its run, body and frequency", "another", table.where(int(row))
+                )
             )
     raise_all(KinematicsError, faults)
     q = np.full((*shape, len(dof)), np.nan + 0j)
     variance = np.full(q.shape, np.nan)
     chi2, n_dof = np.full(shape, np.nan), np.zeros(shape, dtype=int)
     at = (run, body.codes, line)
-    for place, name in enumerate(dof):
+    for column, name in enumerate(dof):
         re, im = (table.numbers[f"{name}_{part}_{DOF_UNITS[name]}{end}"] for part in ("re", "im"))
-        q[(*at, place)] = re + 1j * im
-        variance[(*at, place)] = 2.0 * sd[:, place] ** 2
+        q[(*at, column)] = re + 1j * im
+        variance[(*at, column)] = 2.0 * sd[:, column] ** 2
     if "chi2" in table.numbers and "n_dof" in table.numbers:
         chi2[at], n_dof[at] = table.numbers["chi2"], np.nan_to_num(table.numbers["n_dof"]).astype(int)
-    covariance = variance[..., None] * np.eye(len(dof)) + 0j
+    covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
     reference = ""
     if end:
         reference = _reference_of(q, body.names, dof, table.file)
         joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
-        for place in range(shape[1]):
-            part = slice(place * len(dof), (place + 1) * len(dof))
-            joint[:, :, part, part] = covariance[:, place]
+        for owner in range(shape[1]):
+            part = slice(owner * len(dof), (owner + 1) * len(dof))
+            joint[:, :, part, part] = covariance[:, owner]
         covariance = joint
     return RigidMotion(
         runs, body.names, dof, lines, q, covariance, chi2, n_dof, reference=reference, notices=(notice,)
@@ -258,13 +261,13 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
 def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[str]:
     faults = []
     for row in np.flatnonzero(~(freq > 0.0) | np.isinf(freq)):
-        faults.append(sentence("freq_hz", "positive and finite", f"{freq[row]:g}", table.where(row)))
+        faults.append(sentence("freq_hz", "positive and finite", f"{freq[row]:g}", table.where(int(row))))
     for row in np.flatnonzero(np.any((sd < 0.0) | np.isinf(sd), axis=1)):
         faults.append(
-            sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(row))
+            sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
         )
     for row in np.flatnonzero(body < 0):
-        faults.append(sentence("body", "a name", "an empty cell", table.where(row)))
+        faults.append(sentence("body", "a name", "an empty cell", table.where(int(row))))
     return faults
 
 

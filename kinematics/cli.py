@@ -1,0 +1,231 @@
+"""The command ``points2dof``: parse, read, one library call, write, a short table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from kinematics.command import Outcome, Parser, run
+from kinematics.errors import KinematicsError, raise_all, sentence
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kinematics.points2dof import Points2Dof
+
+_EPILOG = """\
+ldv.csv, one row per body, point, beam and frequency (comma separated, header required):
+  body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s
+  The value is v . dir, positive towards the laser head. `dir` may hold x, y, z, -x, -y or -z instead.
+  amp_m_s, phase_deg instead of re, im. Units by suffix: m, mm, um, nm (displacement), m_s (velocity),
+  m_s2 (acceleration), rms_m_s ... Optional: sd_m_s (sd of the real = imaginary part, in the unit of the
+  value), n_avg, coherence, run (one excitation each). Empty or NaN value: missing.
+points.csv:    body, point, x_mm, y_mm, z_mm [, sd_mm]
+fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
+               [, frame = plate (default) | scan | footplate] [, sd_mm]
+Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.csv.
+Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate axes.
+"""
+
+
+def parser() -> Parser:
+    """Return the options of the command."""
+    made = Parser("points2dof", "Vibrometer points to the degrees of freedom of rigid bodies.", _EPILOG)
+    made.add_argument("ldv", type=Path, metavar="LDV.csv", help="tidy table of complex amplitudes")
+    made.add_argument("--points", type=Path, metavar="FILE", help="positions of the points")
+    made.add_argument("--fiducials", type=Path, metavar="FILE", help="points that tie vibrometer and scan")
+    made.add_argument(
+        "--frame",
+        choices=("footplate", "plate", "scan"),
+        help="frame of positions and directions when there are no fiducials (default footplate)",
+    )
+    made.add_argument("--mass", type=Path, metavar="mass.json", help="frames from ct2mass")
+    made.add_argument(
+        "--dof",
+        default="all",
+        metavar="LIST",
+        help="all, or a list out of x,y,z,alpha,beta,gamma (default all)",
+    )
+    made.add_argument("--reference", default="", metavar="BODY:DOF", help="responses per unit of this motion")
+    made.add_argument(
+        "--robust", default="none", choices=("none", "huber", "t4"), help="resist outliers (default none)"
+    )
+    made.add_argument(
+        "--mirror", choices=("x", "y", "z"), help="turn this axis of left-handed scanner coordinates round"
+    )
+    made.add_argument("--out", type=Path, default=Path("dof.csv"), metavar="FILE.csv", help="default dof.csv")
+    made.add_config()
+    return made
+
+
+def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
+    """Run the command on its arguments."""
+    options = parser().parse(arguments)
+    _check(options)
+    from kinematics.fiducials import read_fiducials
+    from kinematics.ldv_csv import read_ldv
+    from kinematics.mass_record import read_mass_record
+    from kinematics.placement import place
+    from kinematics.points2dof import Options, points2dof
+    from kinematics.provenance import record
+    from kinematics.spatial import parse_dof
+
+    chosen = Options(parse_dof(options.dof), options.reference, options.robust)
+    mass = None if options.mass is None else read_mass_record(options.mass)
+    fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
+    frame = options.frame or "footplate"
+    measurement = read_ldv(options.ldv, options.points, "vibrometer" if fiducials else frame)
+    if options.mirror:
+        measurement = measurement.mirrored(options.mirror)
+        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
+    placement = place(fiducials, frame, mass)
+    provenance = record(
+        {"ldv": options.ldv, "points": options.points, "fiducials": options.fiducials, "mass": options.mass},
+        {
+            "dof": list(chosen.dof),
+            "reference": chosen.reference,
+            "robust": chosen.robust,
+            "frame": None if fiducials else frame,
+            "mirror": options.mirror,
+        },
+        ["points2dof", *arguments],
+    )
+    result = points2dof(measurement, placement, chosen, mass, provenance)
+    files = _write(options, result)
+    return options, _outcome(result, files)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other, before any file is read."""
+    faults = []
+    if options.out.suffix.lower() != ".csv":
+        faults.append(sentence("--out", "a name that ends in .csv", options.out))
+    if options.fiducials is not None and options.frame is not None:
+        faults.append(
+            sentence(
+                "--frame",
+                "left out beside --fiducials, which name their frame themselves",
+                options.frame,
+                next_step="Put the frame into the column frame of the fiducials file",
+            )
+        )
+    if options.frame in ("plate", "scan") and options.mass is None:
+        faults.append(
+            sentence(
+                f"--frame {options.frame}", "given with --mass mass.json", "no --mass", next_step="Add --mass"
+            )
+        )
+    for name in ("ldv", "points", "fiducials", "mass"):
+        path = getattr(options, name)
+        if path is not None and not path.exists():
+            option = "the vibrometer file" if name == "ldv" else f"--{name}"
+            faults.append(sentence(option, "an existing file", path))
+    raise_all(KinematicsError, faults)
+
+
+def _write(options: argparse.Namespace, result: Points2Dof) -> list[Path]:
+    """Write all outputs at once and return their paths."""
+    from kinematics.motion_files import write_motion
+    from kinematics.output import staged
+    from kinematics.report import write_report
+    from kinematics.verdicts import write_channels
+
+    folder, stem = options.out.parent, options.out.stem
+    with staged(folder) as stage:
+        write_motion(stage, stem, result.motion)
+        write_channels(stage / f"{stem}.channels.csv", result.channels)
+        write_report(stage / f"{stem}.html", result, _surface(options.mass, result))
+    return [folder / f"{stem}{end}" for end in (".csv", ".h5", ".channels.csv", ".html")]
+
+
+def _surface(mass: Path | None, result: Points2Dof) -> NDArray[np.float64] | None:
+    """Return the vertices of the stapes that lies beside mass.json, in the footplate frame, mm."""
+    if mass is None or not (mass.parent / "stapes.ply").is_file():
+        return None
+    import numpy as np
+
+    from kinematics.mass_record import read_mass_record
+
+    del result
+    import trimesh
+
+    mesh = trimesh.load_mesh(mass.parent / "stapes.ply", process=False)
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    step = max(1, len(vertices) // 6000)
+    return read_mass_record(mass).scan_from_footplate.inverse().points(vertices[::step])
+
+
+def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
+    """Return the table of the terminal and the JSON result."""
+    from collections import Counter
+
+    import numpy as np
+
+    from kinematics.motion_files import standard_deviation
+
+    motion = result.motion
+    rows = [
+        (
+            "degrees of freedom",
+            ", ".join(motion.dof) + (f" per {motion.reference}" if motion.reference else ""),
+        ),
+        (
+            "lines",
+            f"{len(motion.freq_hz)}, {motion.freq_hz[0]:.6g} to {motion.freq_hz[-1]:.6g} Hz, "
+            f"{len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}",
+        ),
+    ]
+    sd = standard_deviation(motion)
+    bodies = {}
+    for number, name in enumerate(motion.bodies[:6]):
+        chi2, n_dof = float(np.nansum(motion.chi2[:, number])), int(np.sum(motion.n_dof[:, number]))
+        size = np.nanmax(np.abs(motion.q[:, number]), axis=(0, 1))
+        noise = np.sqrt(np.nanmean(sd[:, number] ** 2, axis=(0, 1)))
+        signal = float(np.nanmax(size / np.maximum(noise, 1e-300)))
+        channels = len(result.measurement.bodies[number].points)
+        ratio = f"chi2/dof {chi2 / n_dof:.3g}" if n_dof else "no redundancy"
+        rows.append((name, f"{channels} channels, {ratio}, best peak/noise {signal:.3g}"))
+        bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof}
+    counts = Counter(v.verdict for v in result.channels)
+    rows.append(("channels", ", ".join(f"{number} {name}" for name, number in counts.most_common())))
+    fit = result.placement.registration
+    if fit is not None:
+        rows.append(
+            ("registration", f"{len(fit.residuals_mm)} fiducials, residual {fit.rms_mm * 1e3:.3g} um rms")
+        )
+    return Outcome(
+        "points2dof",
+        rows,
+        result.notices,
+        files,
+        {
+            "schema": "stapeskit.points2dof/1",
+            "dof": list(motion.dof),
+            "reference": motion.reference,
+            "runs": list(motion.runs),
+            "lines": len(motion.freq_hz),
+            "bodies": bodies,
+            "verdicts": [
+                {
+                    "run": v.run,
+                    "body": v.body,
+                    "point": v.point,
+                    "direction": [float(value) for value in v.direction],
+                    "verdict": v.verdict,
+                    "estimate": v.estimate,
+                    "p_value": v.p_value,
+                }
+                for v in result.channels
+                if v.verdict != "ok"
+            ],
+            "warnings": [notice.as_json() for notice in result.notices],
+            "files": [str(path) for path in files],
+        },
+    )
+
+
+def main() -> NoReturn:
+    """Run the command and leave with its exit code."""
+    run("points2dof", work)

@@ -1,0 +1,104 @@
+"""Read fiducials: points seen by the vibrometer that are known on the plate, the scan or the footplate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.csv_table import Table, read_table
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.measurement import mirror_sign
+from kinematics.points_csv import finite_faults, require, sd_faults
+
+Array = NDArray[np.float64]
+FRAMES = ("plate", "scan", "footplate")
+_SEEN = ("x_mm", "y_mm", "z_mm")
+_KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+
+
+@dataclass(frozen=True)
+class Fiducials:
+    """Paired points.
+
+    Attributes
+    ----------
+    names : tuple of str, (n,)
+    vibrometer_mm : ndarray, (n, 3)
+        In vibrometer coordinates.
+    reference_mm : ndarray, (n, 3)
+        In the frame of the same row of ``frames``.
+    frames : tuple of str, (n,)
+        ``plate``, ``scan`` or ``footplate``.
+    sd_mm : ndarray, (n,), or None
+        Standard deviation per coordinate; None when not stated.
+    path : Path or None
+    """
+
+    names: tuple[str, ...]
+    vibrometer_mm: Array
+    reference_mm: Array
+    frames: tuple[str, ...]
+    sd_mm: Array | None = None
+    path: Path | None = None
+
+    def mirrored(self, axis: str) -> Fiducials:
+        """Return the fiducials with one axis of the left-handed vibrometer coordinates turned round.
+
+        Raises
+        ------
+        KinematicsError
+            The axis is not x, y or z.
+        """
+        return replace(self, vibrometer_mm=self.vibrometer_mm * np.array(mirror_sign(axis)))
+
+
+def read_fiducials(path: Path) -> Fiducials:
+    """Read a fiducials file: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame] [, sd_mm].
+
+    Raises
+    ------
+    KinematicsError
+        A column is missing, a cell is no finite number, a name stands there twice, a frame is unknown, or
+        an sd_mm is not positive or stated for some fiducials only; all faults are listed.
+    """
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("name", *_SEEN, *_KNOWN), file)
+        return {*_SEEN, *_KNOWN, *({"sd_mm"} & set(header))}, {"name", *({"frame"} & set(header))}
+
+    table = read_table(path, choose)
+    faults = [*table.faults, *finite_faults(table, (*_SEEN, *_KNOWN))]
+    names, frames = _words(table, faults)
+    sd = table.numbers.get("sd_mm")
+    if sd is not None and np.all(np.isnan(sd)):
+        sd = None
+    if sd is not None:
+        faults += sd_faults(table, sd)
+        faults += [
+            sentence("sd_mm", "stated for all fiducials or for none", "an empty cell", table.where(int(row)))
+            for row in np.flatnonzero(np.isnan(sd))
+        ]
+    raise_all(KinematicsError, faults)
+    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    return Fiducials(names, seen, known, frames, sd, Path(path))
+
+
+def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    column = table.texts["name"]
+    names = tuple(column.names[code] if code >= 0 else "" for code in column.codes)
+    for row, name in enumerate(names):
+        if not name or name in names[:row]:
+            got = f"{name} again" if name else "an empty cell"
+            faults.append(sentence("name", "given, and different for each fiducial", got, table.where(row)))
+    if "frame" not in table.texts:
+        return names, ("plate",) * len(names)
+    column = table.texts["frame"]
+    frames = tuple(column.names[code].lower() if code >= 0 else "plate" for code in column.codes)
+    for row, frame in enumerate(frames):
+        if frame not in FRAMES:
+            faults.append(sentence("frame", "plate, scan or footplate", frame, table.where(row, "frame")))
+    return names, frames

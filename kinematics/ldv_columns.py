@@ -1,0 +1,167 @@
+"""Which columns of a vibrometer table mean what; everything a header can have wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.units import SUFFIXES, Unit, unit_of
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+DIRECTION = ("dir_x", "dir_y", "dir_z")
+_EXTRA = ("n_avg", "coherence")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one table.
+
+    Attributes
+    ----------
+    first, second : str
+        Real and imaginary part, or amplitude and phase.
+    polar : bool
+    unit : Unit
+        Of the value.
+    sd : str
+        Name of the sd column, empty without one; ``sd_scale`` is its factor to SI.
+    direction : tuple of str
+        ``(dir,)`` or the three components.
+    positions, run : bool
+        Whether the table has them.
+    extra : tuple of str
+        Those of n_avg and coherence that are there.
+    """
+
+    first: str
+    second: str
+    polar: bool
+    unit: Unit
+    sd: str
+    sd_scale: float
+    direction: tuple[str, ...]
+    positions: bool
+    run: bool
+    extra: tuple[str, ...]
+
+    @property
+    def numbers(self) -> set[str]:
+        """Names of the number columns to read."""
+        names = {"freq_hz", self.first, self.second, *self.extra}
+        names |= {self.sd} if self.sd else set()
+        names |= set(self.direction) if len(self.direction) == 3 else set()
+        return names | (set(POSITION) if self.positions else set())
+
+    @property
+    def texts(self) -> set[str]:
+        """Names of the text columns to read."""
+        names = {"body", "point"} | ({"run"} if self.run else set())
+        return names | ({"dir"} if self.direction == ("dir",) else set())
+
+
+def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
+    """Find the columns of a vibrometer table.
+
+    Parameters
+    ----------
+    header : sequence of str
+        Lower-case names.
+    file : str
+        For messages.
+    points_given : bool
+        A separate points file gives the positions.
+
+    Raises
+    ------
+    KinematicsError
+        A column is missing, has an unknown unit, or stands beside one that contradicts it.
+    """
+    place = f"{file}, line 1"
+    faults: list[str] = []
+    units = _units(header, place, faults)
+    missing = [name for name in ("body", "point", "freq_hz") if name not in header]
+    direction = ("dir",) if "dir" in header else DIRECTION
+    missing += [name for name in direction if name not in header]
+    has_position = any(name in header for name in POSITION)
+    if has_position or not points_given:
+        missing += [name for name in POSITION if name not in header]
+    if missing:
+        step = "Give the positions in the table or with --points" if POSITION[0] in missing else ""
+        faults.append(sentence("the table", "complete", f"no column {', '.join(missing)}", place, step))
+    if "dir" in header and any(name in header for name in DIRECTION):
+        faults.append(sentence("the direction", "given once", "dir and dir_x, dir_y, dir_z", place))
+    first, second, polar = _value_pair(units, header, place, faults)
+    sd = _sd(units, first, place, faults)
+    raise_all(KinematicsError, faults)
+    return Columns(
+        first,
+        second,
+        polar,
+        units[first],
+        sd,
+        units[sd].scale if sd else 1.0,
+        direction,
+        has_position,
+        "run" in header,
+        tuple(name for name in _EXTRA if name in header),
+    )
+
+
+def _units(header: Sequence[str], place: str, faults: list[str]) -> dict[str, Unit]:
+    found: dict[str, Unit] = {}
+    for name in header:
+        unit = unit_of(name)
+        if unit is not None:
+            found[name] = unit
+        elif name.startswith(("re_", "im_", "amp_", "sd_")) or name in ("re", "im", "amp", "sd"):
+            faults.append(
+                sentence(f"the unit of column {name}", f"one of {SUFFIXES}", "an unknown one", place)
+            )
+        elif name.startswith("freq") and name != "freq_hz":
+            faults.append(sentence(f"the frequency column {name}", "freq_hz", "an unknown unit", place))
+        elif name.startswith("phase") and name != "phase_deg":
+            faults.append(sentence(f"the phase column {name}", "phase_deg", "an unknown unit", place))
+    return found
+
+
+def _value_pair(
+    units: dict[str, Unit], header: Sequence[str], place: str, faults: list[str]
+) -> tuple[str, str, bool]:
+    by_part = {
+        part: [name for name, unit in units.items() if unit.part == part] for part in ("re", "im", "amp")
+    }
+    pairs = "re_m_s with im_m_s, or amp_m_s with phase_deg (or another unit)"
+    if any(len(names) > 1 for names in by_part.values()) or (
+        by_part["amp"] and (by_part["re"] or by_part["im"])
+    ):
+        got = ", ".join(name for names in by_part.values() for name in names)
+        faults.append(sentence("the value", f"given once, as {pairs}", got, place))
+    elif by_part["re"] and by_part["im"]:
+        first, second = by_part["re"][0], by_part["im"][0]
+        if units[first].scale == units[second].scale and units[first].order == units[second].order:
+            return first, second, False
+        faults.append(sentence("real and imaginary part", "in one unit", f"{first} and {second}", place))
+    elif by_part["amp"] and "phase_deg" in header:
+        return by_part["amp"][0], "phase_deg", True
+    else:
+        alone = [name for names in by_part.values() for name in names]
+        alone += ["phase_deg"] if "phase_deg" in header else []
+        faults.append(sentence("the value columns", pairs, f"{', '.join(alone) or 'none'} alone", place))
+    return "", "", False
+
+
+def _sd(units: dict[str, Unit], first: str, place: str, faults: list[str]) -> str:
+    names = [name for name, unit in units.items() if unit.part == "sd"]
+    if not names or not first:
+        return ""
+    value = units[first]
+    if len(names) > 1:
+        faults.append(sentence("the standard deviation", "given once", ", ".join(names), place))
+        return ""
+    sd = units[names[0]]
+    if sd.order != value.order or sd.rms != value.rms:
+        want = f"sd_{first.split('_', 1)[1]}, in the unit of its value"
+        faults.append(sentence("the standard deviation", want, names[0], place))
+        return ""
+    return names[0]

@@ -1,0 +1,217 @@
+"""Vibrometer measurements: what every beam read at every frequency, as displacement amplitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.frames import RigidTransform
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
+
+
+@dataclass(frozen=True)
+class BodyChannels:
+    """The channels (point and beam) of one body.
+
+    Attributes
+    ----------
+    body : str
+    points : tuple of str, (channel,)
+        Name of the point of each channel.
+    positions_mm : ndarray, (channel, 3)
+    directions : ndarray, (channel, 3)
+        Unit vectors towards the laser head.
+    displacement : ndarray, (run, channel, freq), complex
+        Component of the displacement along the beam, m, peak, e^{+iwt}; NaN where missing.
+    sd : ndarray, (run, channel, freq), or None
+        Standard deviation of its real (= imaginary) part, m. None: unknown and equal for all channels in
+        the measured quantity. NaN: this value's noise is unknown, the value is not used.
+    relative : bool
+        ``sd`` is known up to one factor per body, which the residuals give.
+    position_sd_mm : ndarray, (channel,)
+        Standard deviation per coordinate of the point's position; NaN when not stated.
+
+    Raises
+    ------
+    KinematicsError
+        Shapes that do not match, or directions that are no unit vectors.
+    """
+
+    body: str
+    points: tuple[str, ...]
+    positions_mm: Array
+    directions: Array
+    displacement: ComplexArray
+    sd: Array | None = None
+    relative: bool = False
+    position_sd_mm: Array = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        if self.position_sd_mm.size == 0:
+            object.__setattr__(self, "position_sd_mm", np.full(count, np.nan))
+        shapes = {
+            "positions_mm": (self.positions_mm.shape, (count, 3)),
+            "directions": (self.directions.shape, (count, 3)),
+            "displacement": (self.displacement.shape[1:2], (count,)),
+            "sd": ((count,) if self.sd is None else self.sd.shape[1:2], (count,)),
+            "position_sd_mm": (self.position_sd_mm.shape, (count,)),
+        }
+        faults = [
+            sentence(f"the shape of {name} of body {self.body}", str(want), got)
+            for name, (got, want) in shapes.items()
+            if got != want
+        ]
+        raise_all(KinematicsError, faults)
+        if not np.all(np.abs(np.linalg.norm(self.directions, axis=1) - 1.0) < 1e-3):
+            raise KinematicsError(
+                sentence(f"the beam directions of body {self.body}", "unit vectors", "others")
+            )
+
+    def channel_name(self, channel: int) -> str:
+        """Return ``body point (direction)`` for messages."""
+        return f"{self.body} {self.points[channel]} ({direction_name(self.directions[channel])})"
+
+
+def direction_name(direction: Array) -> str:
+    """Write a direction as ``x``, ``-z`` or three numbers."""
+    place = int(np.argmax(np.abs(direction)))
+    if abs(abs(direction[place]) - 1.0) < 1e-9:
+        return ("-" if direction[place] < 0.0 else "") + "xyz"[place]
+    return ", ".join(f"{value:.3f}" for value in direction)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A vibrometer measurement.
+
+    Attributes
+    ----------
+    frame : str
+        Frame of positions and directions, e.g. ``vibrometer``.
+    runs : tuple of str
+        Excitations.
+    freq_hz : ndarray, (freq,)
+        Ascending.
+    bodies : tuple of BodyChannels
+    order : int
+        Time derivatives in the quantity that was measured (0, 1, 2): its noise is what is level over
+        frequency when nothing else is known.
+    inputs : mapping of str to Path
+        Files by their role.
+    notices : tuple of Notice
+    """
+
+    frame: str
+    runs: tuple[str, ...]
+    freq_hz: Array
+    bodies: tuple[BodyChannels, ...]
+    order: int = 1
+    inputs: Mapping[str, Path] = field(default_factory=dict)
+    notices: tuple[Notice, ...] = ()
+
+    def __post_init__(self) -> None:
+        faults = []
+        for body in self.bodies:
+            want = (len(self.runs), len(body.points), len(self.freq_hz))
+            if body.displacement.shape != want or (body.sd is not None and body.sd.shape != want):
+                faults.append(
+                    sentence(f"the data of body {body.body}", f"of shape {want}", body.displacement.shape)
+                )
+        if np.any(self.freq_hz <= 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
+            faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+        if not self.bodies:
+            faults.append(sentence("a measurement", "of one body at least", "none"))
+        raise_all(KinematicsError, faults)
+
+    def mapped(self, to_from_here: RigidTransform) -> Measurement:
+        """Return the measurement with positions and directions in another frame."""
+        bodies = tuple(
+            replace(
+                body,
+                positions_mm=to_from_here.points(body.positions_mm),
+                directions=to_from_here.vectors(body.directions),
+            )
+            for body in self.bodies
+        )
+        return replace(self, frame=to_from_here.to, bodies=bodies)
+
+    def mirrored(self, axis: str) -> Measurement:
+        """Return the measurement with one axis of its left-handed coordinates turned round.
+
+        Raises
+        ------
+        KinematicsError
+            The axis is not x, y or z.
+        """
+        sign = np.array(mirror_sign(axis))
+        bodies = tuple(
+            replace(body, positions_mm=body.positions_mm * sign, directions=body.directions * sign)
+            for body in self.bodies
+        )
+        return replace(self, bodies=bodies)
+
+
+def mirror_sign(axis: str) -> tuple[float, float, float]:
+    """Return the signs of the coordinates under ``--mirror``.
+
+    Raises
+    ------
+    KinematicsError
+        The axis is not x, y or z.
+    """
+    if axis not in MIRRORS:
+        raise KinematicsError(sentence("--mirror", "x, y or z", axis))
+    return MIRRORS[axis]
+
+
+def from_arrays(
+    bodies: Mapping[str, Mapping[str, object]],
+    freq_hz: Array,
+    *,
+    frame: str = "footplate",
+    order: int = 1,
+    runs: tuple[str, ...] = ("1",),
+) -> Measurement:
+    """Build a measurement from arrays.
+
+    Parameters
+    ----------
+    bodies : mapping
+        By name: ``points``, ``positions_mm`` (c, 3), ``directions`` (c, 3), ``value`` (run, c, freq) or
+        (c, freq) in SI peak units of the measured quantity, and optionally ``sd`` of the same shape or
+        broadcastable to it, and ``position_sd_mm``.
+    freq_hz : ndarray, (freq,)
+    frame, order, runs
+        As in Measurement.
+    """
+    factor = (2j * np.pi * np.asarray(freq_hz, dtype=float)) ** order
+    made = []
+    for name, parts in bodies.items():
+        value = np.asarray(parts["value"], dtype=complex)
+        value = value[None] if value.ndim == 2 else value
+        sd = parts.get("sd")
+        spread = np.asarray(parts.get("position_sd_mm", np.nan), dtype=float)
+        made.append(
+            BodyChannels(
+                name,
+                tuple(parts["points"]),  # type: ignore[arg-type]
+                np.asarray(parts["positions_mm"], dtype=float),
+                np.asarray(parts["directions"], dtype=float),
+                value / factor,
+                None
+                if sd is None
+                else np.broadcast_to(np.asarray(sd, dtype=float), value.shape) / np.abs(factor),
+                position_sd_mm=np.broadcast_to(spread, (value.shape[1],)).copy(),
+            )
+        )
+    return Measurement(frame, runs, np.asarray(freq_hz, dtype=float), tuple(made), order)

@@ -1,0 +1,268 @@
+"""From what the beams read to the motion of rigid bodies about the footplate centre: one library call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.beams import BeamSet, beam_set, unseen_motions
+from kinematics.diagnose import Diagnosis, diagnose, line_data, nothing_found
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.mass_record import MassRecord
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.motion import RigidMotion, SharedErrors
+from kinematics.neglected import extended_beams, neglected_notice
+from kinematics.noise import with_noise
+from kinematics.notices import Notice, unique
+from kinematics.phase import phase_notice
+from kinematics.placement import Placement, place
+from kinematics.ratio import parse_reference, per_reference
+from kinematics.rigid_fit import LineFit
+from kinematics.screening import Screened, screened
+from kinematics.shared_errors import pose_derivatives, position_derivatives, position_parameters
+from kinematics.spatial import DOF_NAMES
+from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
+
+Array = NDArray[np.float64]
+ROBUST = ("none", "huber", "t4")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of a fit.
+
+    Attributes
+    ----------
+    dof : tuple of str
+        In the order of DOF_NAMES.
+    reference : str
+        ``BODY:DOF`` for responses per unit of that motion; empty for absolute motion.
+    robust : str
+        ``none``, ``huber`` or ``t4``.
+
+    Raises
+    ------
+    KinematicsError
+        An unknown degree of freedom or robust estimator.
+    """
+
+    dof: tuple[str, ...] = DOF_NAMES
+    reference: str = ""
+    robust: str = "none"
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.robust not in ROBUST:
+            faults.append(sentence("--robust", f"one of {', '.join(ROBUST)}", self.robust))
+        if not self.dof or tuple(name for name in DOF_NAMES if name in self.dof) != self.dof:
+            faults.append(sentence("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
+        raise_all(KinematicsError, faults)
+
+
+@dataclass(frozen=True)
+class Points2Dof:
+    """The result.
+
+    Attributes
+    ----------
+    motion : RigidMotion
+        With covariance, shared errors and all notices.
+    channels : tuple of ChannelVerdict
+    measurement : Measurement
+        In the footplate frame.
+    placement : Placement
+    fits : mapping of (run, body) to LineFit
+        By position.
+    diagnoses : mapping of (run, body) to Diagnosis
+    options : Options
+    unseen : mapping of str to tuple of str
+        By body: the rigid motions that its beams cannot see, in words.
+    """
+
+    motion: RigidMotion
+    channels: tuple[ChannelVerdict, ...]
+    measurement: Measurement
+    placement: Placement
+    fits: Mapping[tuple[int, int], LineFit]
+    diagnoses: Mapping[tuple[int, int], Diagnosis]
+    options: Options
+    unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Every warning."""
+        return self.motion.notices
+
+
+def points2dof(
+    measurement: Measurement,
+    placement: Placement | None = None,
+    options: Options | None = None,
+    mass: MassRecord | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> Points2Dof:
+    """Fit the motion of every rigid body about the footplate centre, in footplate axes, at every line.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Positions and directions in the source frame of ``placement``.
+    placement : Placement, optional
+        From kinematics.placement.place; without it the measurement is in the footplate frame.
+    options : Options, optional
+    mass : MassRecord, optional
+        Only used to recognise the phase convention.
+    provenance : mapping, optional
+        Carried along in the result.
+
+    Raises
+    ------
+    KinematicsError
+        The beams of a body cannot observe the degrees of freedom, or the reference is no fitted motion.
+    """
+    options = options or Options()
+    placement = placement or place()
+    if options.reference:
+        parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
+    placed = measurement.mapped(placement.transform)
+    beams = _beam_sets(placed, options.dof)
+    screens = [screened(body, placed.runs, options.dof) for body in placed.bodies]
+    placed = replace(placed, bodies=tuple(screen.body for screen in screens))
+    fits: dict[tuple[int, int], LineFit] = {}
+    diagnoses: dict[tuple[int, int], Diagnosis] = {}
+    verdicts: list[ChannelVerdict] = []
+    notices = [*measurement.notices, *placement.notices]
+    for screen in screens:
+        notices += screen.notices
+    for run in range(len(placed.runs)):
+        for number, screen in enumerate(screens):
+            key = (run, number)
+            fits[key], known, said = with_noise(placed, run, screen.body, beams[number], options.robust)
+            notices += said
+            diagnoses[key] = _diagnosed(screen, run, fits[key], options.dof, known)
+            notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
+            verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
+    motion = _motion(placed, fits, options.dof)
+    motion = replace(
+        motion, shared=_shared(placed, fits, placement, motion), provenance=dict(provenance or {})
+    )
+    notices += phase_notice(motion, mass)
+    if options.reference:
+        motion = per_reference(motion, options.reference)
+        notices += motion.notices
+    motion = replace(motion, notices=unique(notices))
+    unseen = {body.body: tuple(unseen_motions(body.positions_mm, body.directions)) for body in placed.bodies}
+    return Points2Dof(motion, tuple(verdicts), placed, placement, fits, diagnoses, options, unseen)
+
+
+def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
+    """Factorise every body; what any of them cannot observe is told in one message."""
+    made, faults = [], []
+    for body in placed.bodies:
+        try:
+            made.append(beam_set(body.body, body.positions_mm, body.directions, dof))
+        except KinematicsError as fault:
+            faults.append(str(fault))
+    raise_all(KinematicsError, faults)
+    return made
+
+
+def _diagnosed(screen: Screened, run: int, fit: LineFit, dof: tuple[str, ...], known: bool) -> Diagnosis:
+    """Search for faults with all degrees of freedom that the beams observe, fitted or not."""
+    body = screen.body
+    wide = fit.beams if len(dof) == 6 else extended_beams(body, dof)
+    data = line_data(
+        wide, body.positions_mm * 1e-3, body.directions, body.points, body.displacement[run], fit.sd
+    )
+    if data.y.shape[1] < 3:
+        return nothing_found(data)
+    return diagnose(data, body.position_sd_mm * 1e-3, known)
+
+
+def _body_notices(
+    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, diagnosis: Diagnosis, known: bool
+) -> list[Notice]:
+    several = len(placed.runs) > 1
+    where = f" in run {placed.runs[run]}" if several else ""
+    notices = fault_notices(placed.runs[run], body, diagnosis, several)
+    notices += neglected_notice(fit, body, body.displacement[run], where)
+    measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
+    lost = int(np.sum(~np.isfinite(fit.q[:, 0].real) & measured))
+    if lost:
+        text = f"body {body.body}{where}: {lost} lines have too few channels to determine the motion."
+        notices.append(Notice("lines_undetermined", text))
+    if fit.beams.weak:
+        text = f"body {body.body}: hardly observable from these beams: {fit.beams.weak}."
+        notices.append(Notice("unobservable", text))
+    if known and not diagnosis.findings and not 0.8 < diagnosis.level < 1.25 and diagnosis.level_matters:
+        text = (
+            f"body {body.body}{where}: residuals are {np.sqrt(diagnosis.level):.2g} times the stated "
+            "noise on all channels alike; check the sd or the number of averages."
+        )
+        notices.append(Notice("noise_level", text))
+    return notices
+
+
+def _verdicts(
+    run_name: str, screen: Screened, run: int, fit: LineFit, found: Diagnosis
+) -> list[ChannelVerdict]:
+    used = np.isfinite(fit.sd)
+    number = np.sum(used, axis=1)
+    with np.errstate(invalid="ignore"):
+        rms = np.sqrt(np.sum(np.abs(fit.residual) ** 2, axis=1) / np.where(number > 0, number, np.nan))
+    relative = fit.weights / np.maximum(np.max(fit.weights, axis=0), 1e-300)
+    weight = np.mean(relative, axis=1)
+    weight = weight / max(float(np.max(weight)), 1e-300)
+    return channel_verdicts(run_name, screen.body, found, rms, weight, screen.unused[run])
+
+
+def _motion(
+    placed: Measurement, fits: Mapping[tuple[int, int], LineFit], dof: tuple[str, ...]
+) -> RigidMotion:
+    runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
+
+    def stacked(name: str) -> Array:
+        return np.stack([np.stack([getattr(fits[run, body], name) for body in bodies]) for run in runs])
+
+    return RigidMotion(
+        placed.runs,
+        tuple(body.body for body in placed.bodies),
+        dof,
+        placed.freq_hz,
+        stacked("q").astype(complex),
+        stacked("covariance").astype(complex),
+        stacked("chi2"),
+        stacked("n_dof"),
+    )
+
+
+def _shared(
+    placed: Measurement, fits: Mapping[tuple[int, int], LineFit], placement: Placement, motion: RigidMotion
+) -> SharedErrors | None:
+    positions = position_parameters(placed.bodies)
+    count = len(placement.names)
+    if count + len(positions) == 0:
+        return None
+    names = list(placement.names)
+    names += [
+        f"position.{placed.bodies[b].body}.{point}.{axis}" for b, point, _ in positions for axis in "xyz"
+    ]
+    derivatives = np.zeros((len(names), *motion.q.shape), dtype=complex)
+    for (run, number), fit in fits.items():
+        body = placed.bodies[number]
+        if count:
+            by_pose = pose_derivatives(fit, body, placement)
+            derivatives[:count, run, number] = np.einsum("kp,kfm->pfm", placement.derivative, by_pose)
+        for place_, (owner, point, _) in enumerate(positions):
+            if owner == number:
+                start = count + 3 * place_
+                derivatives[start : start + 3, run, number] = position_derivatives(fit, body, point)
+    covariance = np.zeros((len(names), len(names)))
+    covariance[:count, :count] = placement.covariance
+    variances = np.repeat([sd**2 for _, _, sd in positions], 3)
+    covariance[np.arange(count, len(names)), np.arange(count, len(names))] = variances
+    return SharedErrors(tuple(names), covariance, derivatives)

@@ -1,0 +1,117 @@
+"""Frequency responses: all motions per unit of one of them, with the covariance of the ratio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, sentence
+from kinematics.motion import RigidMotion, SharedErrors
+from kinematics.motion_files import standard_deviation
+from kinematics.notices import Notice
+
+_CLEAR = 10.0
+
+
+def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) -> tuple[int, int]:
+    """Read ``BODY:DOF`` and return the positions of both.
+
+    Raises
+    ------
+    KinematicsError
+        The form is another, there is no such body, or the degree of freedom is not fitted.
+    """
+    body, _, name = text.rpartition(":")
+    if body not in bodies or name not in dof:
+        raise KinematicsError(
+            sentence(
+                "--reference",
+                f"BODY:DOF with a body out of {', '.join(bodies)} and a fitted degree of freedom "
+                f"out of {', '.join(dof)}",
+                text,
+            )
+        )
+    return bodies.index(body), dof.index(name)
+
+
+def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
+    """Divide every motion by the reference motion of its run and line.
+
+    Parameters
+    ----------
+    motion : RigidMotion
+        Absolute displacements.
+    reference : str
+        ``BODY:DOF``.
+
+    Returns
+    -------
+    RigidMotion
+        With the joint covariance of all bodies, (run, freq, body*dof, body*dof).
+
+    Raises
+    ------
+    KinematicsError
+        The reference names no body or no fitted degree of freedom of the motion.
+
+    Notes
+    -----
+    H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so the complex covariance goes over as
+    J C J^H. First order in noise / signal of the reference; lines below 10 are counted in a notice.
+    """
+    body, place = parse_reference(reference, motion.bodies, motion.dof)
+    runs, bodies, lines, n = motion.q.shape
+    ref = motion.q[:, body, :, place]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = motion.q / ref[:, None, :, None]
+    flat = ratio.transpose(0, 2, 1, 3).reshape(runs, lines, bodies * n)
+    jacobian = np.zeros((runs, lines, bodies * n, bodies * n), dtype=complex)
+    jacobian[..., np.arange(bodies * n), np.arange(bodies * n)] = 1.0
+    jacobian[..., :, body * n + place] -= np.where(np.isfinite(flat), flat, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        jacobian /= ref[:, :, None, None]
+    joint = np.zeros_like(jacobian)
+    for number in range(bodies):
+        part = slice(number * n, (number + 1) * n)
+        joint[:, :, part, part] = motion.covariance[:, number]
+    covariance = jacobian @ _finite(joint) @ jacobian.conj().transpose(0, 1, 3, 2)
+    missing = ~np.isfinite(flat)
+    covariance[missing[..., :, None] | missing[..., None, :]] = np.nan
+    shared = None if motion.shared is None else _shared(motion.shared, ratio, ref, body, place)
+    notices = (*motion.notices, *_noisy(motion, ref, body, place, reference))
+    ratio[~np.isfinite(ratio)] = np.nan
+    return replace(
+        motion, q=ratio, covariance=covariance, reference=reference, shared=shared, notices=notices
+    )
+
+
+def _finite(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _shared(
+    shared: SharedErrors, ratio: NDArray[np.complex128], ref: NDArray[np.complex128], body: int, place: int
+) -> SharedErrors:
+    moved = shared.derivatives[:, :, body, :, place]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        derivatives = (shared.derivatives - ratio[None] * moved[:, :, None, :, None]) / ref[
+            None, :, None, :, None
+        ]
+    return SharedErrors(shared.names, shared.covariance, derivatives)
+
+
+def _noisy(
+    motion: RigidMotion, ref: NDArray[np.complex128], body: int, place: int, reference: str
+) -> list[Notice]:
+    sd = standard_deviation(motion)[:, body, :, place]
+    with np.errstate(invalid="ignore"):
+        weak = int(np.sum(np.abs(ref) < _CLEAR * sd))
+    if weak == 0:
+        return []
+    text = (
+        f"the reference {reference} is less than {_CLEAR:.0f} times its noise at {weak} of {ref.size} "
+        "lines; the stated covariance of the ratio is too small there."
+    )
+    return [Notice("reference_noisy", text)]

@@ -1,0 +1,114 @@
+"""Is what a rigid motion leaves noise, or a pattern that many channels share?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fault_model import LineData, State
+
+Array = NDArray[np.float64]
+_ONE_POINT = 0.85
+_TWO_POINTS = 0.93
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The strongest patterns in the residuals.
+
+    Attributes
+    ----------
+    ratio : float
+        Largest eigenvalue of the residual covariance relative to the edge expected for noise.
+    p_value : float
+        Upper bound on the probability of that under noise.
+    concentrated : bool
+        One or two points carry nearly all of the pattern.
+    gain : float
+        Residual energy above the noise edge that the patterns take away.
+    pattern : ndarray, (channel,)
+        Size of the strongest pattern at each channel, in units of noise.
+    """
+
+    ratio: float
+    p_value: float
+    concentrated: bool
+    gain: float
+    pattern: Array
+
+    @property
+    def significant(self) -> bool:
+        """Whether noise would hardly do that."""
+        return self.p_value < 1e-3
+
+
+def structure_of(data: LineData, state: State) -> Structure:
+    """Look for patterns in whitened residuals.
+
+    Notes
+    -----
+    Under noise the eigenvalues of the residual covariance of F lines in p free directions end at
+    (1 + sqrt(p / F))^2 with Tracy-Widom fluctuations (Johansson 2000, doi:10.1007/s002200050027, for
+    complex data); the tail of that law is bounded by exp(-4/3 s^1.5).
+    """
+    live = np.flatnonzero(np.any(data.s > 0.0, axis=1))
+    nothing = Structure(0.0, 1.0, True, 0.0, np.zeros(len(data.points)))
+    free = len(live) - data.beams.basis.shape[1]
+    lines = data.y.shape[1]
+    if free < 2 or lines < 8:
+        return nothing
+    mean_s = np.sqrt(np.mean(data.s[live] ** 2, axis=1))
+    left = np.linalg.svd(mean_s[:, None] * data.beams.basis[live])[0][:, data.beams.basis.shape[1] :]
+    residual = state.e[live].T @ left
+    covariance = residual.conj().T @ residual / lines
+    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    level = float(np.median(values)) / _median_factor(free, lines)
+    if not level > 0.0:
+        return nothing
+    edge = (1.0 + np.sqrt(free / lines)) ** 2
+    width = (np.sqrt(lines) + np.sqrt(free)) * (lines**-0.5 + free**-0.5) ** (1.0 / 3.0) / lines
+    s = (values[0] / level - edge) / width
+    p = float(np.exp(-4.0 / 3.0 * s**1.5)) if s > 0.0 else 1.0
+    pattern = np.zeros(len(data.points))
+    shape = left @ vectors[:, 0]
+    pattern[live] = np.abs(shape) * np.sqrt(values[0])
+    above = values[values > level * (edge + 3.0 * width)]
+    gain = float(lines * np.sum(above - edge * level))
+    return Structure(
+        values[0] / level / edge, p, _concentrated(data, live, left, vectors[:, 0]), gain, pattern
+    )
+
+
+def _median_factor(free: int, lines: int) -> float:
+    """Return the median eigenvalue of pure noise of unit variance (Marchenko-Pastur, by its quadrature)."""
+    ratio = min(free / lines, 1.0)
+    low, high = (1.0 - np.sqrt(ratio)) ** 2, (1.0 + np.sqrt(ratio)) ** 2
+    grid = np.linspace(low, high, 2001)[1:-1]
+    density = np.sqrt((high - grid) * (grid - low)) / grid
+    cumulative = np.cumsum(density)
+    return float(grid[np.searchsorted(cumulative, 0.5 * cumulative[-1])])
+
+
+def _concentrated(
+    data: LineData, live: NDArray[np.intp], left: Array, pattern: NDArray[np.complex128]
+) -> bool:
+    """Tell whether faults at one point, or at two, could make the pattern alone."""
+    names = [data.points[c] for c in live]
+    rows = {name: left[[n == name for n in names]] for name in dict.fromkeys(names)}
+    shares = {name: _share(part, pattern) for name, part in rows.items()}
+    if max(shares.values()) > _ONE_POINT:
+        return True
+    best = sorted(shares, key=lambda name: -shares[name])[:4]
+    pairs = [_share(np.vstack([rows[a], rows[b]]), pattern) for a, b in combinations(best, 2)]
+    return len(rows) > 4 and max(pairs, default=0.0) > _TWO_POINTS
+
+
+def _share(rows: Array, pattern: NDArray[np.complex128]) -> float:
+    """Return the part of a unit pattern that lies in the span of some channels' residual directions."""
+    q, r = np.linalg.qr(rows.T)
+    keep = np.abs(np.diag(r)) > 1e-9
+    return float(np.sum(np.abs(q[:, keep].T @ pattern) ** 2))
