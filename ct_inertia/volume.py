@@ -106,6 +106,32 @@ class Volume:
         away = (np.asarray(scan_mm, dtype=float) - self.origin_mm) @ self.direction
         return np.asarray(away / self.spacing_mm)
 
+    def cropped(self, box_mm: ArrayLike) -> Volume:
+        """Return the part of the volume between two corners x0, y0, z0, x1, y1, z1 in scan mm.
+
+        Raises
+        ------
+        CtInertiaError
+            The box holds fewer than two voxels along an axis.
+        """
+        corners = np.asarray(box_mm, dtype=float).reshape(2, 3)
+        grid = np.stack(np.meshgrid(*corners.T, indexing="ij"), axis=-1).reshape(-1, 3)
+        index = self.index_points(grid)
+        low = np.clip(np.ceil(index.min(axis=0) - 1e-6), 0, self.size - 1).astype(np.int64)
+        high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size).astype(np.int64)
+        if np.any(high - low < 2):
+            far = self.scan_points(self.size - 1)
+            raise CtInertiaError(
+                sentence(
+                    "--box",
+                    f"a box that overlaps the scan ({_listed(self.origin_mm)} to {_listed(far)} mm)",
+                    f"{_listed(corners[0])} to {_listed(corners[1])} mm",
+                    next_step="Give two corners in scan coordinates, mm",
+                )
+            )
+        part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+        return replace(self, array=self.array[part], origin_mm=self.scan_points(low))
+
     def mirrored(self, axis: str) -> Volume:
         """Reverse the order of the slices along the array's ``x``, ``y`` or ``z`` axis.
 
@@ -125,6 +151,10 @@ def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     if axis not in tuple(_AXES):
         raise CtInertiaError(sentence("--mirror", "x, y or z", axis))
     return np.flip(array, axis=2 - _AXES.index(axis))
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{v:.6g}" for v in values)
 
 
 def _check_array(array: NDArray[Any], where: str) -> None:

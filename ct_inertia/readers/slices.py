@@ -52,7 +52,9 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
                 "Give the folder that holds the slices themselves",
             )
         )
-    chosen = sorted(max(series.values(), key=lambda v: len(v)), key=lambda pair: (pair[0], pair[1].name))
+    chosen = sorted(
+        series[max(series, key=lambda name: len(series[name]))], key=lambda pair: (pair[0], pair[1].name)
+    )
     numbers = [number for number, _ in chosen]
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:

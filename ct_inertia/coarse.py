@@ -1,0 +1,185 @@
+"""A quick look at the whole scan: a subsample, and the grey levels of the materials in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+
+Array = NDArray[np.float64]
+_TARGET_MM = 0.05
+_MOST_VOXELS = 24_000_000
+_FLAT = 1.7
+_LEAST_INTERIOR = 25
+
+
+@dataclass(frozen=True)
+class CoarseScan:
+    """Every ``step``-th voxel of a scan.
+
+    Attributes
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    step : ndarray of int, (3,)
+        Voxels of the scan per coarse voxel along x, y, z.
+    spacing_mm : ndarray, (3,)
+        Distance of coarse voxels along x, y, z.
+    noise : float
+        Standard deviation of the grey values within a material.
+    """
+
+    grey: NDArray[np.float32]
+    step: NDArray[np.int64]
+    spacing_mm: Array
+    noise: float
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of one coarse voxel, mm3."""
+        return float(np.prod(self.spacing_mm))
+
+
+def coarse_scan(volume: Volume) -> CoarseScan:
+    """Take a subsample of about 0.05 mm, finer when the scan is small, coarser when it is huge."""
+    size, spacing = volume.size, volume.spacing_mm
+    wanted = np.maximum(np.round(_TARGET_MM / spacing), 1.0)
+    limit = max(1, int(size.max()) // 100)
+    step = np.clip(wanted, 1, limit).astype(np.int64)
+    step = np.minimum(step, np.maximum(size // 8, 1))
+    while np.prod(size // step) > _MOST_VOXELS:
+        step = step + 1
+    sx, sy, sz = (int(s) for s in step)
+    grey = finite(np.asarray(volume.array[sz // 2 :: sz, sy // 2 :: sy, sx // 2 :: sx]), volume)
+    return CoarseScan(grey, step, spacing * step, _noise(grey))
+
+
+def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
+    """Return a part of the scan as float32, with air for voxels that are not finite when that is allowed.
+
+    Raises
+    ------
+    CtInertiaError
+        Voxels that are not finite where they are not allowed.
+    """
+    grey = np.array(part, dtype=np.float32)
+    if part.dtype.kind != "f":
+        return grey
+    bad = ~np.isfinite(grey)
+    if not np.any(bad):
+        return grey
+    if not volume.nan_as_air:
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                "finite",
+                f"{int(bad.sum())} voxels of NaN or infinity",
+                next_step="Replace them, or let them count as air with --nan-as-air",
+            )
+        )
+    grey[bad] = np.median(grey[~bad][::7]) if np.any(~bad) else 0.0
+    return grey
+
+
+def _noise(grey: NDArray[np.float32]) -> float:
+    """Estimate the noise from differences of neighbours, most of which lie in one material."""
+    steps = [np.abs(np.diff(grey, axis=k)).ravel()[::3] for k in range(3)]
+    low, high = np.percentile(grey.ravel()[::5], [0.02, 99.98])
+    floor = 2e-4 * float(high - low)
+    values = np.concatenate(steps)
+    # Air clipped at 0 gives many equal neighbours; they say nothing of the noise.
+    moving = values[values > 0.0]
+    if moving.size < 0.05 * values.size:
+        return max(floor, 1e-12)
+    return max(float(np.median(moving)) / (0.6745 * np.sqrt(2.0)), floor, 1e-12)
+
+
+def material_levels(scan: CoarseScan) -> Array:
+    """Return the grey levels of the materials, ascending: the modes of voxels inside a material.
+
+    A global threshold moves with the field of view, for bone may be 0.15 % of it; here only voxels whose
+    six neighbours agree with them are counted, so that blurred edges do not count at all, and each
+    material stands out however little of it there is.
+
+    Raises
+    ------
+    CtInertiaError
+        Only one material: nothing but noise.
+    """
+    mean, flat = _interior(scan)
+    values = mean[flat].astype(float)
+    top = _bright_rest(scan, values)
+    levels = _modes(values, scan.noise, float(np.ptp(scan.grey)))
+    if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * scan.noise):
+        levels = np.append(levels, top)
+    if levels.size < 2:
+        raise CtInertiaError(
+            sentence(
+                "the scan",
+                "a picture of bone in air",
+                "one material only, and noise",
+                next_step="Check that this is the reconstructed volume, or give --threshold",
+            )
+        )
+    return levels
+
+
+def _interior(scan: CoarseScan) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the mean over each voxel's cross of seven, and where the cross lies in one material."""
+    grey = scan.grey
+    core = grey[1:-1, 1:-1, 1:-1]
+    total, square = core.astype(np.float32), core.astype(np.float64) ** 2
+    for axis in range(3):
+        for shift in (slice(None, -2), slice(2, None)):
+            part = [slice(1, -1)] * 3
+            part[axis] = shift
+            total = total + grey[tuple(part)]
+            square += grey[tuple(part)].astype(np.float64) ** 2
+    mean = total / np.float32(7.0)
+    variance = (square - 7.0 * mean.astype(np.float64) ** 2) / 6.0
+    return mean, np.asarray(variance < (_FLAT * scan.noise) ** 2 + 1e-9 * np.abs(square))
+
+
+def _modes(values: Array, noise: float, reach: float) -> Array:
+    if values.size < _LEAST_INTERIOR:
+        return np.zeros(0)
+    from scipy.ndimage import gaussian_filter1d
+
+    apart = max(4.0 * noise, 0.04 * reach)
+    width = apart / 16.0
+    low = float(values.min()) - apart
+    count = int((float(values.max()) + apart - low) / width) + 1
+    histogram = np.bincount(((values - low) / width).astype(np.int64), minlength=count).astype(float)
+    smooth = gaussian_filter1d(histogram, 3.0)
+    peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
+    kept: list[int] = []
+    for peak in peaks[np.argsort(-smooth[peaks])]:
+        mass = histogram[max(0, peak - 6) : peak + 7].sum()
+        far = all(abs(peak - other) * width > apart for other in kept)
+        deep = all(
+            smooth[min(peak, other) : max(peak, other) + 1].min() < 0.5 * smooth[peak] for other in kept
+        )
+        if mass >= _LEAST_INTERIOR and far and deep:
+            kept.append(int(peak))
+    centres = low + (np.arange(count) + 0.5) * width
+    levels = []
+    for peak in sorted(kept):
+        near = slice(max(0, peak - 6), peak + 7)
+        levels.append(float(histogram[near] @ centres[near] / histogram[near].sum()))
+    return np.array(levels)
+
+
+def _bright_rest(scan: CoarseScan, values: Array) -> float | None:
+    """Return a level for what is brighter than every interior voxel: bone too thin to have an inside."""
+    limit = (float(np.percentile(values, 99.9)) if values.size else float(np.median(scan.grey))) + (
+        8.0 * scan.noise
+    )
+    bright = scan.grey[scan.grey > limit]
+    if bright.size * scan.voxel_mm3 < 0.05:
+        return None
+    return float(np.percentile(bright, 90))

@@ -1,0 +1,142 @@
+"""The partial-volume integral: volume and moments of a body from grey values, without a threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.moments import Moments
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Share:
+    """The grey values that belong to a body.
+
+    Attributes
+    ----------
+    index : ndarray, (n, 3)
+        Voxel indices x, y, z in the scan.
+    grey : ndarray, (n,)
+        Their grey values, other bodies subtracted.
+    noise : ndarray, (n,)
+        Standard deviation of each.
+    air, bone, air_sd, bone_sd : float
+        Grey levels and their standard uncertainty.
+    sigma_mm, sigma_sd_mm : float
+        Point spread (voxel included) and its standard uncertainty.
+    correlation : float
+        Variance of a sum of noise over that of independent noise; 1 for white noise.
+    """
+
+    index: Array
+    grey: Array
+    noise: Array
+    air: float
+    bone: float
+    air_sd: float
+    bone_sd: float
+    sigma_mm: float
+    sigma_sd_mm: float
+    correlation: float = 1.0
+
+
+def partial_volume_moments(share: Share, scan_from_index: Array) -> Moments:
+    """Integrate w = (g - air) / (bone - air) over a body's voxels.
+
+    Parameters
+    ----------
+    share : Share
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+
+    Returns
+    -------
+    Moments
+        With contributions ``noise``, ``levels`` and ``psf``.
+
+    Notes
+    -----
+    w is the body's indicator convolved with a point spread of unit integral. Its integral is the volume
+    whatever the spread; its first moment too, for a symmetric spread; its second moments about the centroid
+    are those of the body plus the volume times the spread's variance, which is subtracted. Sums over voxel
+    centres are the integrals to within aliasing, for the spread acts as a low-pass filter; w is not
+    clipped, for clipped noise does not average out.
+
+    Contributions are linear. With f = (1, (r - c) / V, (r - c)(r - c)^T - s^2 1) the sensitivity of
+    (V, c, S) to w of one voxel is its volume times f; noise enters voxel by voxel, the levels through
+    dw/d(air) = -(1 - w) / (bone - air) and dw/d(bone) = -w / (bone - air) in all voxels at once.
+    """
+    voxel = abs(float(np.linalg.det(scan_from_index[:3, :3])))
+    middle = share.index.mean(axis=0)
+    points = (share.index - middle) @ scan_from_index[:3, :3].T
+    contrast = share.bone - share.air
+    w = (share.grey - share.air) / contrast
+    volume = voxel * float(w.sum())
+    centroid = voxel * (w @ points) / volume
+    away = points - centroid
+    spread = share.sigma_mm**2 * np.eye(3)
+    second = voxel * (away * w[:, None]).T @ away - volume * spread
+    origin = scan_from_index[:3, :3] @ middle + scan_from_index[:3, 3]
+
+    f = sensitivity(away, volume, share.sigma_mm) * voxel
+    noisy = f * (share.noise / contrast)[:, None]
+    to_air = f.T @ (1.0 - w) / contrast * share.air_sd
+    to_bone = f.T @ w / contrast * share.bone_sd
+    to_sigma = np.zeros(10)
+    to_sigma[4:7] = 2.0 * volume * share.sigma_mm * share.sigma_sd_mm
+    contributions = {
+        "noise": share.correlation * (noisy.T @ noisy),
+        "levels": np.outer(to_air, to_air) + np.outer(to_bone, to_bone),
+        "psf": np.outer(to_sigma, to_sigma),
+    }
+    return Moments(volume, origin + centroid, 0.5 * (second + second.T), contributions)
+
+
+def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
+    """Return d(V, c, S) per unit of volume added at points (n, 3) relative to the centroid, (n, 10)."""
+    x, y, z = away_mm.T
+    s2 = sigma_mm**2
+    return np.column_stack(
+        [
+            np.ones(len(x)),
+            away_mm / volume_mm3,
+            x * x - s2,
+            y * y - s2,
+            z * z - s2,
+            x * y,
+            y * z,
+            x * z,
+        ]
+    )
+
+
+def with_voxel_size(moments: Moments, relative_sd: float, origin_mm: Array) -> Moments:
+    """Add the contribution of a voxel size known to ``relative_sd`` (one factor for all axes).
+
+    Volume scales by 3, position by 1 and second moments by 5 times the relative error of the voxel.
+    """
+    second = moments.second_mm5
+    step = relative_sd * np.array(
+        [
+            3.0 * moments.volume_mm3,
+            *(moments.centroid_mm - origin_mm),
+            *(5.0 * second[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]),
+        ]
+    )
+    return with_contribution(moments, "voxel_size", np.outer(step, step))
+
+
+def with_contribution(moments: Moments, name: str, covariance: Array) -> Moments:
+    """Return the moments with one more independent source of uncertainty, (10, 10)."""
+    parts = {**moments.contributions, name: covariance}
+    return Moments(moments.volume_mm3, moments.centroid_mm, moments.second_mm5, parts)
+
+
+def as_vector(moments: Moments) -> Array:
+    """Return (V, c, S) as (10,) in the order of MOMENT_NAMES."""
+    s = moments.second_mm5
+    return np.array([moments.volume_mm3, *moments.centroid_mm, *s[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]])

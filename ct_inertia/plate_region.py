@@ -1,0 +1,149 @@
+"""The plastic plate: its region in the coarse view and its closed surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.coarse import finite
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.isosurface import iso_surface
+from ct_inertia.search import Sight
+from ct_inertia.surface import Surface
+from ct_inertia.volume import Volume
+
+Array = NDArray[np.float64]
+_LEAST_MM3 = 0.5
+_RIM_MM = 0.11
+_SURFACE_MM = 0.025
+_MOST_VOXELS = 30_000_000
+
+
+@dataclass(frozen=True)
+class PlateRegion:
+    """Where the plate is.
+
+    Attributes
+    ----------
+    mask : ndarray of bool, [z, y, x]
+        Coarse voxels of plastic, grown back to the bone it touches.
+    middle : float
+        Grey value half way between air and plastic.
+    air, plastic : float
+    """
+
+    mask: NDArray[np.bool_]
+    middle: float
+    air: float
+    plastic: float
+
+
+def find_plate(sight: Sight) -> PlateRegion | None:
+    """Find the largest body of plastic grey that is no blurred rim of bone.
+
+    Voxels within 0.11 mm of bone are left out first: across such a rim the grey values pass through those
+    of plastic. What remains is smoothed, labelled, and grown back by the same distance.
+    """
+    from scipy import ndimage
+
+    if sight.plastic is None:
+        return None
+    scan = sight.scan
+    middle = 0.5 * (sight.air + sight.plastic)
+    rim = max(1, int(np.ceil(_RIM_MM / float(scan.spacing_mm.mean()))))
+    bone = scan.grey > sight.between
+    near_bone = ndimage.binary_dilation(bone, iterations=rim)
+    smooth = ndimage.gaussian_filter(scan.grey, 0.7)
+    free = (smooth > middle) & ~near_bone
+    labels, count = ndimage.label(ndimage.binary_opening(free))
+    if count == 0:
+        return None
+    sizes = np.bincount(labels.ravel())[1:]
+    if sizes.max() * scan.voxel_mm3 < _LEAST_MM3:
+        return None
+    core = labels == int(np.argmax(sizes)) + 1
+    grown = ndimage.binary_dilation(core, mask=(smooth > middle) & ~bone, iterations=rim + 1)
+    return PlateRegion(grown, middle, sight.air, sight.plastic)
+
+
+def coarse_to_fine(
+    mask: NDArray[np.bool_], step: NDArray[np.int64], first: NDArray[np.int64], shape: tuple[int, ...]
+) -> NDArray[np.bool_]:
+    """Return a coarse mask on a box of the scan's grid: each voxel takes its nearest coarse one.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, [z, y, x]
+    step, first : ndarray of int, (3,)
+        Voxels per coarse voxel; index of the box's first voxel; x, y, z.
+    shape : tuple of 3 ints
+        Of the box, z, y, x.
+    """
+    index = []
+    for axis in range(3):
+        k = 2 - axis
+        fine = np.arange(shape[axis]) + first[k]
+        index.append(np.clip(np.round((fine - step[k] // 2) / step[k]).astype(int), 0, mask.shape[axis] - 1))
+    return np.asarray(mask[np.ix_(*index)])
+
+
+def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface | None:
+    """Return the closed surface of the plate, cut out of the bone glued to it.
+
+    On a grid of about 0.025 mm (means over blocks of voxels when the scan is finer), at the level half way
+    between air and plastic; None when nothing closed can be made of it.
+    """
+    from scipy import ndimage
+
+    scan = sight.scan
+    rim = np.stack(np.nonzero(plate.mask)[::-1], axis=1)
+    low = np.maximum((rim.min(axis=0) - 2) * scan.step, 0)
+    high = np.minimum((rim.max(axis=0) + 3) * scan.step, volume.size)
+    block = np.maximum(np.floor(_SURFACE_MM / volume.spacing_mm + 0.01), 1).astype(np.int64)
+    while np.prod((high - low) // block) > _MOST_VOXELS:
+        block = block + 1
+    grey = _block_means(volume, low, high, block)
+    if sight.scan.noise > 0.12 * (plate.plastic - plate.air):
+        grey = ndimage.gaussian_filter(grey, 0.8)
+    count = np.array(grey.shape[::-1])
+    centre = low + (block - 1) / 2.0
+    wide = ndimage.binary_dilation(plate.mask, iterations=2)
+    region = _lookup(wide, (centre[None, :] + np.arange(count.max())[:, None] * block), count, scan.step)
+    field = np.clip((grey - plate.air) / (plate.plastic - plate.air), -1.0, 1.0)
+    bone = ndimage.binary_dilation(grey > sight.between)
+    field[~region | bone] = np.minimum(field[~region | bone], 0.0)
+    transform = volume.scan_from_index.copy()
+    transform[:3, 3] = volume.scan_points(centre)
+    transform[:3, :3] = transform[:3, :3] * block
+    try:
+        return iso_surface(field, 0.5, transform)
+    except CtInertiaError:
+        return None
+
+
+def _block_means(
+    volume: Volume, low: NDArray[np.int64], high: NDArray[np.int64], block: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    bx, by, bz = (int(b) for b in block)
+    nx, ny, nz = (int(n) for n in (high - low) // block)
+    x, y, z = (int(v) for v in low)
+    if (bx, by, bz) == (1, 1, 1):
+        return finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
+    means = np.empty((nz, ny, nx), dtype=np.float32)
+    for k in range(nz):
+        slab = finite(volume.array[z + k * bz : z + (k + 1) * bz, y : y + ny * by, x : x + nx * bx], volume)
+        means[k] = slab.reshape(bz, ny, by, nx, bx).mean(axis=(0, 2, 4))
+    return means
+
+
+def _lookup(
+    mask: NDArray[np.bool_], index: Array, count: NDArray[np.int64], step: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    places = []
+    for axis in range(3):
+        k = 2 - axis
+        fine = index[: count[k], k]
+        places.append(np.clip(np.round((fine - step[k] // 2) / step[k]).astype(int), 0, mask.shape[axis] - 1))
+    return np.asarray(mask[np.ix_(*places)])

@@ -1,0 +1,293 @@
+"""Find the stapes and the plate in a coarse view of the scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.candidates import Piece, count_holes, labelled_pieces
+from ct_inertia.coarse import CoarseScan, coarse_scan, material_levels
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+_ABOVE_PLASTIC = 0.35
+_RIVAL = 0.5
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """What a user can say about where the stapes is.
+
+    Attributes
+    ----------
+    threshold : float or None
+        Grey value between air and bone.
+    seed_mm : ndarray, (3,), or None
+        A point inside the stapes, scan coordinates.
+    box_mm : ndarray, (6,), or None
+        Two corners of the part of the scan to look at: x0, y0, z0, x1, y1, z1.
+    labels : Volume or None
+        A label volume made elsewhere; it says which voxels are stapes and plate.
+    stapes_label, plate_label : int
+        Their numbers in ``labels``.
+    voxel_size_sd : float or None
+        Relative standard uncertainty of the voxel size.
+    """
+
+    threshold: float | None = None
+    seed_mm: Array | None = None
+    box_mm: Array | None = None
+    labels: Volume | None = None
+    stapes_label: int = 1
+    plate_label: int = 2
+    voxel_size_sd: float | None = None
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the coarse view shows.
+
+    Attributes
+    ----------
+    scan : CoarseScan
+    pieces : ndarray of int32, [z, y, x]
+        Connected pieces of bone, coarse voxels.
+    stapes : Piece
+        The piece taken for the stapes; its ``label`` numbers it in ``pieces``.
+    others : tuple of Piece
+    air, bone : float
+        First guess of the grey levels.
+    plastic : float or None
+    between : float
+        Grey value above which a voxel counts as bone.
+    notices : tuple of Notice
+    """
+
+    scan: CoarseScan
+    pieces: NDArray[np.int32]
+    stapes: Piece
+    others: tuple[Piece, ...]
+    air: float
+    bone: float
+    plastic: float | None
+    between: float
+    notices: tuple[Notice, ...] = field(default=())
+
+
+def look(volume: Volume, options: SearchOptions) -> Sight:
+    """Find the piece of bone that can be a stapes.
+
+    Raises
+    ------
+    CtInertiaError
+        None can be one, or several can equally, or the seed lies in no bone; a wrong voxel size and
+        inverted grey values are named as such.
+    """
+    scan = coarse_scan(volume)
+    levels = material_levels(scan)
+    seed = None if options.seed_mm is None else _coarse_index(volume, scan, options.seed_mm)
+    tried: list[Sight] = []
+    for air, plastic, bone in _readings(levels, options.threshold):
+        between = options.threshold if options.threshold is not None else _between(air, plastic, bone)
+        pieces, found = labelled_pieces(scan.grey > between, scan.spacing_mm)
+        found = _whole(found, scan, volume)
+        if not found:
+            continue
+        sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
+        tried.append(sight)
+        chosen = _seeded(sight, seed) if seed is not None else _chosen(sight)
+        if chosen is not None:
+            return chosen
+    raise CtInertiaError(_nothing(scan, tried, seed is not None))
+
+
+def _readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:
+    """Return (air, plastic, bone) in the order to try: the brightest material is bone, or the next."""
+    if threshold is not None:
+        below, above = levels[levels < threshold], levels[levels >= threshold]
+        if below.size == 0 or above.size == 0:
+            raise CtInertiaError(
+                sentence(
+                    "--threshold",
+                    f"between the grey levels of air and bone ({levels[0]:.6g} and {levels[-1]:.6g})",
+                    f"{threshold:g}",
+                )
+            )
+        plastic = float(below[-1]) if below.size > 1 else None
+        return [(float(below[0]), plastic, float(above[-1]))]
+    readings: list[tuple[float, float | None, float]] = []
+    for k in range(len(levels) - 1, 0, -1):
+        plastic = float(levels[k - 1]) if k > 1 else None
+        readings.append((float(levels[0]), plastic, float(levels[k])))
+    return readings
+
+
+def _between(air: float, plastic: float | None, bone: float) -> float:
+    middle = 0.5 * (air + bone)
+    return middle if plastic is None else max(middle, plastic + _ABOVE_PLASTIC * (bone - plastic))
+
+
+def _whole(found: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
+    """Correct the border flag: the coarse grid may miss the last voxels of the scan."""
+    size = volume.size
+    kept = []
+    for piece in found:
+        low, high = piece.low * scan.step + scan.step // 2, (piece.high - 1) * scan.step + scan.step // 2
+        cut = np.any(low <= scan.step) or np.any(high >= size - 1 - scan.step)
+        kept.append(replace(piece, at_border=bool(cut)))
+    return kept
+
+
+def _with_holes(sight: Sight, piece: Piece) -> Piece:
+    box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    return replace(piece, holes=count_holes(sight.pieces[box] == piece.label))
+
+
+def _chosen(sight: Sight) -> Sight | None:
+    """Choose among the pieces that can be a stapes; None when there is none."""
+    every = [sight.stapes, *sight.others]
+    possible = [_with_holes(sight, piece) for piece in every if piece.possible]
+    if not possible:
+        return None
+    possible.sort(key=lambda piece: -piece.score)
+    best = possible[0]
+    rivals = [p for p in possible[1:] if p.score > best.score - _RIVAL]
+    if rivals:
+        places = "; ".join(_place(p) for p in [best, *rivals[: _SHOWN - 1]])
+        raise CtInertiaError(
+            sentence(
+                "the scan",
+                "a scan with one body that can be the stapes",
+                f"{len(rivals) + 1}: {places}",
+                next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
+            )
+        )
+    others = tuple(p for p in every if p.label != best.label)
+    return replace(sight, stapes=best, others=others, notices=_doubts(best))
+
+
+def _place(piece: Piece) -> str:
+    return f"{piece.volume_mm3:.2f} mm3 around voxel {', '.join(f'{v:.0f}' for v in piece.centre)}"
+
+
+def _doubts(piece: Piece) -> tuple[Notice, ...]:
+    found = []
+    if piece.holes != 1:
+        text = (
+            f"The body taken for the stapes has {piece.holes} holes instead of one between its crura "
+            f"({piece.volume_mm3:.2f} mm3, {piece.length_mm:.1f} mm long). Check it in the report."
+        )
+        found.append(Notice("stapes_uncertain", text))
+    elif piece.oddness > 0.3:
+        extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
+        text = (
+            f"The body taken for the stapes is unusual for one ({piece.volume_mm3:.2f} mm3, {extents} mm). "
+            f"Check it in the report, and the voxel spacing."
+        )
+        found.append(Notice("stapes_uncertain", text))
+    return tuple(found)
+
+
+def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
+    """Take the piece at the seed, or the nearest within a few coarse voxels."""
+    reach = 3
+    low = np.maximum(seed - reach, 0)
+    box = tuple(slice(int(a), int(b) + reach + 1) for a, b in zip(low[::-1], seed[::-1], strict=True))
+    near = sight.pieces[box]
+    known = {p.label: p for p in (sight.stapes, *sight.others)}
+    index = np.stack(np.nonzero(np.isin(near, list(known))), axis=1)
+    if len(index) == 0:
+        raise CtInertiaError(
+            sentence(
+                "--seed",
+                "a point inside the stapes, scan coordinates in mm",
+                "a point without bone around it",
+                next_step="Read the coordinates off the viewer (LPS, mm)",
+            )
+        )
+    away = np.linalg.norm(index[:, ::-1] + low - seed, axis=1)
+    label = int(near[tuple(index[int(np.argmin(away))])])
+    piece = _with_holes(sight, known[label])
+    others = tuple(p for p in known.values() if p.label != label)
+    return replace(sight, stapes=piece, others=others, notices=_doubts(piece))
+
+
+def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[np.int64]:
+    index = volume.index_points(point_mm)
+    if np.any(index < -0.5) or np.any(index > volume.size - 0.5):
+        raise CtInertiaError(
+            sentence(
+                "--seed",
+                "inside the scan",
+                f"voxel {', '.join(f'{v:.0f}' for v in index)} of {' x '.join(map(str, volume.size))}",
+                next_step="Give it in scan coordinates, mm",
+            )
+        )
+    return np.clip(np.round((index - scan.step // 2) / scan.step), 0, None).astype(np.int64)
+
+
+def _nothing(scan: CoarseScan, tried: list[Sight], seeded: bool) -> str:
+    """Say why no stapes was found, naming a wrong voxel size or inverted grey values when it is that."""
+    wrong_size = _by_size(tried)
+    if wrong_size:
+        return wrong_size
+    if not seeded and _inverted(scan):
+        return sentence(
+            "the grey values",
+            "brighter in bone than in air",
+            "a stapes that is darker than what surrounds it: they are inverted",
+            next_step="Invert the image where it was exported",
+        )
+    seen: list[Any] = sorted(
+        (p for sight in tried for p in (sight.stapes, *sight.others)), key=lambda p: -p.volume_mm3
+    )[:_SHOWN]
+    listed = "; ".join(f"{p.volume_mm3:.2f} mm3, {p.length_mm:.1f} mm long" for p in seen) or "no bone"
+    return sentence(
+        "the scan",
+        "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
+        listed,
+        next_step="Name it with --seed X,Y,Z (scan mm), give --threshold, or correct it with --labels",
+    )
+
+
+def _by_size(tried: list[Sight]) -> str:
+    """Recognise a body of the right shape and the wrong size."""
+    for sight in tried:
+        for piece in (sight.stapes, *sight.others)[:6]:
+            scale = piece.length_mm / 3.5
+            if 0.6 < scale < 1.7 or piece.at_border:
+                continue
+            shrunk = replace(
+                piece, volume_mm3=piece.volume_mm3 / scale**3, extents_mm=piece.extents_mm / scale
+            )
+            if shrunk.oddness < 0.2 and _with_holes(sight, piece).holes == 1:
+                return sentence(
+                    "the voxel spacing",
+                    "right: a stapes is 3 to 4 mm high",
+                    f"a body of its shape {piece.length_mm:.3g} mm high",
+                    next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
+                )
+    return ""
+
+
+def _inverted(scan: CoarseScan) -> bool:
+    turned = replace(scan, grey=-scan.grey)
+    try:
+        levels = material_levels(turned)
+    except CtInertiaError:
+        return False
+    for air, plastic, bone in _readings(levels, None):
+        pieces, found = labelled_pieces(turned.grey > _between(air, plastic, bone), scan.spacing_mm)
+        for piece in found:
+            if piece.possible and piece.oddness < 0.3 and not np.any(piece.low == 0):
+                sight = Sight(turned, pieces, piece, (), air, bone, plastic, 0.0)
+                if _with_holes(sight, piece).holes == 1:
+                    return True
+    return False

@@ -1,0 +1,128 @@
+"""From a scan to the bodies in it: the stapes with its moments, the plate, the other bone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import Bodies
+from ct_inertia.cutting import Cut, cut_out
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.isosurface import volume_matched
+from ct_inertia.label_box import label_box
+from ct_inertia.measure import Measured, measure
+from ct_inertia.partial_volume import with_voxel_size
+from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
+from ct_inertia.search import SearchOptions, Sight, look
+from ct_inertia.volume import Volume
+from kinematics.notices import Notice, unique
+
+Array = NDArray[np.float64]
+_SMOOTH_VOXELS = 1.0
+
+
+def find_bodies(volume: Volume | None, options: SearchOptions | None = None) -> Bodies:
+    """Find stapes, plate and other bone in a scan, and measure the stapes.
+
+    Parameters
+    ----------
+    volume : Volume or None
+        Grey values; None to take the bodies from ``options.labels`` alone.
+    options : SearchOptions, optional
+
+    Returns
+    -------
+    Bodies
+
+    Raises
+    ------
+    CtInertiaError
+        No body that can be a stapes, or several; labels that are missing or lie elsewhere; nothing given.
+    """
+    options = options or SearchOptions()
+    if options.labels is not None:
+        from ct_inertia.given_labels import bodies_from_labels
+
+        return bodies_from_labels(volume, options)
+    if volume is None:
+        raise CtInertiaError("the scan must be given; got none. Give a volume or labels.")
+    if options.box_mm is not None:
+        volume = volume.cropped(options.box_mm)
+    sight = look(volume, options)
+    plate = find_plate(sight)
+    cut = cut_out(volume, sight, plate)
+    return assembled(volume, sight, plate, cut, options)
+
+
+def assembled(
+    volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, options: SearchOptions
+) -> Bodies:
+    """Measure what was cut out and build surfaces and labels."""
+    measured = measure(volume, cut, sight)
+    moments = measured.moments
+    if options.voxel_size_sd is not None:
+        moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
+    stapes, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
+    smooth = _smoothed(measured.share)
+    frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(volume), level)
+    plate_mesh = None if plate is None else plate_surface(volume, sight, plate)
+    notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
+    notices += _border(volume, cut)
+    levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
+    return Bodies(
+        volume=volume,
+        labels=label_box(volume, sight, plate, cut),
+        stapes=stapes,
+        frame_surface=frame_surface,
+        plate=plate_mesh,
+        moments=moments,
+        mesh_moments=stapes.moments(),
+        levels=levels,
+        psf_sigma_mm=measured.sigma_mm,
+        plate_face=measured.plate_face,
+        evidence=_evidence(sight, cut, measured, level),
+        notices=unique(notices),
+    )
+
+
+def _smoothed(share: NDArray[np.float32]) -> NDArray[np.float32]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(share, _SMOOTH_VOXELS, truncate=4.0))
+
+
+def _border(volume: Volume, cut: Cut) -> list[Notice]:
+    index = np.stack(np.nonzero(cut.stapes)[::-1], axis=1)
+    low, high = index.min(axis=0) + cut.first, index.max(axis=0) + cut.first
+    if np.all(low > 0) and np.all(high < volume.size - 1):
+        return []
+    text = (
+        "The stapes touches the border of the scan: what lies beyond it is missing from volume and mass. "
+        "Scan or export a larger field of view."
+    )
+    return [Notice("touches_border", text)]
+
+
+def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
+    def listed(values: Sequence[float] | Array) -> list[float]:
+        return [float(v) for v in values]
+
+    return {
+        "stapes": sight.stapes.as_json(),
+        "other_bone": [piece.as_json() for piece in sight.others[:5]],
+        "coarse_spacing_mm": listed(sight.scan.spacing_mm),
+        "material_levels": listed(
+            [sight.air, *([] if sight.plastic is None else [sight.plastic]), sight.bone]
+        ),
+        "bone_above": float(sight.between),
+        "separation": cut.method,
+        "iso_level_share": float(level),
+        "psf_sigma_mm": float(measured.sigma_mm),
+        "psf_from": measured.sigma_from,
+        "noise_correlation": float(measured.correlation),
+        "air_clipped_share": float(measured.air_clipped),
+    }
