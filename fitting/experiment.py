@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitting.damping import VISCOUS, DampingLaw
 from fitting.model import simulate
 from kinematics.motion import RigidMotion
-from kinematics.spatial import dof_indices, point_rows
+from kinematics.spatial import DOF_NAMES, DOF_UNITS, dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -63,19 +63,18 @@ class Layout:
         noise_m : array_like, (lines,)
             Root of E|noise|^2 of a channel, m.
         """
-        count = len(self.points_mm)
-        arms = np.repeat(self.points_mm * 1e-3, 3, axis=0)
-        rows = point_rows(arms, np.tile(np.eye(3), (count, 1)))[:, dof_indices(dof)]
-        used = rows[np.any(rows != 0.0, axis=1)]
+        used = self._rows(dof)
         return np.asarray(noise_m, dtype=float)[:, None, None] ** 2 * np.linalg.inv(used.T @ used)
 
     def signal(self, dof: tuple[str, ...], q: ComplexArray) -> float:
-        """Return the root mean square of the points' motion times frequency-free q (lines, n), m."""
-        count = len(self.points_mm)
+        """Return the root mean square over channels and lines of what a rigid motion q (lines, n) makes."""
+        return float(np.sqrt(np.mean(np.abs(q @ self._rows(dof).T) ** 2)))
+
+    def _rows(self, dof: tuple[str, ...]) -> Array:
+        """Return the observation rows (channels, n) of the channels that see any of the motion."""
         arms = np.repeat(self.points_mm * 1e-3, 3, axis=0)
-        rows = point_rows(arms, np.tile(np.eye(3), (count, 1)))[:, dof_indices(dof)]
-        used = rows[np.any(rows != 0.0, axis=1)]
-        return float(np.sqrt(np.mean(np.abs(q @ used.T) ** 2)))
+        rows = point_rows(arms, np.tile(np.eye(3), (len(self.points_mm), 1)))[:, dof_indices(dof)]
+        return rows[np.any(rows != 0.0, axis=1)]
 
 
 def simulated_motion(
@@ -139,23 +138,26 @@ def simulated_motion(
     )
 
 
-def piston_base(freq_hz: Array, n: int = 3, piston: int = 0, rocking: float = 0.05) -> ComplexArray:
+def driven_base(
+    freq_hz: Array, dof: tuple[str, ...], driven: str = "y", others: float = 0.05
+) -> ComplexArray:
     """Return a base motion of constant velocity along one axis with a little of the others, (1, lines, n).
 
     Parameters
     ----------
     freq_hz : ndarray, (lines,)
         Hz.
-    n : int
-        Number of degrees of freedom.
-    piston : int
-        The one that is driven.
-    rocking : float
-        Share of the others: rotations times 1 mm against the driven motion.
+    dof : tuple of str, (n,)
+    driven : str
+        The one that the shaker moves: 250 nm at 400 Hz.
+    others : float
+        Motion in the others relative to it; rotations at a radius of 1 mm.
     """
-    motion = np.zeros((1, len(freq_hz), n), dtype=complex)
-    phase = freq_hz / freq_hz.max()
-    for place in range(n):
-        share = 1.0 if place == piston else rocking * 1e3 * np.exp(1j * (1.0 + place) * phase)
-        motion[0, :, place] = share * 1e-7 * 1e3 / freq_hz
+    level = 1e-4 / freq_hz
+    motion = np.zeros((1, len(freq_hz), len(dof)), dtype=complex)
+    for place, name in enumerate(dof):
+        share = others * np.exp(1j * (1.0 + DOF_NAMES.index(name)) * freq_hz / freq_hz.max())
+        if DOF_UNITS[name] == "rad":
+            share = share * 1e3
+        motion[0, :, place] = level * (1.0 if name == driven else share)
     return motion

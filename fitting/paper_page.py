@@ -245,8 +245,8 @@ def _simulated() -> Section:
         page.figure(
             simulated_figure(),
             "Motion of the stapes by Eq. 8 with the corrected D for a base that moves along y with constant "
-            f"velocity, scaled so that the largest |y| is the printed {paper.PAPER_LARGEST_PISTON_M * 1e9:g} nm. "
-            "The paper's measured base motion is not published.",
+            f"velocity, scaled so that the largest |y| is the printed "
+            f"{paper.PAPER_LARGEST_PISTON_M * 1e9:g} nm. The paper's measured base motion is not published.",
             "simulated responses",
         )
     )

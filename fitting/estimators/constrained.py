@@ -94,7 +94,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     if options.constraint == "psd":
         return _psd(lines, problem)
     relaxed, active = _bounded(lines, problem)
-    if _largest_real(relaxed, problem) < 0.0:
+    if largest_real(relaxed, problem) < 0.0:
         return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
     starts = [start] if start is not None else _starts(lines, problem, relaxed)
     found = [_stable(problem, begin) for begin in starts]
@@ -219,14 +219,15 @@ def _spectrum(parameters: Array, problem: Quadratic) -> tuple[Array, Array]:
     return values.real[order], derivatives
 
 
-def _largest_real(parameters: Array, problem: Quadratic) -> float:
+def largest_real(parameters: Array, problem: Quadratic) -> float:
+    """Return the largest real part of the eigenvalues, in units of the reference frequency."""
     return float(_spectrum(parameters, problem)[0][0])
 
 
 def _feasible(parameters: Array, problem: Quadratic) -> bool:
     slack = 1e-9
     return (
-        _largest_real(parameters, problem) < 0.0
+        largest_real(parameters, problem) < 0.0
         and bool(np.all(parameters >= problem.lower - slack))
         and bool(np.all(parameters <= problem.upper + slack))
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.estimators.base import solve_symmetric
 from fitting.symmetric import basis, join, split
 
 Array = NDArray[np.float64]
@@ -119,8 +120,10 @@ def minimise(
             wall, wall_gradient, wall_hessian = barrier(now, n, lower, upper)
             slope = sharpness * gradient + wall_gradient
             curvature = sharpness * hessian + wall_hessian
-            move = -np.linalg.solve(curvature, slope)
+            move = -solve_symmetric(curvature, slope)
             decrement = float(-slope @ move)
+            if not decrement > 0.0:
+                break
             length = 1.0
             height = sharpness * level + wall
             while length > 1e-12:

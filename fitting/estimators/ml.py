@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _MOST_ITERATIONS = 60
 _STUDENT = 4.0
+_LARGEST = 1e4
+_WILD = 1e2
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,16 @@ class Whitened:
 
 
 def whiten(parameters: Array, lines: Lines) -> Whitened:
-    """Evaluate the equations and divide them by their noise."""
-    state = evaluate(parameters, lines)
-    factor = cholesky(state.noise)
-    residual = forward(factor, state.residual)
-    distance = np.sum(residual.real**2 + residual.imag**2, axis=0)
+    """Evaluate the equations and divide them by their noise.
+
+    Where rounding leaves no positive definite noise, far away from any estimate, distances are infinite.
+    """
+    with np.errstate(all="ignore"):
+        state = evaluate(parameters, lines)
+        factor = cholesky(state.noise)
+        residual = forward(factor, state.residual)
+        distance = np.sum(residual.real**2 + residual.imag**2, axis=0)
+    distance = np.where(np.isnan(distance), np.inf, distance)
     return Whitened(distance, residual, state, factor)
 
 
@@ -121,7 +128,7 @@ def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Meri
             step = -solve_symmetric(hessian + damping * np.diag(np.diag(hessian)), gradient)
             decrement = float(step @ hessian @ step)
             trial = whiten(parameters + step, lines)
-            reached = merit.value(trial.distance)
+            reached = _bounded_value(parameters + step, trial, merit)
             converged = decrement < options.tolerance
             if reached <= value or (converged and reached <= value * (1.0 + 1e-9)):
                 parameters, now, value = parameters + step, trial, reached
@@ -131,6 +138,16 @@ def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Meri
                 break
             damping = max(10.0 * damping, 1e-3)
     return Estimate(parameters, value, iterations, converged)
+
+
+def _bounded_value(parameters: Array, now: Whitened, merit: _Merit) -> float:
+    """Return the merit, infinite where entries are so large that only noise can have led there.
+
+    The objective saturates for ever larger parameters, so that weak data could send a descent to infinity.
+    """
+    if not np.max(np.abs(parameters)) < _LARGEST:
+        return float("inf")
+    return merit.value(now.distance)
 
 
 def _with_spread(
@@ -161,7 +178,7 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
     """Minimise within the positive semidefinite K and D, from several starts."""
 
     def value(parameters: Array) -> float:
-        return merit.value(whiten(parameters, lines).distance)
+        return _bounded_value(parameters, whiten(parameters, lines), merit)
 
     def expansion(parameters: Array) -> tuple[float, Array, Array]:
         now = whiten(parameters, lines)
@@ -169,10 +186,8 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
         return merit.value(now.distance), 2.0 * gradient, 2.0 * hessian
 
     balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
-    reached = [
-        minimise(expansion, value, pull_inside(start, lines.n), lines.n, 1e-5)
-        for start in (free.parameters, balanced)
-    ]
+    starts = [balanced] if np.max(np.abs(free.parameters)) > _WILD else [free.parameters, balanced]
+    reached = [minimise(expansion, value, pull_inside(start, lines.n), lines.n, 1e-5) for start in starts]
     best = min((parameters for parameters, _, _ in reached), key=value)
     steps = free.iterations + sum(count for _, _, count in reached)
     return Estimate(best, value(best), steps, True), active_names(best, lines.n)
