@@ -1,0 +1,81 @@
+"""The study file to start from."""
+
+TEMPLATE = """\
+# One ear: its micro-CT scan, its vibrometer measurement, the fit of stiffness and damping.
+# Run it with:  scan2kd study.toml
+# Paths are relative to this file. Lists of three numbers are x, y, z. Lines that begin with # are optional.
+
+[study]
+name = "ear 1"
+# What stands here stands at the top of the report.
+notes = "incus removed, cochlea closed"
+
+[scan]
+# TIFF stack, folder of slices, NRRD, MHA, NIfTI, DICOM folder, or a closed surface mesh (STL, PLY, OBJ; mm).
+file = "scan.tif"
+# Voxel size, mm: one number, or [x, y, z]. Needed where the file does not say it.
+# spacing_mm = 0.020
+# Exactly one of density_kg_m3, mass_mg, calibration; "value+-sd" states its standard deviation.
+density_kg_m3 = "1900+-60"
+# mass_mg = "3.1+-0.05"
+# calibration = "calibration.toml"
+# Left or right ear: names z superior or inferior in the report.
+# side = "left"
+# Direction towards anterior in scan axes; only its sign along the footplate is used.
+# anterior = [-0.9, 0.1, 0.0]
+# Named points from 3D Slicer or MeshLab: anterior, posterior, superior, inferior, head, footplate_centre.
+# landmarks = "landmarks.mrk.json"
+# Points of the plate in the scan: name, x_mm, y_mm, z_mm [, x_ref_mm, y_ref_mm, z_ref_mm in the plate frame].
+# plate_fiducials = "plate_fiducials.csv"
+# A label volume made elsewhere (with or without file), and its values.
+# labels = "labels.nrrd"
+# stapes_label = 1
+# plate_label = 2
+# Help for the search: grey value between air and bone, a point inside the stapes, a part of the scan.
+# threshold = 12000
+# seed_mm = [4.1, 5.0, 3.2]
+# box_mm = [0.0, 0.0, 0.0, 8.0, 8.0, 6.0]
+# Slices in reverse order make a mirror image; this undoes it along one axis.
+# mirror = "z"
+# nan_as_air = false
+# Point masses that move with the stapes (beads, glue): [x, y, z, mg] or [x, y, z, mg, sd], scan mm.
+# add_mass = [[4.0, 5.1, 3.3, 0.02]]
+# Standard deviation of the voxel size, percent.
+# voxel_size_sd_percent = 0.1
+
+[ldv]
+# body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s [, sd_m_s] ...
+file = "ldv.csv"
+# Positions of the points, where they do not stand in ldv.csv: body, point, x_mm, y_mm, z_mm [, sd_mm].
+# points = "points.csv"
+# Ties vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame, sd_mm].
+# Without it, positions and directions are in the frame named by the key frame (footplate, plate or scan).
+fiducials = "fiducials.csv"
+# frame = "footplate"
+# dof = "all"
+# Responses per unit of one motion, e.g. of the base along y.
+# reference = "base:y"
+# Against outliers: none, huber or t4.
+# robust = "none"
+# mirror = "x"
+
+[fit]
+dof = ["y", "alpha", "gamma"]
+# structure = "stapes"
+# base = "base"
+# ml (errors in variables), irls, pinv (the paper's pseudo-inverse) or constrained.
+estimator = "ml"
+# none or t4 (lines that lie far off lose weight; ml only).
+# robust = "none"
+# viscous, hysteretic, fractional or compare.
+# damping = "viscous"
+# Measured motion outside dof as a known inertial load: auto, load or ignore.
+# inplane = "auto"
+# Lines to use, and ranges to leave out, Hz.
+# band_hz = [400, 5000]
+# exclude_hz = [[49, 51], [990, 1010]]
+# Of the constrained estimator: eigenvalues or psd, and bounds of entries in SI.
+# constraint = "eigenvalues"
+# lower = { K11 = 100.0 }
+# upper = { K11 = 5000.0 }
+"""
