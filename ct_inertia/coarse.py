@@ -45,10 +45,10 @@ class CoarseScan:
         return float(np.prod(self.spacing_mm))
 
 
-def coarse_scan(volume: Volume) -> CoarseScan:
-    """Take a subsample of about 0.05 mm, finer when the scan is small, coarser when it is huge."""
+def coarse_scan(volume: Volume, target_mm: float = _TARGET_MM) -> CoarseScan:
+    """Take a subsample of about ``target_mm``, finer when the scan is small, coarser when it is huge."""
     size, spacing = volume.size, volume.spacing_mm
-    wanted = np.maximum(np.round(_TARGET_MM / spacing), 1.0)
+    wanted = np.maximum(np.round(target_mm / spacing), 1.0)
     limit = max(1, int(size.max()) // 100)
     step = np.clip(wanted, 1, limit).astype(np.int64)
     step = np.minimum(step, np.maximum(size // 8, 1))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.coarse import finite
 from ct_inertia.plate_region import PlateRegion, coarse_to_fine
 from ct_inertia.search import Sight
+from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
@@ -66,7 +67,9 @@ def box_around(
 
 
 def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
-    """Take the connected piece of bone that the coarse view chose, at full resolution.
+    """Take the piece of bone that the coarse view chose, at full resolution.
+
+    Connected bone that holds other pieces too is flooded from the cores of the pieces.
 
     Parameters
     ----------
@@ -81,16 +84,66 @@ def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
     grey = finite(volume.array[box], volume)
     bone = grey > sight.between
     labels, _ = ndimage.label(bone)
-    near = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    seeds = np.stack(np.nonzero(sight.pieces[near] == piece.label)[::-1], axis=1) + piece.low
-    seeds = seeds * step + step // 2 - first
-    votes = np.bincount(labels[tuple(seeds[:, ::-1].T)])
+    own_cores, other_cores = _cores(sight, first, grey.shape)
+    method = sight.method
+    votes = np.bincount(labels[own_cores], minlength=labels.max() + 1)
     votes[0] = 0
     own = int(np.argmax(votes))
-    sizes = np.bincount(labels.ravel())
-    other = sizes >= _DUST_VOXELS
-    other[[0, own]] = False
+    stapes = labels == own
+    if np.any(stapes[other_cores]):
+        stapes, rest = _flooded_apart(grey, bone, own_cores, other_cores)
+        if sight.markers is None:
+            method = "flooded by grey value from the cores of the pieces"
+    else:
+        rest = bone & ~stapes
     plastic = np.zeros(grey.shape, dtype=bool)
     if plate is not None:
-        plastic = coarse_to_fine(plate.mask, step, first, grey.shape) & (grey > plate.middle) & ~bone
-    return Cut(first, grey, labels == own, other[labels], plastic, "connected component")
+        plastic = coarse_to_fine(plate.mask, plate.step, first, grey.shape) & (grey > plate.middle) & ~bone
+    return Cut(first, grey, stapes, _without_dust(rest), plastic, method)
+
+
+Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
+
+def _cores(sight: Sight, first: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[Places, Places]:
+    """Return voxels z, y, x of the box that surely belong to the stapes, and to other bone."""
+    from scipy.ndimage import binary_erosion
+
+    step = sight.scan.step
+    low = np.maximum((first // step) - 1, 0)
+    high = (first + np.array(shape[::-1])) // step + 2
+    part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+    pieces = sight.pieces[part] if sight.markers is None else sight.markers[part]
+    own = pieces == sight.stapes.label
+    known = np.array([piece.label for piece in sight.others], dtype=np.int64)
+    other = np.isin(pieces, known)
+    if sight.markers is None:
+        thinner = binary_erosion(own)
+        own = thinner if np.any(thinner) else own
+        other = binary_erosion(other)
+
+    def places(mask: NDArray[np.bool_]) -> Places:
+        index = (np.stack(np.nonzero(mask)[::-1], axis=1) + low) * step + step // 2 - first
+        index = index[np.all((index >= 0) & (index < np.array(shape[::-1])), axis=1)]
+        return index[:, 2], index[:, 1], index[:, 0]
+
+    return places(own), places(other)
+
+
+def _flooded_apart(
+    grey: NDArray[np.float32], bone: NDArray[np.bool_], own: Places, other: Places
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    markers = np.zeros(grey.shape, dtype=np.int32)
+    markers[own] = 1
+    markers[other] = 2
+    labels = flooded(grey, np.where(bone, markers, 0).astype(np.int32), bone)
+    return labels == 1, (labels != 1) & bone
+
+
+def _without_dust(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(mask)
+    kept = np.bincount(labels.ravel()) >= _DUST_VOXELS
+    kept[0] = False
+    return np.asarray(kept[labels])

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.cutting import Cut, box_around
+from ct_inertia.distance import capped_distance
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import iso_surface, volume_matched
+from ct_inertia.levels import Guess
 from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import sensitivity, with_voxel_size
 from ct_inertia.search import SearchOptions
+from ct_inertia.separate import flooded
 from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -190,7 +193,7 @@ def _grid(volume: Volume) -> str:
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies:
     """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
     from ct_inertia.coarse import finite
-    from ct_inertia.measure import measure, reading_of
+    from ct_inertia.measure import measure
 
     offset = _offset(volume, labels)
     stapes_low, stapes_high = _reach(labels, options.stapes_label)
@@ -208,8 +211,9 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
     local[target] = labels.array[source]
     stapes, plate = local == options.stapes_label, local == options.plate_label
     rest = (local != 0) & ~stapes & ~plate
-    cut = Cut(first, grey, stapes, rest, plate, "labels made elsewhere")
-    measured = measure(volume, cut, reading_of(cut))
+    guess = _guess(grey, stapes, local, volume.spacing_mm)
+    cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
+    measured = measure(volume, cut, guess)
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
@@ -244,6 +248,42 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         evidence=evidence,
         notices=(*volume.notices, *measured.notices, *_border(stapes)),
     )
+
+
+def _guess(
+    grey: NDArray[np.float32], stapes: NDArray[np.bool_], local: NDArray[np.int64], spacing_mm: Array
+) -> Guess:
+    """Guess the levels: air away from every label, bone deep inside the stapes."""
+    step = float(spacing_mm.max())
+    far = capped_distance(local != 0, spacing_mm, 6.0 * step) > 5.0 * step
+    depth = capped_distance(~stapes, spacing_mm, 6.0 * step)
+    deep = depth >= 0.9 * float(depth.max())
+    air = float(np.percentile(grey[far] if np.any(far) else grey, 30.0))
+    return Guess(air, float(np.median(grey[deep])))
+
+
+def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
+    """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
+
+    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between
+    goes to the body whose flood of grey values reaches it first.
+    """
+    bone = drawn.grey > 0.5 * (guess.air + guess.bone)
+    step = float(spacing_mm.max())
+    near = capped_distance(drawn.stapes, spacing_mm, 4.0 * step) <= 3.0 * step
+    if not np.any(drawn.stapes & bone):
+        raise CtInertiaError(
+            sentence(
+                "the stapes of the label volume",
+                "brighter than the air around it",
+                "a region without bone",
+                next_step="Check that the labels belong to this scan and lie on it",
+            )
+        )
+    other = bone & ~drawn.stapes & (~near | drawn.others) & ~drawn.plate
+    markers = (drawn.stapes & bone).astype(np.int32) + 2 * other.astype(np.int32)
+    parts = flooded(drawn.grey, markers, bone & ~drawn.plate)
+    return replace(drawn, stapes=parts == 1, others=parts == 2)
 
 
 def _reach(labels: Volume, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

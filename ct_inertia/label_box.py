@@ -34,7 +34,7 @@ def label_box(volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut)
         bone = (grey > sight.between) & coarse_to_fine(wide, step, corner, grey.shape)
         slab[bone] = OTHER_BONE
         if plate is not None and plastic is not None:
-            near = coarse_to_fine(plastic, step, corner, grey.shape)
+            near = coarse_to_fine(plastic, plate.step, corner, grey.shape)
             slab[(grey > plate.middle) & near & ~bone] = PLATE
     own = tuple(
         slice(int(a), int(a) + n) for a, n in zip((cut.first - first)[::-1], cut.stapes.shape, strict=True)
@@ -55,8 +55,8 @@ def _extent(
         high.append((piece.high + 1) * step)
     if plate is not None:
         index = np.nonzero(plate.mask)[::-1]
-        low.append((np.array([k.min() for k in index]) - 1) * step)
-        high.append((np.array([k.max() for k in index]) + 2) * step)
+        low.append((np.array([k.min() for k in index]) - 1) * plate.step)
+        high.append((np.array([k.max() for k in index]) + 2) * plate.step)
     first = np.maximum(np.min(low, axis=0), 0).astype(np.int64)
     return first, np.minimum(np.max(high, axis=0), size).astype(np.int64)
 

@@ -40,6 +40,15 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
+class Guess:
+    """First guess of the grey levels of air, bone and (where there is any) plastic."""
+
+    air: float
+    bone: float
+    plastic: float | None = None
+
+
+@dataclass(frozen=True)
 class Air:
     """Air around the stapes.
 

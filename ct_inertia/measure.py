@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
-from ct_inertia.levels import Air, Bone, Surroundings, as_levels, measure_air, measure_bone
+from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone
 from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import Share, partial_volume_moments
 from ct_inertia.psf import edge_sigma
-from ct_inertia.search import Sight
+from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
@@ -56,7 +56,7 @@ class Measured:
     notices: tuple[Notice, ...] = ()
 
 
-def measure(volume: Volume, cut: Cut, sight: Sight) -> Measured:
+def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     """Measure levels and blur near the stapes and integrate its grey values.
 
     Raises
@@ -67,12 +67,12 @@ def measure(volume: Volume, cut: Cut, sight: Sight) -> Measured:
     spacing = volume.spacing_mm
     foreign = cut.others | cut.plate
     stapes = cut.stapes
-    sigma, sigma_sd, sigma_from = _blur(cut, stapes, sight.air, sight.bone, spacing)
+    sigma, sigma_sd, sigma_from = _blur(cut, stapes, guess.air, guess.bone, spacing)
     reach = _TAIL_SIGMAS * sigma + float(spacing.max())
     outer = reach + 9.5 * float(spacing.max())
     around = Surroundings(cut.grey, stapes, foreign, spacing)
     distance = capped_distance(stapes, spacing, outer)
-    air = measure_air(around, distance, reach, sight.air)
+    air = measure_air(around, distance, reach, guess.air)
     bone = measure_bone(around, air, sigma) or _shallow_bone(cut, stapes, air)
     sigma, sigma_sd, sigma_from = _blur(cut, stapes, air.level, bone.level, spacing)
     own = own_voxels(cut, distance, reach, spacing)
@@ -86,7 +86,7 @@ def measure(volume: Volume, cut: Cut, sight: Sight) -> Measured:
     field = np.where(own, (cut.grey - air.level) / (bone.level - air.level), 0.0).astype(np.float32)
     return Measured(
         moments,
-        as_levels(air, bone, sight.plastic),
+        as_levels(air, bone, guess.plastic),
         sigma,
         sigma_from,
         field,
@@ -109,13 +109,10 @@ def own_voxels(
     reach = distance_mm <= reach_mm
     if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
         return np.asarray(reach)
-    from scipy.ndimage import gaussian_filter
-    from skimage.segmentation import watershed
-
     near = capped_distance(cut.others, spacing_mm, reach_mm) <= reach_mm
     markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
-    basins = watershed(-gaussian_filter(cut.grey, 0.7), markers, mask=reach | near)
-    return np.asarray((basins == 1) & reach)
+    basins = flooded(cut.grey, markers, (reach & near) | (markers > 0))
+    return np.asarray(reach & (~near | (basins == 1)))
 
 
 def _blur(

@@ -32,12 +32,15 @@ class PlateRegion:
     middle : float
         Grey value half way between air and plastic.
     air, plastic : float
+    step : ndarray of int, (3,)
+        Voxels of the scan per coarse voxel, x, y, z.
     """
 
     mask: NDArray[np.bool_]
     middle: float
     air: float
     plastic: float
+    step: NDArray[np.int64]
 
 
 def find_plate(sight: Sight) -> PlateRegion | None:
@@ -65,7 +68,7 @@ def find_plate(sight: Sight) -> PlateRegion | None:
         return None
     core = labels == int(np.argmax(sizes)) + 1
     grown = ndimage.binary_dilation(core, mask=(smooth > middle) & ~bone, iterations=rim + 1)
-    return PlateRegion(grown, middle, sight.air, sight.plastic)
+    return PlateRegion(grown, middle, sight.air, sight.plastic, scan.step)
 
 
 def coarse_to_fine(
@@ -97,10 +100,9 @@ def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface |
     """
     from scipy import ndimage
 
-    scan = sight.scan
     rim = np.stack(np.nonzero(plate.mask)[::-1], axis=1)
-    low = np.maximum((rim.min(axis=0) - 2) * scan.step, 0)
-    high = np.minimum((rim.max(axis=0) + 3) * scan.step, volume.size)
+    low = np.maximum((rim.min(axis=0) - 2) * plate.step, 0)
+    high = np.minimum((rim.max(axis=0) + 3) * plate.step, volume.size)
     block = np.maximum(np.floor(_SURFACE_MM / volume.spacing_mm + 0.01), 1).astype(np.int64)
     while np.prod((high - low) // block) > _MOST_VOXELS:
         block = block + 1
@@ -110,7 +112,7 @@ def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface |
     count = np.array(grey.shape[::-1])
     centre = low + (block - 1) / 2.0
     wide = ndimage.binary_dilation(plate.mask, iterations=2)
-    region = _lookup(wide, (centre[None, :] + np.arange(count.max())[:, None] * block), count, scan.step)
+    region = _lookup(wide, (centre[None, :] + np.arange(count.max())[:, None] * block), count, plate.step)
     field = np.clip((grey - plate.air) / (plate.plastic - plate.air), -1.0, 1.0)
     bone = ndimage.binary_dilation(grey > sight.between)
     field[~region | bone] = np.minimum(field[~region | bone], 0.0)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import Piece, count_holes, labelled_pieces
+from ct_inertia.candidates import POSSIBLE_MM3, Piece, count_holes, labelled_pieces
 from ct_inertia.coarse import CoarseScan, coarse_scan, material_levels
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.separate import separations
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 _ABOVE_PLASTIC = 0.35
 _RIVAL = 0.5
 _SHOWN = 4
+_FINER_MM = 0.025
+_LEAST_PART_MM3 = 0.02
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,10 @@ class Sight:
     plastic : float or None
     between : float
         Grey value above which a voxel counts as bone.
+    markers : ndarray of int32, or None
+        Cores of the pieces, when they touch and had to be parted; numbered as in ``pieces``.
+    method : str
+        How the pieces were told apart.
     notices : tuple of Notice
     """
 
@@ -78,6 +85,8 @@ class Sight:
     bone: float
     plastic: float | None
     between: float
+    markers: NDArray[np.int32] | None = None
+    method: str = "connected component"
     notices: tuple[Notice, ...] = field(default=())
 
 
@@ -92,7 +101,6 @@ def look(volume: Volume, options: SearchOptions) -> Sight:
     """
     scan = coarse_scan(volume)
     levels = material_levels(scan)
-    seed = None if options.seed_mm is None else _coarse_index(volume, scan, options.seed_mm)
     tried: list[Sight] = []
     for air, plastic, bone in _readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else _between(air, plastic, bone)
@@ -102,10 +110,46 @@ def look(volume: Volume, options: SearchOptions) -> Sight:
             continue
         sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
         tried.append(sight)
-        chosen = _seeded(sight, seed) if seed is not None else _chosen(sight)
+        chosen = _picked(volume, sight, options)
+        if chosen is not None and chosen.stapes.possible:
+            return chosen
+        parted = _parted(volume, sight, options)
+        if parted is not None:
+            return parted
         if chosen is not None:
             return chosen
-    raise CtInertiaError(_nothing(scan, tried, seed is not None))
+    raise CtInertiaError(_nothing(scan, tried, options.seed_mm is not None))
+
+
+def _picked(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+    if options.seed_mm is None:
+        return _chosen(sight)
+    return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
+
+
+def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+    """Look again on a finer grid, with bones parted where they touch; None when no stapes comes out."""
+    if not any(piece.volume_mm3 > POSSIBLE_MM3[0] for piece in (sight.stapes, *sight.others)):
+        return None
+    scan = coarse_scan(volume, _FINER_MM)
+    bone = scan.grey > sight.between
+    for depth, markers, labels, found in separations(scan.grey, bone, scan.spacing_mm):
+        pieces = _whole([p for p in found if p.volume_mm3 > _LEAST_PART_MM3], scan, volume)
+        if not pieces:
+            continue
+        trial = replace(
+            sight,
+            scan=scan,
+            pieces=labels,
+            stapes=pieces[0],
+            others=tuple(pieces[1:]),
+            markers=markers,
+            method=f"parted at necks: eroded {1e3 * depth:.0f} um, then flooded by grey value",
+        )
+        chosen = _picked(volume, trial, options)
+        if chosen is not None and chosen.stapes.possible and chosen.stapes.holes == 1:
+            return chosen
+    return None
 
 
 def _readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:

@@ -14,6 +14,7 @@ from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
+from ct_inertia.levels import Guess
 from ct_inertia.measure import Measured, measure
 from ct_inertia.partial_volume import with_voxel_size
 from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
@@ -62,7 +63,7 @@ def assembled(
     volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, options: SearchOptions
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
-    measured = measure(volume, cut, sight)
+    measured = measure(volume, cut, Guess(sight.air, sight.bone, sight.plastic))
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
