@@ -1,0 +1,138 @@
+"""The bodies of a temporal-bone sample as closed surfaces, built in the footplate frame (mm).
+
+x anterior, y lateral, origin at the footplate centre. The stapes is the real one of the OpenEar library; the
+peripheral bone, the ligament gap and the plastic plate are made around it.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.anatomy import AnatomyHints
+from ct_inertia.footplate import footplate_frame
+from ct_inertia.surface import Surface, read_surface
+from kinematics.frames import RigidTransform, rotation_from_vector
+
+Array = NDArray[np.float64]
+OPENEAR_STAPES = Path(__file__).parent / "openear_stapes.ply"
+_ANGLES = 128
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A closed triangle mesh: vertices (n, 3) in mm and outward faces (m, 3)."""
+
+    vertices: Array
+    faces: NDArray[np.int64]
+
+
+@functools.cache
+def stapes_in_footplate(path: Path = OPENEAR_STAPES) -> Surface:
+    """Return a stapes in its own footplate frame, as ct_inertia.footplate defines it on the exact mesh."""
+    mesh = read_surface(path)
+    frame = footplate_frame(mesh, AnatomyHints())
+    return Surface(frame.scan_from_footplate.inverse().points(mesh.vertices_mm), mesh.faces)
+
+
+def footplate_outline(stapes: Surface, gap_mm: float) -> Array:
+    """Return the footplate's outline widened by ``gap_mm`` on all sides, (128, 2) of (x, z), by angle."""
+    from scipy.spatial import ConvexHull
+
+    vertices = stapes.vertices_mm
+    plate = vertices[vertices[:, 1] < 0.35][:, [0, 2]]
+    hull = plate[ConvexHull(plate).vertices]
+    turns = np.linspace(0.0, 2.0 * np.pi, 96, endpoint=False)
+    ring = gap_mm * np.column_stack([np.cos(turns), np.sin(turns)])
+    points = (hull[:, None, :] + ring[None, :, :]).reshape(-1, 2)
+    widened = points[ConvexHull(points).vertices]
+    return _by_angle(widened)
+
+
+def _by_angle(polygon: Array) -> Array:
+    """Sample a convex polygon around the origin at equal angles."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    normals = np.column_stack([edges[:, 1], -edges[:, 0]])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    offsets = np.einsum("ij,ij->i", normals, polygon)
+    normals *= np.sign(offsets)[:, None]
+    along = directions @ normals.T
+    with np.errstate(divide="ignore"):
+        reach = np.where(along > 1e-12, np.abs(offsets) / along, np.inf)
+    return directions * reach.min(axis=1)[:, None]
+
+
+def ring(inner: Array, outer: Array, low: float, high: float) -> Solid:
+    """Return the solid between two outlines (n, 2) of (x, z), from y = low to y = high."""
+    count = len(inner)
+    levels = [(inner, low), (outer, low), (outer, high), (inner, high)]
+    vertices = np.concatenate([np.insert(part, 1, y, axis=1) for part, y in levels])
+    here = np.arange(count)
+    there = (here + 1) % count
+    faces = []
+    for level in range(4):
+        a, b = level * count, ((level + 1) % 4) * count
+        faces.append(np.column_stack([a + here, a + there, b + there]))
+        faces.append(np.column_stack([a + here, b + there, b + here]))
+    return outward(vertices, np.concatenate(faces))
+
+
+def box(low: Array, high: Array) -> Solid:
+    """Return an axis-parallel box."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    vertices = np.asarray(low) + corners * (np.asarray(high) - np.asarray(low))
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([part for a, b, c, d in quads for part in ((a, b, c), (a, c, d))])
+    return outward(vertices, faces)
+
+
+def rod(start: Array, end: Array, radius: float, sides: int = 48) -> Solid:
+    """Return a cylinder between two points."""
+    axis = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across /= np.linalg.norm(across)
+    other = np.cross(axis / np.linalg.norm(axis), across)
+    turns = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    circle = radius * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
+    vertices = np.concatenate([circle + start, circle + end, [start], [end]])
+    here = np.arange(sides)
+    there = (here + 1) % sides
+    faces = np.concatenate(
+        [
+            np.column_stack([here, there, there + sides]),
+            np.column_stack([here, there + sides, here + sides]),
+            np.column_stack([np.full(sides, 2 * sides), there, here]),
+            np.column_stack([np.full(sides, 2 * sides + 1), here + sides, there + sides]),
+        ]
+    )
+    return outward(vertices, faces)
+
+
+def outward(vertices: Array, faces: NDArray[np.int64]) -> Solid:
+    """Return a solid whose faces are turned outward."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0.0:
+        faces = faces[:, ::-1]
+    return Solid(vertices, np.ascontiguousarray(faces))
+
+
+def moved(solid: Solid, transform: RigidTransform) -> Solid:
+    """Return the solid in another frame."""
+    return Solid(transform.points(solid.vertices), solid.faces)
+
+
+def plate_pose(distance_mm: float, tilt_deg: tuple[float, float], turn_deg: float) -> RigidTransform:
+    """Return footplate_from_plate for a plate below the footplate.
+
+    Its face looks towards the stapes (+y of the plate frame), ``distance_mm`` from the footplate centre,
+    tilted about x and z and turned about y against the footplate.
+    """
+    tilt = rotation_from_vector(np.radians([tilt_deg[0], 0.0, tilt_deg[1]]))
+    turn = rotation_from_vector(np.radians([0.0, turn_deg, 0.0]))
+    return RigidTransform.from_parts(tilt @ turn, tilt @ [0.0, -distance_mm, 0.0], "footplate", "plate")

@@ -1,0 +1,201 @@
+"""Make the sample study, or other ears: scan, vibrometer data, study file and the truth behind them.
+
+    python -m sample_volumes.make_sample                       the sample study, always the same
+    python -m sample_volumes.make_sample --out ear2 --seed 2 --gap-um 60 --bridges 2
+    python -m sample_volumes.make_sample --out big --voxel-um 5 --shape 1024,1024,1024 --only scan
+
+Vibrometer data and grey values are simulated on the geometry of a real stapes; nothing here is a measurement.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from kinematics.frames import RigidTransform
+from sample_volumes import bodies
+from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
+from sample_volumes.vibrometer import Recording, Vibrometry, record
+
+HERE = Path(__file__).parent
+DENSITY_SD = 0.01
+
+_NOTES = (
+    "SIMULATED on real geometry: the stapes is a real one (OpenEar library, Sieber et al. 2019, CC BY 4.0); "
+    "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
+    "measurement. Incus removed, cochlea open."
+)
+
+
+def make_study(
+    folder: Path, ear: Ear, how: Vibrometry, name: str, parts: tuple[str, ...] = ("scan", "ldv")
+) -> dict[str, Any]:
+    """Write a study into a folder and return the truth behind it.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when missing.
+    ear, how
+        The ear with its scan, and its measurement.
+    name : str
+        Name of the study.
+    parts : tuple of str
+        ``scan`` and ``ldv``, or one of them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    placed = scene(ear)
+    behind = truth(placed)
+    behind |= {
+        "dof": ["y", "alpha", "gamma"],
+        "stiffness_si": PAPER_STIFFNESS.tolist(),
+        "damping_si": PAPER_DAMPING_CORRECTED.tolist(),
+    }
+    if "scan" in parts:
+        write_scan(folder / "scan.tif", placed)
+    if "ldv" in parts:
+        pose = RigidTransform(np.array(behind["plate_from_footplate"]), "plate", "footplate").inverse()
+        stapes = bodies.stapes_in_footplate(ear.stapes)
+        marks = [(name, np.array(place)) for name, place in behind["fiducials_in_plate_mm"].items()]
+        write_recording(
+            folder, record(np.array(behind["mass_matrix_si"]), pose, how, marks, stapes=stapes), how
+        )
+    (folder / "study.toml").write_text(study_text(name, ear, placed), encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(behind, indent=1) + "\n", encoding="utf-8")
+    return behind
+
+
+def study_text(name: str, ear: Ear, placed: Scene) -> str:
+    """Return the study file; the stated density is drawn around the true one, as a lab would know it."""
+    rng = np.random.default_rng([ear.noise_seed, 11])
+    sd = DENSITY_SD * ear.density_kg_m3
+    stated = ear.density_kg_m3 + sd * rng.standard_normal()
+    anterior = placed.scan_from_footplate.rotation[:, 0]
+    mirror = f'mirror = "{ear.mirror}"\n' if ear.mirror else ""
+    direction = ", ".join(f"{part:.1f}" for part in anterior)
+    return (
+        f'[study]\nname = "{name}"\nnotes = "{_NOTES}"\n\n'
+        f'[scan]\nfile = "scan.tif"\ndensity_kg_m3 = "{stated:.1f}+-{sd:.1f}"\nside = "left"\n'
+        f"anterior = [{direction}]\n{mirror}\n"
+        f'[ldv]\nfile = "ldv.csv"\npoints = "points.csv"\nfiducials = "fiducials.csv"\n\n'
+        f'[fit]\ndof = "y,alpha,gamma"\nestimator = "ml"\n'
+    )
+
+
+def write_recording(folder: Path, recording: Recording, how: Vibrometry) -> None:
+    """Write ldv.csv, points.csv and fiducials.csv."""
+    many = len(recording.runs) > 1
+    digits = ".15g" if how.noise_free else ".7g"
+    header = "body,point,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s" + ("" if how.noise_free else ",sd_m_s")
+    lines = [header + (",run" if many else "")]
+    for run, excitation in enumerate(recording.runs):
+        tail = f",{excitation}" if many else ""
+        for channel, body in enumerate(recording.body):
+            direction = ",".join(f"{part:.12g}" for part in recording.direction[channel])
+            head = f"{body},{recording.point[channel]},{direction}"
+            sd = "" if how.noise_free else f",{recording.sd_m_s[run, channel]:.5g}"
+            for freq, value in zip(recording.freq_hz, recording.velocity_m_s[run, channel], strict=True):
+                lines.append(f"{head},{freq:.12g},{value.real:{digits}},{value.imag:{digits}}{sd}{tail}")
+    _write(folder / "ldv.csv", lines)
+    places = dict(zip(zip(recording.body, recording.point, strict=True), recording.position_mm, strict=True))
+    coordinate = ".15g" if how.noise_free else ".4f"
+    sd_mm = "" if how.noise_free else f",{how.position_sd_mm:g}"
+    rows = [
+        f"{body},{point}," + ",".join(f"{part:{coordinate}}" for part in place) + sd_mm
+        for (body, point), place in places.items()
+    ]
+    _write(folder / "points.csv", ["body,point,x_mm,y_mm,z_mm" + (",sd_mm" if sd_mm else ""), *rows])
+    sd_mm = "" if how.noise_free else f",{how.fiducial_sd_mm:g}"
+    rows = [
+        f"{name}," + ",".join(f"{part:{coordinate}}" for part in (*seen, *place)) + f",plate{sd_mm}"
+        for name, seen, place in recording.fiducials
+    ]
+    head = "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame" + (",sd_mm" if sd_mm else "")
+    _write(folder / "fiducials.csv", [head, *rows])
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="make_sample", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=HERE, help="folder (the sample study's own)")
+    parser.add_argument("--seed", type=int, default=1, help="pose, noise, positions and stated density")
+    parser.add_argument("--only", choices=("scan", "ldv"), help="make this part alone")
+    parser.add_argument("--voxel-um", default="25", help="one number, or DX,DY,DZ")
+    parser.add_argument("--shape", help="NX,NY,NZ voxels (the smallest that holds everything)")
+    parser.add_argument("--gap-um", type=float, default=200.0, help="ligament gap")
+    parser.add_argument("--bridges", type=int, default=0, help="bony bridges across the gap")
+    parser.add_argument("--bridge-radius-um", type=float, default=50.0)
+    parser.add_argument("--psf", type=float, default=1.2, help="sigma of the point spread, voxels")
+    parser.add_argument("--noise", type=float, default=0.04, help="of the contrast between bone and air")
+    parser.add_argument(
+        "--tilt", type=float, default=18.0, help="most lean of the sample in the scanner, degrees"
+    )
+    parser.add_argument(
+        "--upright", choices=("x", "y", "z"), default="z", help="scan axis near the lateral direction"
+    )
+    parser.add_argument("--shift-mm", default="0,0,0", help="moves the sample in the volume")
+    parser.add_argument("--dust", type=int, default=0, help="loose fragments")
+    parser.add_argument("--mirror", choices=("x", "y", "z"), default="", help="store slices in reverse order")
+    parser.add_argument("--no-plate", action="store_true")
+    parser.add_argument("--no-bone", action="store_true", help="no peripheral bone")
+    parser.add_argument("--stapes", type=Path, default=bodies.OPENEAR_STAPES, help="closed surface, mm")
+    parser.add_argument("--ldv-noise", type=float, default=0.01)
+    parser.add_argument("--position-sd-um", type=float, default=10.0)
+    parser.add_argument("--fiducial-sd-um", type=float, default=10.0)
+    parser.add_argument("--excitations", default="y", help="one run each, e.g. y,x,z")
+    parser.add_argument("--noise-free", action="store_true", help="vibrometer data without any error")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Make what the command line asks for."""
+    options = _parser().parse_args(arguments)
+    spacing = [float(part) * 1e-3 for part in options.voxel_um.split(",")] * 3
+    shape = None if options.shape is None else tuple(int(part) for part in options.shape.split(","))
+    ear = replace(
+        Ear(),
+        voxel_mm=tuple(spacing[:3]),
+        shape=shape,
+        shift_mm=tuple(float(part) for part in options.shift_mm.split(",")),
+        gap_mm=options.gap_um * 1e-3,
+        bridges=options.bridges,
+        bridge_radius_mm=options.bridge_radius_um * 1e-3,
+        psf_voxels=options.psf,
+        noise=options.noise,
+        tilt_deg=options.tilt,
+        upright=options.upright,
+        dust=options.dust,
+        mirror=options.mirror,
+        plate=not options.no_plate,
+        bone=not options.no_bone,
+        stapes=options.stapes,
+        pose_seed=options.seed,
+        noise_seed=options.seed,
+    )
+    how = Vibrometry(
+        noise=options.ldv_noise,
+        position_sd_mm=options.position_sd_um * 1e-3,
+        fiducial_sd_mm=options.fiducial_sd_um * 1e-3,
+        excitations=tuple(options.excitations.split(",")),
+        noise_free=options.noise_free,
+        seed=options.seed,
+    )
+    parts = ("scan", "ldv") if options.only is None else (options.only,)
+    name = "sample ear" if options.out == HERE else f"simulated ear {options.seed}"
+    behind = make_study(options.out, ear, how, name, parts)
+    print(f"{options.out}: {', '.join(parts)}; true mass {behind['mass_kg'] * 1e6:.4f} mg")
+
+
+if __name__ == "__main__":
+    main()

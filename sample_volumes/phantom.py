@@ -1,0 +1,340 @@
+"""A micro-CT phantom of a stapes in its oval window on a plastic plate, with the exact truth beside it.
+
+The grey values are simulated: exact partial volumes, a Gaussian point spread, white noise. What they show
+is a real stapes (ATTRIBUTION.md). Any voxel size and any volume up to 2048^3 are written slab by slab.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.plate_frame import positive_sense
+from kinematics.frames import RigidTransform, rotation_from_vector
+from sample_volumes import bodies
+from sample_volumes.bodies import Solid
+from sample_volumes.coverage import Crossings, crossings
+
+Array = NDArray[np.float64]
+
+PLATE_LOW = np.array([-2.2, -0.5, -1.5])
+PLATE_HIGH = np.array([2.2, 0.0, 1.5])
+PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))
+BONE_LOW, BONE_HIGH = -0.15, 0.45
+_PIN_HALF = 0.12
+FIDUCIALS_MM = (
+    ("corner_a", -2.1, 0.0, -1.4),
+    ("corner_b", 2.1, 0.0, -1.4),
+    ("corner_c", 2.1, 0.0, 1.4),
+    ("corner_d", -2.1, 0.0, 1.4),
+    ("pin_e", PINS[0][0], PINS[0][2], PINS[0][1]),
+    ("pin_f", PINS[1][0], PINS[1][2], PINS[1][1]),
+)
+
+
+@dataclass(frozen=True)
+class Ear:
+    """One simulated ear and its scan.
+
+    Attributes
+    ----------
+    voxel_mm : tuple of float
+        x, y, z.
+    gap_mm : float
+        Ligament gap between footplate outline and peripheral bone.
+    bridges : int
+        Bony bridges across the gap, of radius ``bridge_radius_mm``.
+    psf_voxels : float
+        Sigma of the point spread in voxels.
+    noise : float
+        Standard deviation over the contrast between bone and air.
+    levels : tuple of float
+        Grey values of air, plastic and bone.
+    density_kg_m3 : float
+        True density of the stapes; 1382.4 gives the OpenEar stapes 3.2 mg.
+    plate_distance_mm, plate_tilt_deg, plate_turn_deg
+        Where the plate lies under the footplate and how it is turned against it.
+    tilt_deg : float
+        How far the sample may lean in the scanner; the direction comes from ``pose_seed``.
+    upright : str
+        Scan axis that the lateral direction lies near.
+    shape : tuple of int or None
+        Voxels x, y, z; None takes the smallest box with ``margin_mm`` around everything.
+    shift_mm : tuple of float
+        Moves the sample in a volume of given shape (to leave the field of view on purpose).
+    plate, bone : bool
+        Leave the plate or the peripheral bone away.
+    dust : int
+        Loose bone fragments of about 0.1 mm.
+    mirror : str
+        Scan axis along which the stored slices are in reverse order, or empty.
+    pose_seed, noise_seed : int
+    stapes : Path
+        Any closed surface in mm.
+    """
+
+    voxel_mm: tuple[float, float, float] = (0.025, 0.025, 0.025)
+    gap_mm: float = 0.2
+    bridges: int = 0
+    bridge_radius_mm: float = 0.05
+    psf_voxels: float = 1.2
+    noise: float = 0.04
+    levels: tuple[float, float, float] = (8000.0, 15000.0, 30000.0)
+    density_kg_m3: float = 1382.4
+    plate_distance_mm: float = 0.8
+    plate_tilt_deg: tuple[float, float] = (4.0, -3.0)
+    plate_turn_deg: float = 12.0
+    tilt_deg: float = 18.0
+    upright: str = "z"
+    shape: tuple[int, int, int] | None = None
+    shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    margin_mm: float = 0.25
+    plate: bool = True
+    bone: bool = True
+    dust: int = 0
+    mirror: str = ""
+    pose_seed: int = 1
+    noise_seed: int = 1
+    stapes: Path = field(default=bodies.OPENEAR_STAPES)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The bodies of an ear placed in the scan.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Voxels x, y, z.
+    scan_from_footplate, footplate_from_plate : RigidTransform
+    solids : tuple of (Solid, int)
+        In scan coordinates, each with its material: 1 plastic, 2 bone.
+    """
+
+    ear: Ear
+    shape: tuple[int, int, int]
+    scan_from_footplate: RigidTransform
+    footplate_from_plate: RigidTransform
+    solids: tuple[tuple[Solid, int], ...]
+
+
+def scene(ear: Ear) -> Scene:
+    """Build the bodies of an ear and place them in the scan."""
+    rng = np.random.default_rng(ear.pose_seed)
+    footplate_from_plate = bodies.plate_pose(ear.plate_distance_mm, ear.plate_tilt_deg, ear.plate_turn_deg)
+    solids = _solids(ear, footplate_from_plate)
+    rotation = _upright(ear.upright) @ _random_tilt(rng, ear.tilt_deg)
+    turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
+    points = np.concatenate([turned.points(solid.vertices) for solid, _ in solids])
+    low, high = points.min(axis=0), points.max(axis=0)
+    spacing = np.asarray(ear.voxel_mm)
+    if ear.shape is None:
+        count = np.ceil((high - low + 2.0 * ear.margin_mm) / spacing).astype(int)
+    else:
+        count = np.asarray(ear.shape)
+    centre = 0.5 * (count - 1) * spacing + np.asarray(ear.shift_mm)
+    offset = centre - 0.5 * (low + high) + rng.uniform(-0.5, 0.5, 3) * spacing
+    pose = RigidTransform.from_parts(rotation, offset, "scan", "footplate")
+    placed = tuple((bodies.moved(solid, pose), material) for solid, material in solids)
+    nx, ny, nz = (int(n) for n in count)
+    return Scene(ear, (nx, ny, nz), pose, footplate_from_plate, placed)
+
+
+def _upright(axis: str) -> Array:
+    """Return a rotation that turns the lateral direction (y) onto a scan axis."""
+    turns = {"x": [0.0, 0.0, -90.0], "y": [0.0, 0.0, 0.0], "z": [90.0, 0.0, 0.0]}
+    return rotation_from_vector(np.radians(turns[axis]))
+
+
+def _random_tilt(rng: np.random.Generator, most_deg: float) -> Array:
+    lean = rng.normal(size=3) * np.array([1.0, 0.0, 1.0])
+    lean *= np.radians(most_deg) * rng.uniform(0.4, 1.0) / np.linalg.norm(lean)
+    turn = rotation_from_vector([0.0, np.radians(rng.uniform(-most_deg, most_deg)), 0.0])
+    return rotation_from_vector(lean) @ turn
+
+
+def _solids(ear: Ear, footplate_from_plate: RigidTransform) -> list[tuple[Solid, int]]:
+    """Return the bodies in footplate coordinates with their material; the stapes comes first."""
+    stapes = bodies.stapes_in_footplate(ear.stapes)
+    found = [(Solid(stapes.vertices_mm, np.asarray(stapes.faces)), 2)]
+    if ear.bone:
+        found += [(solid, 2) for solid in _peripheral_bone(ear, stapes)]
+    if ear.plate:
+        slab = [bodies.box(PLATE_LOW, PLATE_HIGH)]
+        slab += [
+            bodies.box(
+                np.array([x - _PIN_HALF, -0.1, z - _PIN_HALF]),
+                np.array([x + _PIN_HALF, height, z + _PIN_HALF]),
+            )
+            for x, z, height in PINS
+        ]
+        found += [(bodies.moved(part, footplate_from_plate), 1) for part in slab]
+    rng = np.random.default_rng(ear.pose_seed + 1000)
+    for _ in range(ear.dust):
+        place = np.array([rng.uniform(-1.5, 1.5), rng.uniform(1.0, 2.5), rng.choice([-1.2, 1.2])])
+        size = rng.uniform(0.03, 0.08, 3)
+        found.append((bodies.box(place - size, place + size), 2))
+    return found
+
+
+def _peripheral_bone(ear: Ear, stapes: bodies.Surface) -> list[Solid]:
+    """Return the bone around the oval window, its feet on the plate, and the bridges."""
+    inner = bodies.footplate_outline(stapes, ear.gap_mm)
+    angle = np.arctan2(inner[:, 1], inner[:, 0])
+    reach = 1.0 / (np.abs(np.cos(angle) / 2.0) ** 4 + np.abs(np.sin(angle) / 1.4) ** 4) ** 0.25
+    lumps = 1.0 + 0.03 * np.sin(3.0 * angle + 0.5) + 0.02 * np.sin(7.0 * angle)
+    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps)[:, None]
+    parts = [bodies.ring(inner, outer, BONE_LOW, BONE_HIGH)]
+    feet = ((-1.55, 0.75), (1.5, 0.8), (-1.5, -0.8), (1.55, -0.7))
+    deep = -ear.plate_distance_mm - 0.1
+    parts += [
+        bodies.box(np.array([x - 0.2, deep, z - 0.2]), np.array([x + 0.2, 0.0, z + 0.2])) for x, z in feet
+    ]
+    rim = bodies.footplate_outline(stapes, 0.0)
+    for number in range(ear.bridges):
+        place = int((0.12 + number / max(ear.bridges, 1)) * len(rim)) % len(rim)
+        start, end = rim[place] * 0.93, inner[place] * 1.05
+        parts.append(
+            bodies.rod(
+                np.array([start[0], 0.12, start[1]]), np.array([end[0], 0.12, end[1]]), ear.bridge_radius_mm
+            )
+        )
+    return parts
+
+
+def truth(placed: Scene) -> dict[str, Any]:
+    """Return the exact mass properties and frames of a scene, in the keys of mass.json where they exist."""
+    ear = placed.ear
+    moments = bodies.stapes_in_footplate(ear.stapes).moments()
+    body = from_density(moments, ear.density_kg_m3, None)
+    matrix = footplate_mass_matrix(body, RigidTransform.identity("scan", "footplate"), np.zeros((6, 6)))
+    scan_from_plate = placed.scan_from_footplate @ placed.footplate_from_plate
+    edge = scan_from_plate.rotation[:, 0]
+    built = np.ones(3) if np.all(positive_sense(edge) == edge) else np.array([-1.0, 1.0, -1.0])
+    scan_from_plate = scan_from_plate @ RigidTransform.from_parts(
+        np.diag(built), np.zeros(3), "plate", "plate"
+    )
+    return {
+        "density_kg_m3": ear.density_kg_m3,
+        "volume_m3": moments.volume_mm3 * 1e-9,
+        "mass_kg": body.mass_kg,
+        "center_of_mass_in_scan_mm": placed.scan_from_footplate.points(moments.centroid_mm).tolist(),
+        "scan_from_footplate": placed.scan_from_footplate.matrix.tolist(),
+        "scan_from_plate": scan_from_plate.matrix.tolist(),
+        "plate_from_footplate": (scan_from_plate.inverse() @ placed.scan_from_footplate).matrix.tolist(),
+        "mass_matrix_si": matrix.matrix.tolist(),
+        "inertial_parameters_si": matrix.parameters.tolist(),
+        "fiducials_in_plate_mm": {name: (built * place).tolist() for name, *place in FIDUCIALS_MM},
+        "voxel_mm": list(ear.voxel_mm),
+        "gap_mm": ear.gap_mm,
+        "stapes_voxels_noise_free": moments.volume_mm3 / float(np.prod(ear.voxel_mm)),
+    }
+
+
+class Renderer:
+    """Grey values of a scene, any range of slices at a time."""
+
+    def __init__(self, placed: Scene) -> None:
+        self.placed = placed
+        ear = placed.ear
+        spacing = np.asarray(ear.voxel_mm)
+        nx, ny, _ = placed.shape
+        self.margin = int(np.ceil(5.0 * ear.psf_voxels)) if ear.psf_voxels > 0.0 else 0
+        samples = 4 if spacing.min() >= 0.012 else 2
+        self.wide = (nx + 2 * self.margin, ny + 2 * self.margin)
+        shift = np.array([self.margin, self.margin, 0])
+        self.parts: list[tuple[Crossings, int]] = [
+            (crossings(solid.vertices / spacing + shift, solid.faces, self.wide, samples), material)
+            for solid, material in placed.solids
+        ]
+
+    def contrast(self, first: int, count: int) -> NDArray[np.float32]:
+        """Return noise-free grey values above air, blurred, (count, y, x), in units of the bone contrast."""
+        from scipy.ndimage import gaussian_filter
+
+        ear = self.placed.ear
+        air, plastic, bone = ear.levels
+        start, total = first - self.margin, count + 2 * self.margin
+        filled = [np.zeros((total, self.wide[1], self.wide[0]), dtype=np.float32) for _ in range(2)]
+        for part, material in self.parts:
+            filled[material - 1] += part.slab(start, total)
+        np.minimum(filled[1], 1.0, out=filled[1])
+        np.minimum(filled[0], 1.0 - filled[1], out=filled[0])
+        grey = filled[1] + np.float32((plastic - air) / (bone - air)) * filled[0]
+        if self.margin:
+            grey = gaussian_filter(grey, ear.psf_voxels, truncate=5.0, mode="nearest")
+            cut = slice(self.margin, -self.margin)
+            grey = grey[cut, cut, cut]
+        return np.asarray(grey, dtype=np.float32)
+
+    def slices(self, first: int, count: int) -> NDArray[np.uint16]:
+        """Return slices as the scanner stores them, noise included; it does not depend on the slabs."""
+        ear = self.placed.ear
+        air, _, bone = ear.levels
+        grey = self.contrast(first, count)
+        if ear.noise > 0.0:
+            for k in range(count):
+                rng = np.random.default_rng([ear.noise_seed, first + k])
+                grey[k] += np.float32(ear.noise) * rng.standard_normal(grey[k].shape, dtype=np.float32)
+        grey *= np.float32(bone - air)
+        grey += np.float32(air + 0.5)
+        return np.clip(grey, 0.0, 65535.0).astype(np.uint16)
+
+
+def slab_height(shape: tuple[int, int, int], most_bytes: int = 1 << 27) -> int:
+    """Return how many slices are rendered at a time, so that a slab of floats stays small."""
+    nx, ny, nz = shape
+    return max(1, min(nz, most_bytes // (4 * nx * ny)))
+
+
+def render(placed: Scene) -> NDArray[np.uint16]:
+    """Return the whole volume, (z, y, x)."""
+    volume = Renderer(placed).slices(0, placed.shape[2])
+    return _stored(volume, placed.ear.mirror)
+
+
+def _stored(volume: NDArray[np.uint16], mirror: str) -> NDArray[np.uint16]:
+    if not mirror:
+        return volume
+    return np.ascontiguousarray(np.flip(volume, axis="zyx".index(mirror)))
+
+
+def write_scan(path: Path, placed: Scene) -> None:
+    """Write the scan as an uncompressed TIFF stack with its spacing, slab by slab.
+
+    Up to 2 GiB it is an ImageJ stack, above that an OME BigTIFF.
+    """
+    import tifffile
+
+    nx, ny, nz = placed.shape
+    dx, dy, dz = placed.ear.voxel_mm
+    common: dict[str, Any] = {"shape": (nz, ny, nx), "dtype": np.uint16}
+    if 2 * nx * ny * nz <= 2**31:
+        common["dtype"] = np.dtype(">u2")
+        stack = tifffile.memmap(
+            path,
+            imagej=True,
+            resolution=(1.0 / dx, 1.0 / dy),
+            metadata={"spacing": dz, "unit": "mm", "axes": "ZYX"},
+            **common,
+        )
+    else:
+        sizes = {"PhysicalSizeX": dx, "PhysicalSizeY": dy, "PhysicalSizeZ": dz}
+        units = {f"{name}Unit": "mm" for name in sizes}
+        stack = tifffile.memmap(
+            path, bigtiff=True, ome=True, metadata={"axes": "ZYX", **sizes, **units}, **common
+        )
+    renderer = Renderer(placed)
+    height = slab_height(placed.shape)
+    axis = {"": None, "x": 2, "y": 1, "z": 0}[placed.ear.mirror]
+    target = stack if axis is None else np.flip(stack, axis=axis)
+    for first in range(0, nz, height):
+        count = min(height, nz - first)
+        target[first : first + count] = renderer.slices(first, count)
+    stack.flush()
+    del target, stack
