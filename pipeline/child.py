@@ -1,0 +1,45 @@
+"""One study of several, run as ``python -m pipeline.child STUDY OUT [--force]``.
+
+Progress goes to standard error, one line a stage; the end is one JSON object on standard output.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import traceback
+from pathlib import Path
+from typing import Any, NoReturn
+
+from kinematics.errors import StapeskitError
+
+
+def _stop(_signal: int, _frame: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def run_child(words: list[str]) -> dict[str, Any]:
+    """Run a study and say how it ended: ``code`` and, when it failed, ``fault``."""
+    from pipeline.progress import Progress
+    from pipeline.scan2kd import run_study
+
+    try:
+        run_study(Path(words[0]), Path(words[1]), "--force" in words, Progress())
+    except StapeskitError as fault:
+        return {"code": 2, "fault": str(fault)}
+    except KeyboardInterrupt:
+        return {"code": 130, "fault": "interrupted; nothing was written"}
+    except MemoryError:
+        return {
+            "code": 2,
+            "fault": "not enough memory; use fewer --jobs or crop the scan with box_mm in [scan]",
+        }
+    except Exception:
+        return {"code": 1, "fault": traceback.format_exc()}
+    return {"code": 0}
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, _stop)
+    sys.stdout.write(json.dumps(run_child(sys.argv[1:])) + "\n")

@@ -1,0 +1,162 @@
+"""The command ``scan2kd``: study files in, reports out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from kinematics.command import Outcome, Parser, run
+from kinematics.errors import StapeskitError, sentence
+
+if TYPE_CHECKING:
+    from pipeline.scan2kd import StudyResult
+    from pipeline.several import CohortResult
+
+_DESCRIPTION = """From micro-CT scan and vibrometer table to mass, stiffness and damping of a stapes.
+
+A study file names the scan, the vibrometer's table and the choices of the fit of one ear.
+scan2kd --template prints one to start from."""
+
+_EPILOG = """Finished stages are reused when their inputs, settings and code are unchanged.
+Exit code 0: done; 2: the input is at fault, with one sentence that says what to do; 1: a bug.
+
+examples:
+  scan2kd --template > study.toml
+  scan2kd study.toml
+  scan2kd ears/*.toml --jobs 2 --out cohort"""
+
+
+def parser() -> Parser:
+    """Return the parser of the command."""
+    made = Parser("scan2kd", _DESCRIPTION, _EPILOG)
+    made.add_argument("studies", nargs="*", type=Path, metavar="STUDY.toml", help="one study file per ear")
+    made.add_argument("--template", action="store_true", help="print a commented study file and leave")
+    made.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="default <study name>_out for one study; cohort_out, with a subfolder each, for several",
+    )
+    made.add_argument(
+        "--jobs", type=int, default=1, metavar="N", help="studies that run at a time (default 1)"
+    )
+    made.add_argument("--force", action="store_true", help="make every stage anew")
+    return made
+
+
+def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome] | None:
+    """Run the command on its arguments."""
+    given = parser().parse(arguments)
+    if given.template:
+        from pipeline.template import TEMPLATE
+
+        sys.stdout.write(TEMPLATE)
+        return None
+    _check(given)
+    if len(given.studies) == 1:
+        return given, _one(given)
+    return given, _several(given)
+
+
+def _check(given: argparse.Namespace) -> None:
+    if not given.studies:
+        raise StapeskitError(
+            sentence(
+                "scan2kd",
+                "given a study file",
+                "none",
+                next_step="scan2kd --template prints one to start from",
+            )
+        )
+    if given.jobs < 1:
+        raise StapeskitError(sentence("--jobs", "1 or more", given.jobs))
+    if given.out is not None and given.out.exists() and not given.out.is_dir():
+        raise StapeskitError(sentence("--out", "a folder", f"the file {given.out}"))
+    twice = sorted({str(path) for path in given.studies if given.studies.count(path) > 1})
+    if twice:
+        raise StapeskitError(sentence("the study files", "all different", f"{', '.join(twice)} twice"))
+
+
+def _one(given: argparse.Namespace) -> Outcome:
+    from pipeline.progress import Progress
+    from pipeline.report import key_results
+    from pipeline.scan2kd import run_study
+
+    path = given.studies[0]
+    out = Path(f"{path.stem}_out") if given.out is None else given.out
+    result = run_study(path, out, given.force, Progress(given.quiet))
+    return Outcome(
+        f"scan2kd: {result.name}",
+        key_results(result.mass, result.kd),
+        result.notices,
+        [out / file.relative_to(result.out) for file in result.files],
+        _as_json(result),
+    )
+
+
+def _as_json(result: StudyResult) -> dict[str, Any]:
+    keys = ("dof", "stiffness_si", "stiffness_sd_si", "damping_si", "damping_sd_si", "modes", "stable")
+    return {
+        "schema": "stapeskit.scan2kd/1",
+        "study": result.name,
+        "out": str(result.out),
+        "mass_kg": result.mass["mass_kg"],
+        **{key: result.kd[key] for key in keys},
+        "stages": [
+            {"name": one.name, "reused": one.reused, "seconds": round(one.seconds, 3), "reason": one.reason}
+            for one in result.stages
+        ],
+        "files": [str(file) for file in result.files],
+        "warnings": [notice.as_json() for notice in result.notices],
+    }
+
+
+def _several(given: argparse.Namespace) -> Outcome:
+    from pipeline.several import run_studies
+
+    def tell(line: str) -> None:
+        if not given.quiet:
+            sys.stderr.write(f"{line}\n")
+
+    out = Path("cohort_out") if given.out is None else given.out
+    result = run_studies(given.studies, out, given.jobs, given.force, tell)
+    if result.faults:
+        raise _failure(result)
+    return Outcome(
+        f"scan2kd: {len(result.ears)} studies",
+        [(ear.name, _line(ear.kd)) for ear in result.ears],
+        (),
+        [out / file.name for file in result.files],
+        {
+            "schema": "stapeskit.cohort/1",
+            "out": str(result.out),
+            "studies": [{"name": ear.name, "folder": str(result.out / ear.folder)} for ear in result.ears],
+            "files": [str(file) for file in result.files],
+        },
+    )
+
+
+def _failure(result: CohortResult) -> Exception:
+    """Return the error that lists the studies which failed; a bug stays a bug."""
+    listed = "\n".join(f"{name}: {fault}" for name, fault in result.faults.items())
+    done = (
+        f"{len(result.ears)} of {len(result.ears) + len(result.faults)} studies are finished in {result.out}."
+    )
+    if 1 in result.codes.values():
+        return RuntimeError(f"{listed}\n{done}")
+    return StapeskitError(f"{listed}\n{done}")
+
+
+def _line(kd: Any) -> str:
+    values = ", ".join(
+        f"K({dof}) {kd['stiffness_si'][place][place]:.4g}" for place, dof in enumerate(kd["dof"])
+    )
+    modes = ", ".join(f"{mode['frequency_hz']:.0f}" for mode in kd["modes"])
+    return f"{values}; modes {modes} Hz"
+
+
+def main() -> NoReturn:
+    """Run the command and leave with its exit code."""
+    run("scan2kd", work)

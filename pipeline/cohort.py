@@ -1,0 +1,275 @@
+"""Several ears side by side: one row each, and whether they differ by more than their uncertainty."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics import page
+from kinematics.page import Page
+
+Array = NDArray[np.float64]
+
+# Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
+# both), entries that couple an odd with an even of these degrees of freedom change their sign.
+_ODD = ("z", "alpha", "beta")
+
+
+@dataclass(frozen=True)
+class Ear:
+    """One finished study.
+
+    Attributes
+    ----------
+    name, folder, side : str
+        Side is empty when the study does not name it.
+    mass, kd : mapping
+        Content of mass.json and kd.json.
+    warnings : int
+    """
+
+    name: str
+    folder: str
+    side: str
+    mass: Mapping[str, Any]
+    kd: Mapping[str, Any]
+
+    @property
+    def warnings(self) -> int:
+        """How many different warnings there are."""
+        codes = (*self.mass.get("warnings", ()), *self.kd.get("warnings", ()))
+        return len({(notice["code"], notice["text"]) for notice in codes})
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of every ear.
+
+    Attributes
+    ----------
+    name, unit : str
+    values, deviations : ndarray, (ears,)
+        NaN where an ear has none.
+    turns : bool
+        Whether a right ear has the other sign than its mirror image on the left.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    deviations: Array
+    turns: bool = False
+
+    @property
+    def mean(self) -> float:
+        """Plain mean over the ears."""
+        return float(np.mean(self.values[np.isfinite(self.values)]))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation between the ears (n - 1); NaN for one ear."""
+        good = self.values[np.isfinite(self.values)]
+        return float(np.std(good, ddof=1)) if len(good) > 1 else float("nan")
+
+    def homogeneity(self) -> tuple[float, int, float]:
+        """Return Cochran's Q, its degrees of freedom and the p-value of "all ears are alike".
+
+        Notes
+        -----
+        Q = sum w (x - xw)^2 with w = 1/sd^2 and xw the weighted mean (Cochran 1954, doi:10.2307/3001666).
+        It takes the errors of different ears as independent; a density taken over from the literature is
+        an error that they share, and then Q is too small.
+        """
+        from scipy.special import chdtrc
+
+        good = np.isfinite(self.values) & np.isfinite(self.deviations) & (self.deviations > 0.0)
+        count = int(np.sum(good)) - 1
+        if count < 1:
+            return float("nan"), 0, float("nan")
+        weight = self.deviations[good] ** -2.0
+        middle = np.sum(weight * self.values[good]) / np.sum(weight)
+        q = float(np.sum(weight * (self.values[good] - middle) ** 2))
+        return q, count, float(chdtrc(count, q))
+
+
+def read_ear(folder: Path, name: str) -> Ear:
+    """Read the results of one study from its output folder."""
+    mass, kd = (
+        json.loads((Path(folder) / one).read_text(encoding="utf-8")) for one in ("mass.json", "kd.json")
+    )
+    return Ear(name, Path(folder).name, mass["frames"].get("side") or "", mass, kd)
+
+
+def quantities(ears: Sequence[Ear]) -> list[Quantity]:
+    """Return mass, K, D and modes of all ears."""
+    found = [
+        _quantity(ears, "mass_kg", "kg", lambda ear: ear.mass["mass_kg"], lambda ear: _mass_sd(ear.mass))
+    ]
+    dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
+    for letter, key in (("K", "stiffness"), ("D", "damping")):
+        for row, first in enumerate(dof):
+            for second in dof[row:]:
+                unit = _unit(letter, first, second)
+                found.append(
+                    _quantity(
+                        ears,
+                        f"{letter}_{first}_{second}",
+                        unit,
+                        lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_si", a, b),
+                        lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_sd_si", a, b),
+                        turns=(first in _ODD) != (second in _ODD),
+                    )
+                )
+    for mode in range(max(len(ear.kd["modes"]) for ear in ears)):
+        for name, unit in (("frequency", "Hz"), ("damping_ratio", "")):
+            key = "frequency_hz" if unit else name
+            spread = "frequency_sd_hz" if unit else "damping_ratio_sd"
+            found.append(
+                _quantity(
+                    ears,
+                    f"mode{mode + 1}_{name}",
+                    unit,
+                    lambda ear, m=mode, k=key: _mode(ear.kd, m, k),
+                    lambda ear, m=mode, k=spread: _mode(ear.kd, m, k),
+                )
+            )
+    return found
+
+
+def _quantity(
+    ears: Sequence[Ear], name: str, unit: str, value: Any, deviation: Any, turns: bool = False
+) -> Quantity:
+    numbers = [[_float(read(ear)) for ear in ears] for read in (value, deviation)]
+    return Quantity(name, unit, np.array(numbers[0]), np.array(numbers[1]), turns)
+
+
+def _float(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _mass_sd(mass: Mapping[str, Any]) -> float:
+    return float(mass["mass_matrix"]["standard_deviation_si"][0][0])
+
+
+def _entry(kd: Mapping[str, Any], key: str, first: str, second: str) -> float | None:
+    dof = list(kd["dof"])
+    if first not in dof or second not in dof:
+        return None
+    value: float | None = kd[key][dof.index(first)][dof.index(second)]
+    return value
+
+
+def _mode(kd: Mapping[str, Any], mode: int, key: str) -> float | None:
+    return kd["modes"][mode].get(key) if mode < len(kd["modes"]) else None
+
+
+def _unit(letter: str, first: str, second: str) -> str:
+    turns = sum(name in ("alpha", "beta", "gamma") for name in (first, second))
+    force = "N" if letter == "K" else "N s"
+    return (f"{force}/m", force, f"{force} m/rad")[turns]
+
+
+def write_cohort_csv(path: Path, ears: Sequence[Ear]) -> None:
+    """Write one row per ear: name, side, warnings, and each quantity with its sd; SI units in the names."""
+    import pandas as pd
+
+    columns: dict[str, Any] = {
+        "study": [ear.name for ear in ears],
+        "folder": [ear.folder for ear in ears],
+        "side": [ear.side for ear in ears],
+        "estimator": [ear.kd["estimator"] for ear in ears],
+        "warnings": [ear.warnings for ear in ears],
+    }
+    for one in quantities(ears):
+        end = _column_unit(one.unit)
+        columns[f"{one.name}{end}"] = one.values
+        columns[f"{one.name}_sd{end}"] = one.deviations
+    pd.DataFrame(columns).to_csv(path, index=False, lineterminator="\n")
+
+
+def _column_unit(unit: str) -> str:
+    """Return the ending of a column: ``_n_per_m`` for N/m; nothing where the name says it already."""
+    if unit in ("", "kg"):
+        return ""
+    return "_" + unit.replace("/", "_per_").replace(" ", "_").lower()
+
+
+def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]) -> None:
+    """Write cohort.html: the ears side by side, and a plain comparison."""
+    found = quantities(ears)
+    made = Page("Cohort", f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units.")
+    if faults:
+        made.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
+    rows = [
+        (ear.name, ear.side or "not given", ", ".join(ear.kd["dof"]), ear.kd["estimator"], str(ear.warnings))
+        for ear in ears
+    ]
+    made.section(
+        "Studies",
+        page.table(("study", "side", "degrees of freedom", "estimator", "warnings"), rows, words=True),
+    )
+    for heading, part in _groups(found):
+        header = ("study", *(f"{_title(one)}{f' ({one.unit})' if one.unit else ''}" for one in part))
+        cells = [(ear.name, *(_cell(one, place) for one in part)) for place, ear in enumerate(ears)]
+        made.section(heading, page.table(header, cells))
+    made.section("Do the ears differ?", *_comparison(ears, found))
+    made.write(path)
+
+
+def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
+    titles = (("Mass and modes", ("mass", "mode")), ("Stiffness K", ("K_",)), ("Damping D", ("D_",)))
+    return [(title, [one for one in found if one.name.startswith(starts)]) for title, starts in titles]
+
+
+def _title(one: Quantity) -> str:
+    letter, *dof = one.name.split("_")
+    if letter in "KD":
+        return f"{letter}({', '.join(dof)})"
+    return one.name.removesuffix("_kg").replace("_", " ").replace("mode", "mode ")
+
+
+def _cell(one: Quantity, place: int) -> str:
+    value, sd = one.values[place], one.deviations[place]
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.4g} ± {sd:.2g}" if np.isfinite(sd) else f"{value:.4g}"
+
+
+def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
+    """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
+    if len(ears) < 2:
+        return [page.text("One ear alone cannot be compared.")]
+    mixed = len({ear.side for ear in ears}) > 1 or not all(ear.side for ear in ears)
+    rows = []
+    for one in found:
+        if one.turns and mixed:
+            continue
+        q, count, p = one.homogeneity()
+        own = float(np.sqrt(np.nanmean(one.deviations**2))) if np.any(np.isfinite(one.deviations)) else np.nan
+        test = f"{q:.3g} ({count}), p = {p:.2g}" if count else "–"
+        numbers = (f"{value:.3g}" if np.isfinite(value) else "–" for value in (one.mean, one.spread, own))
+        rows.append((f"{_title(one)}{f' ({one.unit})' if one.unit else ''}", *numbers, test))
+    header = ("quantity", "mean", "sd between ears", "sd of one ear (rms)", "Q (n − 1)")
+    blocks = [
+        page.table(header, rows),
+        page.text(
+            "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954). It "
+            "takes these as independent between ears; a shared error, such as one density from the "
+            "literature for all, makes Q too small. No correction is made for the number of rows. The mean "
+            "is unweighted. Modes are compared in the order of their frequencies."
+        ),
+    ]
+    if mixed:
+        blocks.append(
+            page.text(
+                "The ears are not all known to be of one side: z is superior in a left ear and inferior in a "
+                "right one, so that entries which change their sign between mirror images are not compared."
+            )
+        )
+    return blocks

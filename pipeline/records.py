@@ -1,0 +1,183 @@
+"""What a finished stage was made from and what it made, so that it is reused exactly as long as it holds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinematics.notices import Notice, from_json
+from kinematics.page import Section
+from kinematics.provenance import content_hash, versions
+
+FOLDER = ".stapeskit"
+SCHEMA = "stapeskit.stage/1"
+_HEADERS = {".mhd", ".nhdr", ".vgi", ".log", ".hdr", ".vsr"}
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """One finished stage.
+
+    Attributes
+    ----------
+    stage : str
+    fingerprint : mapping of str to str
+        Everything its outputs depend on: ``code``, ``input scan``, ``spacing_mm`` ...
+    outputs : mapping of str to str
+        Content hash by file name.
+    seconds : float
+        What it took.
+    """
+
+    stage: str
+    fingerprint: Mapping[str, str]
+    outputs: Mapping[str, str]
+    seconds: float
+
+    def changes(self, fingerprint: Mapping[str, str]) -> list[str]:
+        """Name what differs from another fingerprint."""
+        names = sorted({*self.fingerprint, *fingerprint})
+        return [name for name in names if self.fingerprint.get(name) != fingerprint.get(name)]
+
+    def spoiled(self, folder: Path) -> list[str]:
+        """Name the outputs in ``folder`` that are missing or no longer what was written."""
+        return [
+            name
+            for name, known in self.outputs.items()
+            if not (folder / name).is_file() or content_hash(folder / name) != known
+        ]
+
+
+def record_name(stage: str) -> str:
+    """Return the name of a stage's record within the output folder."""
+    return f"{FOLDER}/{stage}.json"
+
+
+def write_record(folder: Path, record: StageRecord) -> None:
+    """Write a record into the folder that holds the stage's outputs."""
+    content = {
+        "schema": SCHEMA,
+        "stage": record.stage,
+        "fingerprint": dict(record.fingerprint),
+        "outputs": dict(record.outputs),
+        "seconds": round(record.seconds, 3),
+    }
+    path = Path(folder) / record_name(record.stage)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def read_record(folder: Path, stage: str) -> StageRecord | None:
+    """Read a record; None when there is none or it cannot be believed."""
+    try:
+        content = json.loads((Path(folder) / record_name(stage)).read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA or content["stage"] != stage:
+            return None
+        made, outputs = dict(content["fingerprint"]), dict(content["outputs"])
+        if not all(isinstance(value, str) for value in (*made.values(), *outputs.values())):
+            return None
+        if any(Path(name).is_absolute() or ".." in Path(name).parts for name in outputs):
+            return None
+        return StageRecord(stage, made, outputs, float(content["seconds"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def fingerprint(
+    rooms: Iterable[str],
+    inputs: Mapping[str, Path | None],
+    parameters: Mapping[str, Any],
+    known: dict[Path, str],
+) -> dict[str, str]:
+    """Return everything that a stage depends on, by name.
+
+    Parameters
+    ----------
+    rooms : iterable of str
+        Packages, or files as ``package/file.py``, whose code makes the outputs.
+    inputs : mapping of str to Path or None
+    parameters : mapping
+        JSON-able; paths left out.
+    known : dict
+        Hashes found so far in this run; extended.
+    """
+    made = {"stapeskit": _code(rooms), "packages": json.dumps(versions(), sort_keys=True)}
+    for role, path in inputs.items():
+        for place, file in enumerate(() if path is None else _with_data(path)):
+            if file not in known:
+                known[file] = content_hash(file)
+            made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = known[file]
+    for name, value in parameters.items():
+        made[name] = _short(json.dumps(value, sort_keys=True))
+    return made
+
+
+def _short(text: str) -> str:
+    """Return a text, or its hash when it is long."""
+    import xxhash
+
+    return text if len(text) <= 120 else xxhash.xxh3_128_hexdigest(text.encode())
+
+
+def _with_data(path: Path) -> list[Path]:
+    """Return a file with the data files that a header of its kind points to by name."""
+    path = Path(path)
+    if path.suffix.lower() not in _HEADERS:
+        return [path]
+    others = [p for p in path.parent.glob(f"{path.stem}*") if p.is_file() and p != path]
+    return [path, *sorted(others)]
+
+
+def _code(rooms: Iterable[str]) -> str:
+    """Hash the source of packages."""
+    import xxhash
+
+    root = Path(__file__).resolve().parents[1]
+    digest = xxhash.xxh3_128()
+    for room in rooms:
+        for file in [root / room] if room.endswith(".py") else sorted((root / room).rglob("*.py")):
+            digest.update(str(file.relative_to(root)).encode())
+            digest.update(file.read_bytes())
+    return str(digest.hexdigest())
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a stage has to tell: sections of the report, and warnings."""
+
+    sections: tuple[Section, ...] = ()
+    notices: tuple[Notice, ...] = ()
+
+
+def told_name(stage: str) -> str:
+    """Return the name of the file with a stage's sections within the output folder."""
+    return f"{FOLDER}/{stage}.sections.json"
+
+
+def write_told(folder: Path, stage: str, told: Told) -> None:
+    """Keep the sections of a stage, so that the report can be put together without making them anew."""
+    content = {
+        "sections": [
+            {"heading": section.heading, "blocks": [str(block) for block in section.blocks]}
+            for section in told.sections
+        ],
+        "warnings": [notice.as_json() for notice in told.notices],
+    }
+    path = Path(folder) / told_name(stage)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(content), encoding="utf-8")
+
+
+def read_told(path: Path) -> Told:
+    """Read back what write_told wrote; its hash stands in the stage's record."""
+    from markupsafe import Markup
+
+    content = json.loads(Path(path).read_text(encoding="utf-8"))
+    sections = tuple(
+        Section(entry["heading"], [Markup(block) for block in entry["blocks"]])
+        for entry in content["sections"]
+    )
+    return Told(sections, from_json(content["warnings"]))

@@ -1,0 +1,195 @@
+"""Several studies, each in a process of its own, so that none of them can take the others down."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from kinematics.output import staged
+from pipeline.cohort import Ear, read_ear, write_cohort_csv, write_cohort_page
+
+_PATIENCE_S = 20.0
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class CohortResult:
+    """How several studies ended.
+
+    Attributes
+    ----------
+    out : Path
+    ears : tuple of Ear
+        Those that were finished.
+    faults : mapping of str to str
+        By study.
+    codes : mapping of str to int
+        Exit code of each study that failed.
+    files : tuple of Path
+    """
+
+    out: Path
+    ears: tuple[Ear, ...]
+    faults: Mapping[str, str]
+    codes: Mapping[str, int]
+    files: tuple[Path, ...]
+
+
+@dataclass
+class _Job:
+    name: str
+    process: subprocess.Popen[str]
+    output: dict[str, str] = field(default_factory=dict)
+    readers: list[threading.Thread] = field(default_factory=list)
+
+
+def folder_names(studies: Sequence[Path]) -> list[str]:
+    """Name a folder for each study: the stem of its file, or its folder's name where stems coincide."""
+    stems = Counter(path.stem for path in studies)
+    names = [path.stem if stems[path.stem] == 1 else path.resolve().parent.name for path in studies]
+    made: list[str] = []
+    for name in names:
+        number, unique = 2, name
+        while unique in made:
+            unique, number = f"{name}-{number}", number + 1
+        made.append(unique)
+    return made
+
+
+def run_studies(
+    studies: Sequence[Path],
+    out: Path,
+    jobs: int = 1,
+    force: bool = False,
+    tell: Callable[[str], None] | None = None,
+) -> CohortResult:
+    """Run several studies, and compare those that were finished.
+
+    Parameters
+    ----------
+    studies : sequence of Path
+    out : Path
+        Gets one subfolder per study, cohort.csv and cohort.html.
+    jobs : int
+        How many run at a time.
+    force : bool
+    tell : callable, optional
+        Gets the lines of progress.
+    """
+    out = Path(out).absolute()
+    names = folder_names(studies)
+    ends = _run_all(dict(zip(names, studies, strict=True)), out, jobs, force, tell or (lambda _line: None))
+    faults = {name: end["fault"] for name, end in ends.items() if end["code"]}
+    codes = {name: int(end["code"]) for name, end in ends.items() if end["code"]}
+    ears = tuple(read_ear(out / name, name) for name in names if name not in faults)
+    files: list[Path] = []
+    if ears:
+        with staged(out) as fresh:
+            write_cohort_csv(fresh / "cohort.csv", ears)
+            write_cohort_page(fresh / "cohort.html", ears, faults)
+        files = [out / "cohort.csv", out / "cohort.html"]
+    return CohortResult(out, ears, faults, codes, tuple(files))
+
+
+def _run_all(
+    studies: Mapping[str, Path], out: Path, jobs: int, force: bool, tell: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """Keep ``jobs`` processes at work until all studies have ended; stop them when interrupted."""
+    waiting, running = list(studies.items()), list[_Job]()
+    ends: dict[str, dict[str, Any]] = {}
+    threads = str(max(1, (os.cpu_count() or 1) // jobs))
+    environment = os.environ | dict.fromkeys(_THREADS, threads)
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                name, path = waiting.pop(0)
+                running.append(_start(name, path, out / name, force, environment, tell))
+            for job in [one for one in running if one.process.poll() is not None]:
+                running.remove(job)
+                ends[job.name] = _end(job)
+                tell(f"{job.name}: {'done' if not ends[job.name]['code'] else 'failed'}")
+            time.sleep(0.02)
+    except BaseException:
+        _stop(running)
+        raise
+    return {name: ends[name] for name in studies}
+
+
+def _start(
+    name: str,
+    study: Path,
+    folder: Path,
+    force: bool,
+    environment: Mapping[str, str],
+    tell: Callable[[str], None],
+) -> _Job:
+    """Start a study in its own session, so that an interruption reaches it once, from here."""
+    words = [sys.executable, "-m", "pipeline.child", str(Path(study).absolute()), str(folder)]
+    process = subprocess.Popen(
+        [*words, *(["--force"] if force else [])],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=dict(environment) | {"PYTHONPATH": _search_path(environment)},
+        start_new_session=True,
+    )
+    job = _Job(name, process)
+
+    def forward() -> None:
+        lines = []
+        for line in process.stderr or ():
+            lines.append(line)
+            tell(f"{name}: {line.rstrip()}")
+        job.output["stderr"] = "".join(lines[-20:])
+
+    def keep() -> None:
+        job.output["stdout"] = process.stdout.read() if process.stdout else ""
+
+    for work in (forward, keep):
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        job.readers.append(thread)
+    return job
+
+
+def _search_path(environment: Mapping[str, str]) -> str:
+    """Return where the child finds these packages."""
+    root = str(Path(__file__).resolve().parents[1])
+    return os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
+
+
+def _end(job: _Job) -> dict[str, Any]:
+    """Return how a study ended; one that died without a word is named as such."""
+    for thread in job.readers:
+        thread.join()
+    with suppress(ValueError, IndexError):
+        end: dict[str, Any] = json.loads(job.output["stdout"].strip().splitlines()[-1])
+        return end
+    code = job.process.returncode
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    return {"code": 1, "fault": f"the process of this study ended by {how}.\n{job.output['stderr']}".strip()}
+
+
+def _stop(running: Sequence[_Job]) -> None:
+    """Ask the studies at work to clean up and leave; end those that do not."""
+    for job in running:
+        with suppress(ProcessLookupError):
+            job.process.send_signal(signal.SIGTERM)
+    deadline = time.monotonic() + _PATIENCE_S
+    for job in running:
+        try:
+            job.process.wait(max(0.1, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            job.process.kill()

@@ -1,0 +1,252 @@
+"""The three stages of a study: scan -> motion -> fit. Each calls its room and writes into a folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinematics.errors import StapeskitError, raise_all, sentence
+from pipeline.errors import PipelineError
+from pipeline.options import fit_options, in_study_words, mass_options, motion_options
+from pipeline.records import Told
+from pipeline.study import Study
+
+if TYPE_CHECKING:
+    from kinematics.fiducials import Fiducials
+    from kinematics.measurement import Measurement
+
+_OWN = ("pipeline/stages.py", "pipeline/options.py")
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where outputs stand during a run: new ones in ``fresh``, reused ones in ``out``."""
+
+    out: Path
+    fresh: Path
+
+    def find(self, name: str) -> Path:
+        """Return the present place of an output."""
+        made = self.fresh / name
+        return made if made.exists() else self.out / name
+
+
+class Scan:
+    """Scan to mass matrix and frames (`ct2mass`)."""
+
+    name = "scan"
+    title = "scan: bodies, frames, mass matrix"
+    rooms = ("kinematics", "ct_inertia", *_OWN)
+
+    @staticmethod
+    def inputs(study: Study) -> dict[str, Path | None]:
+        """Return the files by role."""
+        scan = study.scan
+        names = ("labels", "calibration", "landmarks", "plate_fiducials")
+        return {"scan": scan.file} | {name: getattr(scan, name) for name in names}
+
+    @staticmethod
+    def parameters(study: Study, _work: Workspace) -> dict[str, Any]:
+        """Return what else the outputs depend on."""
+        return study.scan.model_dump(mode="json", exclude=set(_FILES))
+
+    @staticmethod
+    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
+        """Write mass.json, surfaces and labels; return their names and what there is to tell."""
+        from ct_inertia.ct2mass import ct2mass
+        from ct_inertia.mass_json import mass_json, write_outputs
+        from ct_inertia.report import Pictured, mass_sections
+
+        result = ct2mass(mass_options(study.scan))
+        content = mass_json(result)
+        labelled = None if result.bodies is None else result.bodies.labels
+        sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
+        content["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
+        names = write_outputs(result, work.fresh, content)
+        return names, Told(tuple(sections), (*result.notices, *notices))
+
+
+class Motion:
+    """Vibrometer points to rigid motion (`points2dof`)."""
+
+    name = "motion"
+    title = "motion: points to degrees of freedom"
+    rooms = ("kinematics", *_OWN)
+
+    @staticmethod
+    def inputs(study: Study) -> dict[str, Path | None]:
+        """Return the files by role."""
+        return {"ldv": study.ldv.file, "points": study.ldv.points, "fiducials": study.ldv.fiducials}
+
+    @staticmethod
+    def parameters(study: Study, work: Workspace) -> dict[str, Any]:
+        """Return what else the outputs depend on: of the scan only its frames, shape and mass distribution.
+
+        The motion of the points does not depend on the density, so that another density reuses it.
+        """
+        from kinematics.provenance import content_hash
+
+        mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
+        values = mass["inertial_parameters"]["values_si"]
+        frames = {key: mass["frames"].get(key) for key in ("scan_from_footplate", "scan_from_plate")}
+        return {
+            **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
+            "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
+            "mass distribution": [f"{value / values[0]:.7g}" for value in values],
+            "surface": content_hash(work.find("stapes.ply")),
+        }
+
+    @staticmethod
+    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
+        """Write dof.csv, dof.h5 and dof.channels.csv; return their names and what there is to tell."""
+        from kinematics.mass_record import read_mass_record
+        from kinematics.motion_files import write_motion
+        from kinematics.placement import place
+        from kinematics.points2dof import points2dof
+        from kinematics.provenance import record
+        from kinematics.report import sections
+        from kinematics.verdicts import write_channels
+
+        mass = read_mass_record(work.find("mass.json"))
+        measurement, fiducials = read_measurement(study)
+        placement = place(fiducials, study.ldv.frame or "footplate", mass)
+        parameters = study.ldv.model_dump(mode="json", exclude=set(_FILES))
+        provenance = record(Motion.inputs(study), {**parameters, "frames": "of the scan"})
+        result = points2dof(measurement, placement, motion_options(study.ldv), mass, provenance)
+        write_motion(work.fresh, "dof", result.motion)
+        write_channels(work.fresh / "dof.channels.csv", result.channels)
+        drawn = sections(result, _outline(work, mass.scan_from_footplate))
+        return ["dof.csv", "dof.h5", "dof.channels.csv"], Told(tuple(drawn), result.notices)
+
+
+class Fit:
+    """Motion and mass matrix to stiffness and damping (`dof2kd`)."""
+
+    name = "fit"
+    title = "fit: stiffness and damping"
+    rooms = ("kinematics", "fitting", *_OWN)
+
+    @staticmethod
+    def inputs(_study: Study) -> dict[str, Path | None]:
+        """Return the files by role: none of the user's own."""
+        return {}
+
+    @staticmethod
+    def parameters(study: Study, work: Workspace) -> dict[str, Any]:
+        """Return what the outputs depend on: the files of the stages before, without their dates."""
+        from kinematics.provenance import content_hash
+
+        mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
+        keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
+        return {
+            **study.fit.model_dump(mode="json"),
+            "mass.json": {key: mass.get(key) for key in keys},
+            "dof.h5": content_hash(work.find("dof.h5")),
+        }
+
+    @staticmethod
+    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
+        """Write kd.json; return its name and what there is to tell."""
+        from fitting.dof2kd import footplate_outline, parameters
+        from fitting.kd import fit_kd
+        from fitting.kd_json import kd_json
+        from fitting.report import kd_sections
+        from kinematics.mass_record import read_mass_record
+        from kinematics.motion_files import read_motion
+        from kinematics.provenance import record
+
+        mass_file, motion_file = work.find("mass.json"), work.find("dof.h5")
+        mass, motion = read_mass_record(mass_file), read_motion(motion_file)
+        options = fit_options(study.fit)
+        fit = fit_kd(motion, mass.mass_matrix, options)
+        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, parameters(options)))
+        text = json.dumps(content, indent=1) + "\n"
+        (work.fresh / "kd.json").write_text(text, encoding="utf-8")
+        return ["kd.json"], Told(tuple(kd_sections(fit, footplate_outline(mass))), fit.notices)
+
+
+STAGES = (Scan, Motion, Fit)
+_FILES = ("file", "calibration", "labels", "landmarks", "plate_fiducials", "points", "fiducials")
+
+
+def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
+    """Read the vibrometer's table and the fiducials of a study.
+
+    Raises
+    ------
+    KinematicsError
+        What is wrong with them, row by row.
+    """
+    from kinematics.fiducials import read_fiducials
+    from kinematics.ldv_csv import read_ldv
+
+    ldv = study.ldv
+    fiducials = None if ldv.fiducials is None else read_fiducials(ldv.fiducials)
+    frame = "vibrometer" if fiducials is not None else ldv.frame or "footplate"
+    measurement = read_ldv(ldv.file, ldv.points, frame)
+    if ldv.mirror is None:
+        return measurement, fiducials
+    mirrored = None if fiducials is None else fiducials.mirrored(ldv.mirror)
+    return measurement.mirrored(ldv.mirror), mirrored
+
+
+def check_inputs(study: Study) -> None:
+    """Find what can be found wrong before the long work on the scan begins.
+
+    Raises
+    ------
+    PipelineError
+        Every fault of the options and of the vibrometer's files.
+    """
+    faults: list[str] = []
+    for make in (
+        lambda: mass_options(study.scan),
+        lambda: motion_options(study.ldv),
+        lambda: fit_options(study.fit),
+        lambda: _check_measurement(study),
+    ):
+        try:
+            make()
+        except StapeskitError as fault:
+            faults += in_study_words(str(fault)).splitlines()
+    raise_all(PipelineError, faults)
+
+
+def _check_measurement(study: Study) -> None:
+    measurement, _ = read_measurement(study)
+    bodies = [body.body for body in measurement.bodies]
+    file = study.ldv.file.name
+    faults = [
+        sentence(
+            f"the body {name}",
+            f"among those of the vibrometer table, {', '.join(bodies)}",
+            "no row of it",
+            file,
+            f"Name the bodies with {key} in [fit]",
+        )
+        for key, name in (("structure", study.fit.structure), ("base", study.fit.base))
+        if name not in bodies
+    ]
+    wanted = [name for name in study.fit.dof if name not in study.ldv.dof]
+    if wanted:
+        faults.append(
+            sentence("fit.dof", f"among ldv.dof, {', '.join(study.ldv.dof)}", ", ".join(wanted), "study")
+        )
+    raise_all(PipelineError, faults)
+
+
+def _outline(work: Workspace, scan_from_footplate: Any) -> Any:
+    """Return some vertices of the stapes in footplate axes, mm, to draw behind the points."""
+    from ct_inertia.surface import read_surface
+
+    vertices = read_surface(work.find("stapes.ply")).vertices_mm
+    return scan_from_footplate.inverse().points(vertices[:: max(1, len(vertices) // 6000)])
+
+
+def results(work: Workspace) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Return the content of mass.json and kd.json."""
+    mass, kd = (json.loads(work.find(name).read_text(encoding="utf-8")) for name in ("mass.json", "kd.json"))
+    return mass, kd
