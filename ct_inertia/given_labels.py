@@ -94,7 +94,7 @@ def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
         levels=None,
         psf_sigma_mm=0.0,
         evidence={"separation": "labels alone"},
-        notices=(*labels.notices, Notice("labels_alone", text), *_border(stapes)),
+        notices=(*labels.notices, Notice("labels_alone", text), *_cut_by_border(stapes)),
     )
 
 
@@ -153,12 +153,18 @@ def _labelled(
     return LabelledVolume(labels, np.array([s.start for s in reversed(box)], dtype=np.int64), grid)
 
 
-def _border(stapes: NDArray[np.bool_]) -> list[Notice]:
-    faces = (stapes[0], stapes[-1], stapes[:, 0], stapes[:, -1], stapes[:, :, 0], stapes[:, :, -1])
-    if not any(np.any(face) for face in faces):
-        return []
-    text = "The stapes touches the border of the label volume: what lies beyond it is missing from its mass."
-    return [Notice("touches_border", text)]
+def _cut_by_border(stapes: NDArray[np.bool_]) -> list[Notice]:
+    """Warn when the labels end in a flat cut at the border; a crop that only touches them does not count."""
+    for axis in range(3):
+        layers = np.moveaxis(stapes, axis, 0)
+        for outer, inner in ((layers[0], layers[1]), (layers[-1], layers[-2])):
+            if np.count_nonzero(outer) > max(_LEAST_VOXELS, 0.8 * np.count_nonzero(inner)):
+                text = (
+                    "The stapes ends flat at the border of the label volume: what lies beyond it is missing "
+                    "from its mass."
+                )
+                return [Notice("touches_border", text)]
+    return []
 
 
 def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
@@ -193,7 +199,7 @@ def _grid(volume: Volume) -> str:
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies:
     """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
     from ct_inertia.coarse import finite
-    from ct_inertia.measure import measure
+    from ct_inertia.measure import border_notices, measure
 
     offset = _offset(volume, labels)
     stapes_low, stapes_high = _reach(labels, options.stapes_label)
@@ -246,7 +252,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         psf_sigma_mm=measured.sigma_mm,
         plate_face=measured.plate_face,
         evidence=evidence,
-        notices=(*volume.notices, *measured.notices, *_border(stapes)),
+        notices=(*volume.notices, *measured.notices, *border_notices(volume, cut)),
     )
 
 

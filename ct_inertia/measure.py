@@ -149,3 +149,16 @@ def _air_notices(air: Air, bone: Bone) -> list[Notice]:
         f"which shifts the volume by up to {shift:.1f} %. Export with an offset that keeps air above 0."
     )
     return [Notice("air_clipped", text)]
+
+
+def border_notices(volume: Volume, cut: Cut) -> list[Notice]:
+    """Warn when the stapes reaches the first or last voxel of the scan."""
+    index = np.stack(np.nonzero(cut.stapes)[::-1], axis=1)
+    low, high = index.min(axis=0) + cut.first, index.max(axis=0) + cut.first
+    if np.all(low > 0) and np.all(high < volume.size - 1):
+        return []
+    text = (
+        "The stapes touches the border of the scan: what lies beyond it is missing from volume and mass. "
+        "Scan or export a larger field of view."
+    )
+    return [Notice("touches_border", text)]

@@ -15,12 +15,12 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
-from ct_inertia.measure import Measured, measure
+from ct_inertia.measure import Measured, border_notices, measure
 from ct_inertia.partial_volume import with_voxel_size
 from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
 from ct_inertia.search import SearchOptions, Sight, look
 from ct_inertia.volume import Volume
-from kinematics.notices import Notice, unique
+from kinematics.notices import unique
 
 Array = NDArray[np.float64]
 _SMOOTH_VOXELS = 1.0
@@ -72,11 +72,11 @@ def assembled(
     frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(volume), level)
     plate_mesh = None if plate is None else plate_surface(volume, sight, plate)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
-    notices += _border(volume, cut)
+    notices += border_notices(volume, cut)
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
     return Bodies(
         volume=volume,
-        labels=label_box(volume, sight, plate, cut),
+        labels=label_box(volume, sight, plate, replace(cut, stapes=measured.share > level)),
         stapes=stapes,
         frame_surface=frame_surface,
         plate=plate_mesh,
@@ -94,18 +94,6 @@ def _smoothed(share: NDArray[np.float32]) -> NDArray[np.float32]:
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(share, _SMOOTH_VOXELS, truncate=4.0))
-
-
-def _border(volume: Volume, cut: Cut) -> list[Notice]:
-    index = np.stack(np.nonzero(cut.stapes)[::-1], axis=1)
-    low, high = index.min(axis=0) + cut.first, index.max(axis=0) + cut.first
-    if np.all(low > 0) and np.all(high < volume.size - 1):
-        return []
-    text = (
-        "The stapes touches the border of the scan: what lies beyond it is missing from volume and mass. "
-        "Scan or export a larger field of view."
-    )
-    return [Notice("touches_border", text)]
 
 
 def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
