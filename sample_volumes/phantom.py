@@ -215,7 +215,7 @@ def truth(placed: Scene) -> dict[str, Any]:
     matrix = footplate_mass_matrix(body, RigidTransform.identity("scan", "footplate"), np.zeros((6, 6)))
     scan_from_plate = placed.scan_from_footplate @ placed.footplate_from_plate
     edge = scan_from_plate.rotation[:, 0]
-    built = np.ones(3) if np.all(positive_sense(edge) == edge) else np.array([-1.0, 1.0, -1.0])
+    built = np.ones(3) if positive_sense(edge) @ edge > 0.0 else np.array([-1.0, 1.0, -1.0])
     scan_from_plate = scan_from_plate @ RigidTransform.from_parts(
         np.diag(built), np.zeros(3), "plate", "plate"
     )
