@@ -89,6 +89,8 @@ def _array(reader: Any, path: Path, header: str) -> NDArray[Any]:
     data, packed = _stored(path, header)
     shape = tuple(reversed(reader.GetSize()))
     check_size(shape, dtype, sum(p.stat().st_size for p in data), packed, path.name)
+    if path.suffix.lower() == ".gz":
+        _check_gzip(path, int(np.prod(shape, dtype=np.int64)) * dtype.itemsize)
     try:
         array = sitk.GetArrayFromImage(reader.Execute())
     except RuntimeError as fault:
@@ -169,3 +171,21 @@ def _nifti_field(path: Path, offset: int, dtype: str) -> int:
     if start[:4] == (348).to_bytes(4, "big"):
         kind = kind.newbyteorder(">")
     return int(np.frombuffer(start, kind, 1, offset)[0])
+
+
+def _check_gzip(path: Path, voxel_bytes: int) -> None:
+    """Compare the length that gzip notes at the end of the file with what the header needs."""
+    with path.open("rb") as stream:
+        stream.seek(-4, 2)
+        noted = int.from_bytes(stream.read(4), "little")
+    surplus = (noted - voxel_bytes) % (1 << 32)
+    if surplus > 1 << 20:
+        raise CtInertiaError(
+            sentence(
+                "the compressed volume",
+                f"complete ({voxel_bytes} bytes of voxels)",
+                "a file that ends early",
+                path.name,
+                "Copy or export it again",
+            )
+        )
