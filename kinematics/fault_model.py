@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,18 @@ class LineData:
         places = dof_indices(self.beams.dof)
         return np.asarray(point_rows(arms_m, directions)[:, places] @ self.beams.to_dof)
 
+    def moved(self, arms_m: Array | None = None, directions: Array | None = None) -> LineData:
+        """Return the data with other positions (m) or directions, and the rows that belong to them."""
+        arms = self.arms_m if arms_m is None else arms_m
+        beams = self.directions if directions is None else directions
+        basis = replace(self.beams, basis=self.row(arms, beams))
+        return replace(self, beams=basis, arms_m=arms, directions=beams)
+
     def without(self, channels: Array | list[int]) -> LineData:
         """Return the data with some channels left out."""
         s = self.s.copy()
         s[channels] = 0.0
-        return LineData(self.beams, self.arms_m, self.directions, self.points, self.y, s, self.tau)
+        return replace(self, s=s)
 
 
 @dataclass(frozen=True)
@@ -113,15 +120,12 @@ class Fault:
         Parameters (k,) to rows of those channels, (n, m) or (freq, n, m).
     size : int
         Number of real parameters.
-    prior_sd : float
-        Standard deviation each parameter has anyway; infinite when nothing is known.
     """
 
     kind: str
     channels: list[int]
     rows: Rows
     size: int
-    prior_sd: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -132,73 +136,6 @@ class FaultFit:
     parameters: Array
     covariance: Array
     drop: float
-
-
-def gain_fault(data: LineData, channels: list[int]) -> Fault:
-    """Return a complex factor common to some channels, parameters (real - 1, imaginary)."""
-    own = data.beams.basis[channels].astype(complex)
-    return Fault("gain", channels, lambda p: own * (1.0 + p[0] + 1j * p[1]), 2)
-
-
-def drift_fault(data: LineData, channels: list[int]) -> Fault:
-    """Return a complex factor that runs linearly over the lines: two parameters constant, two of slope."""
-    own = data.beams.basis[channels].astype(complex)
-
-    def rows(p: Array) -> ComplexArray:
-        factor = 1.0 + p[0] + 1j * p[1] + (p[2] + 1j * p[3]) * data.tau
-        return np.asarray(own[None] * factor[:, None, None])
-
-    return Fault("drift", channels, rows, 4)
-
-
-def direction_fault(data: LineData, channel: int) -> Fault:
-    """Return a beam that points elsewhere: two angles across it, rad."""
-    old = data.directions[channel]
-    first = np.cross(old, np.eye(3)[int(np.argmin(np.abs(old)))])
-    first /= np.linalg.norm(first)
-    second = np.cross(old, first)
-
-    def rows(p: Array) -> ComplexArray:
-        new = old + p[0] * first + p[1] * second
-        return data.row(data.arms_m[[channel]], (new / np.linalg.norm(new))[None]).astype(complex)
-
-    return Fault("direction", [channel], rows, 2)
-
-
-def position_fault(data: LineData, channels: list[int], prior_sd_m: float = np.inf) -> Fault:
-    """Return a point that lies elsewhere: three shifts, m."""
-    return Fault(
-        "position",
-        channels,
-        lambda p: data.row(data.arms_m[channels] + p, data.directions[channels]).astype(complex),
-        3,
-        prior_sd_m,
-    )
-
-
-def swap_fault(data: LineData, first: list[int], second: list[int], what: str) -> Fault:
-    """Return two points (or two beams of a point) whose names were exchanged: no parameters."""
-    channels = [*first, *second]
-    arms, directions = data.arms_m[channels].copy(), data.directions[channels].copy()
-    if what == "points":
-        arms = np.concatenate([data.arms_m[[second[0]] * len(first)], data.arms_m[[first[0]] * len(second)]])
-    else:
-        directions = directions[::-1]
-    rows = data.row(arms, directions).astype(complex)
-    return Fault("label_swap", channels, lambda _p: rows, 0)
-
-
-def axes_fault(data: LineData) -> Fault:
-    """Return beam axes that are turned as a whole against the positions: a rotation vector, rad."""
-    from kinematics.frames import rotation_from_vector
-
-    channels = list(range(len(data.points)))
-    return Fault(
-        "axes",
-        channels,
-        lambda p: data.row(data.arms_m, data.directions @ rotation_from_vector(p).T).astype(complex),
-        3,
-    )
 
 
 def fit_fault(data: LineData, state: State, fault: Fault) -> FaultFit:
@@ -222,7 +159,7 @@ def fit_fault(data: LineData, state: State, fault: Fault) -> FaultFit:
         now = solve(data, _changed(state.rows, fault, parameters))
         if np.all(np.abs(step) <= 1e-2 * np.sqrt(np.maximum(np.diag(covariance), 0.0))):
             break
-    after = float(np.sum(np.abs(now.e) ** 2)) + 0.5 * float(np.sum((parameters / fault.prior_sd) ** 2))
+    after = float(np.sum(np.abs(now.e) ** 2))
     return FaultFit(fault, parameters, covariance, before - after)
 
 
@@ -264,9 +201,6 @@ def _step(
         information -= np.real(
             np.einsum("kfa,fab,lfb->kl", shared.conj(), state.inverse, shared, optimize=True)
         )
-    precision = 0.5 / fault.prior_sd**2
-    information = information + precision * np.eye(fault.size)
-    score = score - precision * parameters
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-8, hermitian=True)
     inverse = inverse * np.outer(scale, scale)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,37 @@ Array = NDArray[np.float64]
 _ROUNDS = 2
 
 
-def settled(data: LineData, sd_m: Array) -> tuple[LineData, float]:
+@dataclass(frozen=True)
+class Settled:
+    """Data with every point at its most probable position.
+
+    Attributes
+    ----------
+    data : LineData
+        With moved points and the rows that belong to them.
+    penalty : float
+        Half the sum of (shift / sd)^2.
+    shifts_m : mapping of str to ndarray, (3,)
+        By point; only points with a prior.
+    covariances : mapping of str to ndarray, (3, 3)
+        Posterior covariance of each shift, m2.
+    evidence : mapping of str to float
+        How far each shift is beyond its prior: chi-squared with up to 3 degrees of freedom when the stated
+        sd is right.
+    """
+
+    data: LineData
+    penalty: float = 0.0
+    shifts_m: Mapping[str, Array] = field(default_factory=dict)
+    covariances: Mapping[str, Array] = field(default_factory=dict)
+    evidence: Mapping[str, float] = field(default_factory=dict)
+
+    def objective(self) -> float:
+        """Return the residual energy with the penalty."""
+        return float(np.sum(np.abs(solve(self.data).e) ** 2)) + self.penalty
+
+
+def settled(data: LineData, sd_m: Array) -> Settled:
     """Move all points to their most probable positions, jointly.
 
     Parameters
@@ -22,33 +53,44 @@ def settled(data: LineData, sd_m: Array) -> tuple[LineData, float]:
     data : LineData
     sd_m : ndarray, (channel,)
         Prior standard deviation per coordinate, m; zero where a position is taken as exact.
-
-    Returns
-    -------
-    LineData
-        With moved points and the rows that belong to them.
-    float
-        Half the sum of (shift / sd)^2.
     """
     if not np.any(sd_m > 0.0):
-        return data, 0.0
+        return Settled(data)
     names = [name for name in dict.fromkeys(data.points) if sd_m[data.points.index(name)] > 0.0]
     owners = [[c for c, point in enumerate(data.points) if point == name] for name in names]
     prior = np.repeat([sd_m[channels[0]] for channels in owners], 3)
     shift = np.zeros(3 * len(names))
-    moved = data
+    moved, inverse = data, np.zeros((len(prior), len(prior)))
     for _ in range(_ROUNDS):
-        shift = shift + _step(moved, owners, shift, prior)
+        step, inverse = _step(moved, owners, shift, prior)
+        shift = shift + step
         arms = data.arms_m.copy()
         for place, channels in enumerate(owners):
             arms[channels] += shift[3 * place : 3 * place + 3]
-        basis = data.row(arms, data.directions)
-        moved = replace(data, arms_m=arms, beams=replace(data.beams, basis=basis))
-    return moved, 0.5 * float(np.sum((shift / prior) ** 2))
+        moved = data.moved(arms_m=arms)
+    parts = [slice(3 * place, 3 * place + 3) for place in range(len(names))]
+    return Settled(
+        moved,
+        0.5 * float(np.sum((shift / prior) ** 2)),
+        {name: shift[part] for name, part in zip(names, parts, strict=True)},
+        {name: 0.5 * inverse[part, part] for name, part in zip(names, parts, strict=True)},
+        {
+            name: _evidence(shift[part], 0.5 * inverse[part, part], float(prior[part.start]))
+            for name, part in zip(names, parts, strict=True)
+        },
+    )
 
 
-def _step(data: LineData, owners: list[list[int]], shift: Array, prior: Array) -> Array:
-    """Return one Gauss-Newton step of all shifts, with the motion projected out."""
+def _evidence(shift: Array, covariance: Array, sd: float) -> float:
+    """Return the size of a shift against what the prior lets the data show of it."""
+    values, vectors = np.linalg.eigh(np.eye(3) - covariance / sd**2)
+    seen = values > 0.05
+    along = vectors.T @ shift / sd
+    return float(np.sum(along[seen] ** 2 / values[seen]))
+
+
+def _step(data: LineData, owners: list[list[int]], shift: Array, prior: Array) -> tuple[Array, Array]:
+    """Return one Gauss-Newton step of all shifts, the motion projected out, and the inverse information."""
     state = solve(data)
     places = dof_indices(data.beams.dof)
     size = len(prior)
@@ -72,4 +114,5 @@ def _step(data: LineData, owners: list[list[int]], shift: Array, prior: Array) -
     information += np.diag(0.5 / prior**2)
     score -= 0.5 * shift / prior**2
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return np.asarray(np.linalg.solve(information / np.outer(scale, scale), score / scale) / scale)
+    inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return inverse @ score, inverse
