@@ -65,8 +65,10 @@ class Lines:
         s(w) of the damping law, scaled.
     dq, force : ndarray, (n, lines), complex
         Difference of motions and inertial force.
-    spp, spf, sff : ndarray, (n, n, lines), complex
-        Noise covariance of both, as in the head of this file.
+    spread : ndarray, (n, 2 n, lines), complex
+        [Spp, Spf]: covariance of dq with dq and with f, as in the head of this file.
+    sff : ndarray, (n, n, lines), complex
+        Covariance of f.
     mass : ndarray, (n, n)
         Scaled mass matrix of the chosen degrees of freedom: ones on its diagonal.
     row_weights : ndarray, (n,)
@@ -77,8 +79,7 @@ class Lines:
     factor: ComplexArray
     dq: ComplexArray
     force: ComplexArray
-    spp: ComplexArray
-    spf: ComplexArray
+    spread: ComplexArray
     sff: ComplexArray
     mass: Array
     row_weights: Array
@@ -109,8 +110,7 @@ class Lines:
             self.factor[keep],
             self.dq[:, keep],
             self.force[:, keep],
-            self.spp[:, :, keep],
-            self.spf[:, :, keep],
+            self.spread[:, :, keep],
             self.sff[:, :, keep],
             self.mass,
             self.row_weights,
@@ -151,13 +151,14 @@ def assemble(
     y = np.ascontiguousarray((observation.q @ both.T).T)
     noise = np.ascontiguousarray(np.moveaxis(both @ observation.covariance @ both.T, 0, 2))
     square = omega**2
+    spread = noise[:n].copy()
+    spread[:, n:] *= square
     return Lines(
         omega,
         law.factor(omega),
         y[:n],
         square * y[n:],
-        noise[:n, :n],
-        square * noise[:n, n:],
+        spread,
         square**2 * noise[n:, n:],
         mass_rows[:, :n] / np.outer(scale.root_mass, scale.root_mass),
         scale.root_mass / scale.root_mass.max(),
@@ -185,17 +186,28 @@ class State:
 
 def evaluate(parameters: Array, lines: Lines) -> State:
     """Return residual and noise of the equations at scaled parameters (n (n + 1),)."""
-    stiffness, damping = split(parameters, lines.n)
-    z = stiffness[:, :, None] + lines.factor * damping[:, :, None]
-    residual = np.einsum("ijl,jl->il", z, lines.dq) - lines.force
-    gain = _product(lines.spp, z.conj()) - lines.spf
-    noise = _product(z, gain) - _product(lines.spf.conj().transpose(1, 0, 2), z.conj()) + lines.sff
+    n = lines.n
+    matrices = np.vstack(split(parameters, n))
+    residual = _stiffness_times(matrices, lines.dq[:, None], lines.factor)[:, 0] - lines.force
+    product = _stiffness_times(matrices, lines.spread, lines.factor)
+    adjoint = product.reshape(n, 2, n, -1).transpose(1, 2, 0, 3).conj()
+    gain = adjoint[0] - lines.spread[:, n:]
+    noise = _stiffness_times(matrices, gain, lines.factor)
+    noise -= adjoint[1]
+    noise += lines.sff
     return State(residual, gain, noise)
 
 
-def _product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
-    """Multiply matrices line by line; the second is symmetric where it is Z, so Z^H = conj(Z)."""
-    return np.einsum("ijl,jkl->ikl", first, second)
+def _stiffness_times(matrices: Array, right: ComplexArray, factor: ComplexArray) -> ComplexArray:
+    """Return (K + s D) X line by line for K, D stacked (2n, n) and X (n, k, lines), as one real product."""
+    n, columns, lines = right.shape
+    flat = np.ascontiguousarray(right).view(np.float64).reshape(n, -1)
+    product = (matrices @ flat).view(np.complex128).reshape(2 * n, columns, lines)
+    upper = product[:n]
+    lower = product[n:]
+    lower *= factor
+    lower += upper
+    return np.asarray(lower)
 
 
 def cholesky(noise: ComplexArray) -> ComplexArray:
@@ -207,15 +219,16 @@ def cholesky(noise: ComplexArray) -> ComplexArray:
     factor = np.zeros_like(noise)
     for column in range(n):
         left = factor[column, :column]
-        with np.errstate(invalid="ignore"):
-            pivot = np.sqrt(noise[column, column].real - np.sum(left.real**2 + left.imag**2, axis=0))
+        square = noise[column, column].real
+        if column:
+            square = square - np.sum(left.real**2 + left.imag**2, axis=0)
+        pivot = np.sqrt(square)
         factor[column, column] = pivot
         for row in range(column + 1, n):
             rest = noise[row, column]
             for inner in range(column):
                 rest = rest - factor[row, inner] * left[inner].conj()
-            with np.errstate(invalid="ignore", divide="ignore"):
-                factor[row, column] = rest / pivot
+            factor[row, column] = rest / pivot
     return factor
 
 
@@ -228,8 +241,8 @@ def forward(factor: ComplexArray, right: ComplexArray) -> ComplexArray:
         for inner in range(row):
             entry = factor[row, inner]
             rest = rest - (entry[:, None] if wide else entry) * solved[inner]
-        pivot = factor[row, row].real
-        solved[row] = rest / (pivot[:, None] if wide else pivot)
+        inverse = 1.0 / factor[row, row].real
+        np.multiply(rest, inverse[:, None] if wide else inverse, out=solved[row])
     return solved
 
 
@@ -248,14 +261,19 @@ def regressor(difference: ComplexArray, factor: ComplexArray) -> ComplexArray:
     """Return the derivative of Z dq by the parameters, (n, lines, n (n + 1))."""
     n, lines = difference.shape
     half = n * (n + 1) // 2
+    across = np.ascontiguousarray(difference.T)
+    damped = across * factor[:, None]
     filled = np.zeros((n, lines, 2 * half), dtype=complex)
     place = 0
     for row in range(n):
-        for column in range(row, n):
-            filled[row, :, place] = difference[column]
-            filled[column, :, place] = difference[row]
-            place += 1
-    filled[:, :, half:] = factor[:, None] * filled[:, :, :half]
+        width = n - row
+        filled[row, :, place : place + width] = across[:, row:]
+        filled[row, :, place + half : place + half + width] = damped[:, row:]
+        for column in range(row + 1, n):
+            entry = place + column - row
+            filled[column, :, entry] = across[:, row]
+            filled[column, :, entry + half] = damped[:, row]
+        place += width
     return filled
 
 

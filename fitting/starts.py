@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fitting.estimators import Estimate, constrained, irls, ml
@@ -29,9 +31,10 @@ def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
     for place in range(min(_DIRECTIONS, len(values))):
         step = vectors[:, place] / size * np.sqrt(0.5 / max(values[place], 1e-12))
         starts += [found.parameters + 2.0 * step, found.parameters - 2.0 * step]
-    best = found
-    for start in starts:
-        other = ml.estimate(lines, options, start)
-        if other.objective < best.objective * (1.0 - 1e-9):
-            best = other
-    return best
+    free = replace(options, passive=False)
+    tried = [ml.estimate(lines, free, start) for start in starts]
+    best = min(tried, key=lambda one: one.objective)
+    if best.objective >= found.objective * (1.0 - 1e-9):
+        return found
+    held = ml.estimate(lines, options, best.parameters)
+    return held if held.objective < found.objective else found

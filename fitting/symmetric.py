@@ -33,6 +33,16 @@ def basis(n: int) -> Array:
     return found
 
 
+@lru_cache(maxsize=16)
+def _places(n: int) -> NDArray[np.intp]:
+    """Return the place of every entry of an n x n matrix in the vector of its independent entries."""
+    filled = np.empty((n, n), dtype=np.intp)
+    for place, (row, column) in enumerate(pairs(n)):
+        filled[row, column] = filled[column, row] = place
+    filled.setflags(write=False)
+    return filled
+
+
 def vector(matrix: Array) -> Array:
     """Return the independent entries (n (n + 1) / 2,) of a symmetric matrix (n, n)."""
     rows, columns = np.triu_indices(len(matrix))
@@ -41,11 +51,7 @@ def vector(matrix: Array) -> Array:
 
 def matrix(entries: Array, n: int) -> Array:
     """Return the symmetric matrix (n, n) of its independent entries."""
-    rows, columns = np.triu_indices(n)
-    filled = np.empty((n, n))
-    filled[rows, columns] = entries
-    filled[columns, rows] = entries
-    return filled
+    return np.asarray(entries)[_places(n)]
 
 
 def split(parameters: Array, n: int) -> tuple[Array, Array]:

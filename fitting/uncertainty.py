@@ -27,6 +27,7 @@ NOISE = "channel_noise"
 ATTENUATION = "attenuation"
 JOINED_FRAME = "footplate_frame"
 _STEP = 1e-3
+_BIAS_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,20 @@ def attenuation(problem: Problem, lines: Lines, parameters: Array) -> Array:
     Notes
     -----
     The regressor holds the same noise as the residual: E[dA^H W de] = sum over lines of
-    conj(s_k) tr(E_k W G^H), G = cov(dq, e); the bias is minus this times the inverse Hessian.
+    conj(s_k) tr(E_k W G^H), G = cov(dq, e); the bias is minus this times the inverse Hessian. It is taken at
+    the estimate without its bias, found in a few rounds.
     """
     if problem.name == "ml":
         return np.zeros(len(parameters))
-    state = evaluate(parameters, lines)
-    weighted = _weighted_gain(problem.name, lines, state)
-    traces = np.einsum("kij,jil->kl", basis(lines.n), weighted)
-    pull = np.concatenate([traces.real.sum(axis=1), (lines.factor.conj() * traces).real.sum(axis=1)])
-    slope = score_slope(problem, lines, parameters)
-    return np.asarray(-_invert_general(slope) @ pull)
+    slope = _invert_general(score_slope(problem, lines, parameters))
+    bias = np.zeros(len(parameters))
+    for _ in range(_BIAS_ROUNDS):
+        state = evaluate(parameters - bias, lines)
+        weighted = _weighted_gain(problem.name, lines, state)
+        traces = np.einsum("kij,jil->kl", basis(lines.n), weighted)
+        pull = np.concatenate([traces.real.sum(axis=1), (lines.factor.conj() * traces).real.sum(axis=1)])
+        bias = -slope @ pull
+    return bias
 
 
 def _weighted_gain(name: str, lines: Lines, state: State) -> ComplexArray:

@@ -18,8 +18,10 @@ Array = NDArray[np.float64]
 Objective = Callable[[Array], float]
 Expansion = Callable[[Array], tuple[float, Array, Array]]
 _MOST_STEPS = 40
-_GROWTH = 12.0
+_GROWTH = 20.0
 _ACTIVE = 1e-4
+_SHORTEST = 1e-10
+_CENTRED = 1e-4
 
 
 def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
@@ -46,35 +48,42 @@ def pull_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
     return join(pulled[0], pulled[1])
 
 
-def barrier(
-    parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None
-) -> tuple[float, Array, Array]:
-    """Return -log det K - log det D with its gradient and Hessian, bounds joined likewise; inf outside."""
-    half = len(parameters) // 2
-    value, gradient = 0.0, np.zeros(2 * half)
-    hessian = np.zeros((2 * half, 2 * half))
-    for place, part in enumerate(split(parameters, n)):
+def wall(parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None) -> float:
+    """Return -log det K - log det D - sum log of the distances to finite bounds; inf outside."""
+    value = 0.0
+    for part in split(parameters, n):
         try:
-            root = np.linalg.cholesky(part)
+            pivots = np.diag(np.linalg.cholesky(part))
         except np.linalg.LinAlgError:
-            return np.inf, gradient, hessian
-        value -= 2.0 * float(np.sum(np.log(np.diag(root))))
-        inverse = np.linalg.inv(part)
-        products = inverse @ basis(n)
+            return float("inf")
+        value -= 2.0 * float(np.sum(np.log(np.maximum(pivots, 1e-300))))
+    for bound, sign in ((lower, 1.0), (upper, -1.0)):
+        if bound is not None:
+            slack = sign * (parameters - bound)[np.isfinite(bound)]
+            if np.any(slack <= 0.0):
+                return float("inf")
+            value -= float(np.sum(np.log(slack)))
+    return value
+
+
+def wall_slopes(
+    parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None
+) -> tuple[Array, Array]:
+    """Return gradient (p,) and Hessian (p, p) of the wall at an interior point."""
+    half = len(parameters) // 2
+    gradient, hessian = np.zeros(2 * half), np.zeros((2 * half, 2 * half))
+    for place, part in enumerate(split(parameters, n)):
+        products = np.linalg.solve(part, basis(n))
         block = slice(place * half, (place + 1) * half)
         gradient[block] = -np.einsum("kii->k", products)
         hessian[block, block] = np.einsum("kij,lji->kl", products, products)
     for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        if bound is None:
-            continue
-        finite = np.isfinite(bound)
-        slack = sign * (parameters - bound)[finite]
-        if np.any(slack <= 0.0):
-            return np.inf, gradient, hessian
-        value -= float(np.sum(np.log(slack)))
-        gradient[finite] -= sign / slack
-        hessian[finite, finite] += 1.0 / slack**2
-    return value, gradient, hessian
+        if bound is not None:
+            finite = np.flatnonzero(np.isfinite(bound))
+            slack = sign * (parameters - bound)[finite]
+            gradient[finite] -= sign / slack
+            hessian[finite, finite] += 1.0 / slack**2
+    return gradient, hessian
 
 
 def minimise(
@@ -114,34 +123,47 @@ def minimise(
     sharpness = order / max(0.1 * abs(value(now)), gap)
     steps = 0
     while True:
-        for _ in range(_MOST_STEPS):
-            steps += 1
-            level, gradient, hessian = expansion(now)
-            wall, wall_gradient, wall_hessian = barrier(now, n, lower, upper)
-            slope = sharpness * gradient + wall_gradient
-            curvature = sharpness * hessian + wall_hessian
-            move = -solve_symmetric(curvature, slope)
-            decrement = float(-slope @ move)
-            if not decrement > 0.0:
-                break
-            length = 1.0
-            height = sharpness * level + wall
-            while length > 1e-12:
-                trial = now + length * move
-                trial_wall = barrier(trial, n, lower, upper)[0]
-                if np.isfinite(trial_wall):
-                    reached = sharpness * value(trial) + trial_wall
-                    if reached <= height - 1e-4 * length * decrement + 1e-12 * abs(height):
-                        break
-                length *= 0.5
-            else:
-                break
-            now = trial
-            if decrement < 1e-6:
-                break
+        now, count = _centre(expansion, value, now, n, sharpness, (lower, upper))
+        steps += count
         if order / sharpness <= gap * (1.0 + 1e-9):
             return now, order / sharpness, steps
         sharpness = min(sharpness * _GROWTH, order / gap)
+
+
+def _centre(
+    expansion: Expansion,
+    value: Objective,
+    start: Array,
+    n: int,
+    sharpness: float,
+    bounds: tuple[Array | None, Array | None],
+) -> tuple[Array, int]:
+    """Minimise sharpness * objective + wall by Newton steps; return the point and the number of steps."""
+    now = start
+    for count in range(1, _MOST_STEPS + 1):
+        level, gradient, hessian = expansion(now)
+        wall_gradient, wall_hessian = wall_slopes(now, n, *bounds)
+        slope = sharpness * gradient + wall_gradient
+        move = -solve_symmetric(sharpness * hessian + wall_hessian, slope)
+        decrement = float(-slope @ move)
+        if not decrement > 0.0:
+            return now, count
+        height = sharpness * level + wall(now, n, *bounds)
+        length = 1.0
+        while length > _SHORTEST:
+            trial = now + length * move
+            lifted = wall(trial, n, *bounds)
+            if np.isfinite(lifted):
+                reached = sharpness * value(trial) + lifted
+                if reached <= height - 1e-4 * length * decrement + 1e-12 * abs(height):
+                    break
+            length *= 0.5
+        else:
+            return now, count
+        now = trial
+        if decrement < _CENTRED:
+            return now, count
+    return now, _MOST_STEPS
 
 
 def active_names(parameters: Array, n: int) -> tuple[str, ...]:

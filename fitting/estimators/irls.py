@@ -6,7 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import pinv
-from fitting.estimators.base import Estimate, EstimatorOptions, least_squares, solve_symmetric
+from fitting.estimators.base import (
+    Estimate,
+    EstimatorOptions,
+    least_squares,
+    solve_symmetric,
+    times,
+    transposed_times,
+)
 from fitting.estimators.interior import inside, pull_inside, shortest_distance
 from fitting.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 
@@ -26,10 +33,10 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         rows = real_rows(forward(factor, fixed))
         right = real_rows(forward(factor, lines.force))
         following = least_squares(rows, right)
-        change = rows @ (following - now)
+        change = times(rows, following - now)
         now = following
         converged = bool(change @ change < options.tolerance)
-    value = float(np.sum((rows @ now - right) ** 2))
+    value = float(np.sum((times(rows, now) - right) ** 2))
     if not options.passive or inside(now, lines.n):
         return Estimate(now, value, count, converged)
     hessian = rows.T @ rows
@@ -37,11 +44,14 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     return Estimate(held, value, count, converged, active)
 
 
-def reweighted_once(lines: Lines, start: Array) -> Array:
-    """Return one step of the iteration: a start for ml."""
-    factor = cholesky(evaluate(start, lines).noise)
-    rows = real_rows(forward(factor, regressor(lines.dq, lines.factor)))
-    return solve_symmetric(rows.T @ rows, rows.T @ real_rows(forward(factor, lines.force)))
+def quick_start(lines: Lines) -> Array:
+    """Return the first reweighted estimate, by normal equations: a start for ml."""
+    fixed = regressor(lines.dq, lines.factor)
+    rows = real_rows(fixed)
+    begin = solve_symmetric(rows.T @ rows, transposed_times(rows, real_rows(lines.force)))
+    factor = cholesky(evaluate(begin, lines).noise)
+    rows = real_rows(forward(factor, fixed))
+    return solve_symmetric(rows.T @ rows, transposed_times(rows, real_rows(forward(factor, lines.force))))
 
 
 def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import irls, pinv
-from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric
+from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric, transposed_times
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
 
@@ -47,9 +47,10 @@ class Whitened:
 
     def corrected(self, lines: Lines) -> ComplexArray:
         """Return the whitened corrected regressor, (n, lines, p)."""
-        multiplier = backward(self.factor, self.residual)
-        fitted = lines.dq - np.einsum("ijl,jl->il", self.state.gain, multiplier)
-        return forward(self.factor, regressor(fitted, lines.factor))
+        with np.errstate(all="ignore"):
+            multiplier = backward(self.factor, self.residual)
+            fitted = lines.dq - np.einsum("ijl,jl->il", self.state.gain, multiplier)
+            return forward(self.factor, regressor(fitted, lines.factor))
 
 
 def whiten(parameters: Array, lines: Lines) -> Whitened:
@@ -89,8 +90,7 @@ class _Merit:
 def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
     """Minimise by Gauss-Newton with step control; within K >= 0, D >= 0 when the free optimum is outside."""
     merit = _Merit(options.robust == "t4", 2 * lines.n)
-    begin = irls.reweighted_once(lines, pinv.weighted(lines, np.ones(lines.n)).parameters)
-    found = _descend(lines, options, begin if start is None else start, merit)
+    found = _descend(lines, options, irls.quick_start(lines) if start is None else start, merit)
     if merit.robust:
         found, merit = _with_spread(lines, options, found, merit)
     active: tuple[str, ...] = ()
@@ -112,14 +112,16 @@ def normal_equations(parameters: Array, lines: Lines, merit: _Merit | None = Non
 def _normal(now: Whitened, lines: Lines, weights: Array) -> tuple[Array, Array]:
     root = np.sqrt(weights)
     rows = real_rows(now.corrected(lines) * root[:, None])
-    return rows.T @ rows, rows.T @ real_rows(now.residual * root)
+    return rows.T @ rows, transposed_times(rows, real_rows(now.residual * root))
 
 
 def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Merit) -> Estimate:
     """Gauss-Newton steps, damped after Levenberg when a step does not lower the objective."""
     parameters = np.array(start)
     now = whiten(parameters, lines)
-    value = merit.value(now.distance)
+    value = _bounded_value(parameters, now, merit)
+    if not np.isfinite(value):
+        return Estimate(parameters, value, 0, False)
     damping, iterations, converged = 0.0, 0, False
     while iterations < _MOST_ITERATIONS and not converged:
         hessian, gradient = _normal(now, lines, merit.weights(now.distance))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators.base import Estimate, EstimatorOptions, least_squares
+from fitting.estimators.base import Estimate, EstimatorOptions, least_squares, times
 from fitting.lines import Lines, evaluate, real_rows, regressor
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def weighted(lines: Lines, row_weights: Array) -> Estimate:
     rows = real_rows(regressor(lines.dq, lines.factor) * row_weights[:, None, None])
     right = real_rows(lines.force * row_weights[:, None])
     parameters = least_squares(rows, right)
-    return Estimate(parameters, float(np.sum((rows @ parameters - right) ** 2)), 1)
+    return Estimate(parameters, float(np.sum((times(rows, parameters) - right) ** 2)), 1)
 
 
 def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001
