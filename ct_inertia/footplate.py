@@ -26,7 +26,7 @@ from ct_inertia.anatomy import AnatomyHints, orient_long_axis
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate_noise import boundary_covariance, height_covariance, height_noise
 from ct_inertia.footplate_search import FaceCandidate, face_candidates
-from ct_inertia.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined
+from ct_inertia.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
 from kinematics.errors import sentence
 from kinematics.frames import RigidTransform, vector_from_rotation
 from kinematics.notices import Notice
@@ -37,7 +37,8 @@ FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
 _EDGE_MM = 0.03
-_RIM_DEG_PER_MM = 100.0
+_DEPTH_MM = 0.6
+_RIM_DEG_PER_MM = 150.0
 _ROUNDS = 100
 _SIZE_MM = (2.0, 8.0)
 
@@ -158,6 +159,7 @@ class _Region:
     diffusion: Diffusion
     resolution_mm: float
     normals: Array
+    blurred: Array
 
 
 @dataclass(frozen=True)
@@ -232,16 +234,17 @@ def _contradiction(solved: _Solved, hints: AnatomyHints) -> str | None:
 
 
 def _region(mesh: Mesh, outward: Array) -> _Region:
-    """Cut out what lies within 0.9 mm of the extreme plane and refine it to the scale of the definition."""
+    """Cut out what lies within 0.6 mm of the extreme plane and refine it to the scale of the definition."""
     height = mesh.points @ outward
-    depth = max(0.9, 0.2 * _extent(mesh))
+    depth = max(_DEPTH_MM, 0.15 * _extent(mesh))
     part = mesh.part(height > height.max() - depth)
     corners = part.points[part.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
     total = float(np.sum(np.linalg.norm(part.area_vectors, axis=1)))
     part = refined(part, max(_EDGE_MM, float(np.sqrt(total / 200_000))))
-    diffusion = Diffusion(part)
-    return _Region(part, diffusion, float(np.median(edges)), diffusion.normals(NORMAL_SCALE_MM))
+    diffusion = Diffusion(part, NORMAL_SCALE_MM)
+    normals = diffusion.normals()
+    return _Region(part, diffusion, float(np.median(edges)), unit(normals), unit(diffusion.step(normals)))
 
 
 def _face(region: _Region, y_axis: Array, cosine: float, normals: Array) -> _Face:
@@ -324,7 +327,7 @@ def _contributions(solved: _Solved) -> dict[str, Array]:
     """Return the covariance of the frame by source, (6, 6) each, SI."""
     region = solved.region
     y_axis = solved.axes[:, 1]
-    density = height_noise(region.diffusion, solved.face.patch, region.normals, NORMAL_SCALE_MM)
+    density = height_noise(region.diffusion, solved.face.patch, region.normals)
     frame = (solved.origin, solved.axes)
     noise = height_covariance(
         frame, solved.face.centres, solved.face.areas, plane_weights, density
@@ -342,9 +345,9 @@ def _contributions(solved: _Solved) -> dict[str, Array]:
     wider = _solve(region, y_axis, FACE_ANGLE_DEG + step)
     narrower = _solve(region, y_axis, FACE_ANGLE_DEG - step)
     rim = 0.5 * _displacement(narrower, wider, solved)
-    scale = float(np.hypot(NORMAL_SCALE_MM, region.resolution_mm))
-    blurred = _solve(region, y_axis, normals=region.diffusion.normals(scale))
-    resolution = _displacement(solved, blurred, solved)
+    blurred = _solve(region, y_axis, normals=region.blurred)
+    blur = 2.0 * (region.resolution_mm / NORMAL_SCALE_MM) ** 2
+    resolution = min(blur, 4.0) * _displacement(solved, blurred, solved)
     return {
         "noise": noise,
         "rim": np.outer(rim, rim),

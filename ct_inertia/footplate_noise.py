@@ -7,35 +7,35 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface_field import Diffusion, Patch, smoothing_response
+from ct_inertia.surface_field import Diffusion, Patch, step_response
 
 Array = NDArray[np.float64]
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
 
 
-def height_noise(diffusion: Diffusion, patch: Patch, normals: Array, sigma_mm: float) -> float:
+def height_noise(diffusion: Diffusion, patch: Patch, normals: Array) -> float:
     """Estimate the spectral density of the surface's height noise from the surface itself, mm4.
 
     Notes
     -----
     The mean of the height over an area A has the variance density / A. The density is found from the
-    difference of the heights diffused over ``sigma`` and ``2 sigma``, a band where noise is larger than
-    the curvature of bone, robustly (median absolute deviation) over the face.
+    difference of the heights after one and two steps of diffusion, a band where noise is larger than the
+    curvature of bone, robustly (median absolute deviation) over the face.
     """
     from scipy.spatial import cKDTree
 
     points = diffusion.mesh.points
-    fine = diffusion.smooth(points, 0.5 * sigma_mm)
-    coarse = diffusion.smooth(fine, sigma_mm)
-    height = np.sum((fine - coarse) * normals, axis=1)
+    sigma_mm = diffusion.sigma_mm
+    fine = diffusion.step(points)
+    height = np.einsum("ij,ij->i", fine - diffusion.step(fine), normals)
     distance, _ = cKDTree(patch.triangles.mean(axis=1)).query(points, distance_upper_bound=sigma_mm)
     inner = height[np.isfinite(distance)]
     if len(inner) == 0:
         return 0.0
     deviation = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
     k = np.linspace(0.0, 60.0 / sigma_mm, 6001)
-    low = smoothing_response(k, 0.5 * sigma_mm)
-    band = low - low * smoothing_response(k, sigma_mm)
+    low = step_response(k, sigma_mm)
+    band = low - low**2
     share = float(np.sum(k * band**2) * (k[1] - k[0]) / (2.0 * np.pi))
     return deviation**2 / share
 
@@ -85,7 +85,7 @@ def boundary_covariance(
     origin, axes = frame
     k = np.linspace(-60.0 / sigma_mm, 60.0 / sigma_mm, 12001)
     line_density = (
-        density / (2.0 * np.pi) * float(np.sum((k * smoothing_response(k, sigma_mm)) ** 2) * (k[1] - k[0]))
+        density / (2.0 * np.pi) * float(np.sum((k * step_response(k, sigma_mm) ** 2) ** 2) * (k[1] - k[0]))
     )
     middle = (patch.segments.mean(axis=1) - origin) @ axes
     length = np.linalg.norm(patch.segments[:, 1] - patch.segments[:, 0], axis=1)

@@ -7,7 +7,6 @@ normals are diffused over a given length in mm, and sets are cut inside the tria
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LEAST_SINE = 0.02
-_STEPS = 2
+_LEAST_SINE = 0.1
 
 
 @dataclass(frozen=True)
@@ -88,15 +86,17 @@ class Diffusion:
 
     Notes
     -----
-    Stiffness by cotangents (Pinkall and Polthier 1993), lumped mass. ``smooth`` multiplies the surface
-    wave number k of a field by (1 + sigma^2 k^2 / 4)^-2, close to a Gaussian of standard deviation sigma.
-    Slivers have their stiffness limited, which keeps it positive semidefinite.
+    Stiffness by cotangents (Pinkall and Polthier 1993), lumped mass. One step multiplies a field of
+    surface wave number k by 1 / (1 + sigma^2 k^2 / 4); two of them are close to a Gaussian of standard
+    deviation sigma. Slivers have their stiffness limited, which keeps it positive semidefinite.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
-        from scipy.sparse import csr_matrix
+    def __init__(self, mesh: Mesh, sigma_mm: float) -> None:
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
 
         self.mesh = mesh
+        self.sigma_mm = sigma_mm
         vectors = mesh.area_vectors
         areas = np.linalg.norm(vectors, axis=1)
         corners = mesh.points[mesh.faces]
@@ -108,16 +108,23 @@ class Diffusion:
             p = corners[:, k]
             u, v = corners[:, (k + 1) % 3] - p, corners[:, (k + 2) % 3] - p
             i, j = mesh.faces[:, (k + 1) % 3], mesh.faces[:, (k + 2) % 3]
-            cotangent = np.sum(u * v, axis=1) / double
-            half = 0.5 * cotangent
+            half = 0.125 * sigma_mm**2 * np.einsum("ij,ij->i", u, v) / double
             rows += [i, j, i, j]
             columns += [j, i, i, j]
             weights += [-half, -half, half, half]
-        self.stiffness: Any = csr_matrix(
-            (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
-        )
         third = np.repeat(areas / 3.0, 3)
         self.mass = np.asarray(1e-15 + np.bincount(mesh.faces.ravel(), third, minlength=n), dtype=np.float64)
+        place = np.arange(n)
+        matrix = csc_matrix(
+            (
+                np.concatenate([*weights, self.mass]),
+                (np.concatenate([*rows, place]), np.concatenate([*columns, place])),
+            ),
+            shape=(n, n),
+        )
+        self._factors = splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
         self.vertex_area_vectors = np.column_stack(
             [
                 np.bincount(mesh.faces.ravel(), np.repeat(vectors[:, k] / 3.0, 3), minlength=n)
@@ -125,44 +132,23 @@ class Diffusion:
             ]
         )
 
-    def normals(self, sigma_mm: float) -> Array:
-        """Return unit outward normals (n, 3) at the vertices, diffused over ``sigma_mm``."""
-        field = self.smooth(self.vertex_area_vectors / self.mass[:, None], sigma_mm)
-        return np.asarray(field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), 1e-30))
+    def step(self, field: Array) -> Array:
+        """Diffuse a field (n, k) by one step."""
+        return np.asarray(self._factors.solve(self.mass[:, None] * field))
 
-    def smooth(self, field: Array, sigma_mm: float) -> Array:
-        """Diffuse a field (n, k) over ``sigma_mm``."""
-        for _ in range(_STEPS):
-            field = self._step(field, 0.5 * sigma_mm**2 / _STEPS)
-        return field
-
-    def _step(self, field: Array, time: float) -> Array:
-        """Solve (mass + time stiffness) u = mass field by conjugate gradients, all columns at once."""
-        diagonal = (self.mass + time * self.stiffness.diagonal())[:, None]
-        right = self.mass[:, None] * field
-        solution = field.copy()
-        residual = right - self.mass[:, None] * solution - time * (self.stiffness @ solution)
-        search = residual / diagonal
-        product = np.sum(residual * search, axis=0)
-        goal = 1e-15 * np.maximum(np.sum(right * right / diagonal, axis=0), 1e-300)
-        for _ in range(400):
-            open_columns = product > goal
-            if not np.any(open_columns):
-                break
-            image = self.mass[:, None] * search + time * (self.stiffness @ search)
-            length = np.where(open_columns, product / np.maximum(np.sum(search * image, axis=0), 1e-300), 0.0)
-            solution = solution + length * search
-            residual = residual - length * image
-            scaled = residual / diagonal
-            new = np.sum(residual * scaled, axis=0)
-            search = scaled + new / np.maximum(product, 1e-300) * search
-            product = new
-        return solution
+    def normals(self) -> Array:
+        """Return outward normals (n, 3) at the vertices after two steps; not yet of unit length."""
+        return self.step(np.asarray(self._factors.solve(self.vertex_area_vectors)))
 
 
-def smoothing_response(wave_number: Array, sigma_mm: float) -> Array:
-    """Return the factor by which Diffusion.smooth multiplies a surface wave of that number (rad/mm)."""
-    return np.asarray((1.0 + 0.5 * sigma_mm**2 * np.square(wave_number) / _STEPS) ** -_STEPS)
+def unit(vectors: Array) -> Array:
+    """Return vectors (n, 3) at unit length."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30))
+
+
+def step_response(wave_number: Array, sigma_mm: float) -> Array:
+    """Return the factor by which one step multiplies a surface wave of that number (rad/mm)."""
+    return np.asarray(1.0 / (1.0 + 0.25 * sigma_mm**2 * np.square(wave_number)))
 
 
 @dataclass(frozen=True)
