@@ -156,7 +156,6 @@ def _fast(
             usecols=lambda column: column in kinds,
             dtype=kinds,
             engine="c",
-            float_precision="high",
             keep_default_na=False,
             na_values={column: list(_MISSING) for column in numbers},
             skip_blank_lines=False,
