@@ -263,7 +263,25 @@ def _known(options: MassOptions) -> _Known:
 
 
 def _bodies(options: MassOptions) -> Bodies:
-    raise NotImplementedError
+    from ct_inertia.read import read_volume
+    from ct_inertia.search import SearchOptions
+    from ct_inertia.segmentation import find_bodies
+
+    volume = None
+    if options.scan is not None:
+        volume = read_volume(options.scan, options.spacing_mm, options.mirror, options.nan_as_air)
+    labels = None
+    if options.labels is not None:
+        labels = read_volume(options.labels, options.spacing_mm, options.mirror)
+    search = SearchOptions(
+        threshold=options.threshold,
+        seed_mm=None if options.seed_mm is None else np.array(options.seed_mm),
+        box_mm=None if options.box_mm is None else np.array(options.box_mm),
+        labels=labels,
+        stapes_label=options.stapes_label,
+        plate_label=options.plate_label,
+    )
+    return find_bodies(volume, search)
 
 
 def _result(

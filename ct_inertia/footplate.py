@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
-_EDGE_MM = 0.03
+_EDGE_MM = 0.04
 _DEPTH_MM = 0.6
 _RIM_DEG_PER_MM = 150.0
 _ROUNDS = 100
@@ -240,8 +240,7 @@ def _region(mesh: Mesh, outward: Array) -> _Region:
     part = mesh.part(height > height.max() - depth)
     corners = part.points[part.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
-    total = float(np.sum(np.linalg.norm(part.area_vectors, axis=1)))
-    part = refined(part, max(_EDGE_MM, float(np.sqrt(total / 200_000))))
+    part = refined(part, max(_EDGE_MM, 0.008 * _extent(mesh)))
     diffusion = Diffusion(part, NORMAL_SCALE_MM)
     normals = diffusion.normals()
     return _Region(part, diffusion, float(np.median(edges)), unit(normals), unit(diffusion.step(normals)))
