@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import ml
+from fitting.estimators.base import gram
 from fitting.lines import Lines, real_rows, regressor
 from fitting.symmetric import entry_names, pairs, split
 from fitting.uncertainty import invert
@@ -106,9 +107,11 @@ def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiab
     """
     n = lines.n
     columns = real_rows(regressor(lines.dq, lines.factor))
-    norms = np.linalg.norm(columns, axis=0)
-    singular = np.linalg.svd(columns / np.where(norms > 0.0, norms, 1.0), compute_uv=False)
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+    product = gram(columns)
+    norms = np.sqrt(np.maximum(np.diag(product), 1e-300))
+    spectrum = np.linalg.eigvalsh(product / np.outer(norms, norms))
+    seen = spectrum[0] > 1e-15 * spectrum[-1]
+    condition = float(np.sqrt(spectrum[-1] / spectrum[0])) if seen else float("inf")
     hessian, _ = ml.normal_equations(parameters, lines)
     sizes = relative_sizes(parameters, n)
     fisher = 2.0 * hessian * np.outer(sizes, sizes)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.estimators import EstimatorOptions, ml
+from fitting.estimators.base import gram, transposed_times
 from fitting.identifiability import relative_sizes
 from fitting.lines import forward, real_rows
 from fitting.problem import Problem
@@ -116,7 +117,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
 
 def significance(problem: Problem, without: Problem) -> tuple[float, float, float, str]:
     """Return statistic, threshold, and the largest relative change of an entry with its name."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     lines = without.lines()
     parameters = ml.estimate(lines, EstimatorOptions(passive=False)).parameters
@@ -125,8 +126,8 @@ def significance(problem: Problem, without: Problem) -> tuple[float, float, floa
     loaded = problem.lines()
     load = forward(now.factor, loaded.force - lines.force)
     flat = real_rows(rows)
-    inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-13)
-    shift = inverse @ (flat.T @ real_rows(load))
+    inverse = np.linalg.pinv(gram(flat), rcond=1e-13)
+    shift = inverse @ transposed_times(flat, real_rows(load))
     spread = np.zeros_like(inverse)
     root = _load_root(problem)
     for column in range(root.shape[1]):
@@ -137,7 +138,7 @@ def significance(problem: Problem, without: Problem) -> tuple[float, float, floa
     statistic = float(shift @ np.linalg.pinv(variance, rcond=1e-12) @ shift)
     relative = np.abs(shift) / relative_sizes(parameters, lines.n)
     worst = int(np.argmax(relative))
-    threshold = max(float(chi2.ppf(_LEVEL, len(shift))), 2.0 * len(shift))
+    threshold = max(float(chdtri(len(shift), 1.0 - _LEVEL)), 2.0 * len(shift))
     return statistic, threshold, float(relative[worst]), entry_names(lines.n)[worst]
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.damping import LAWS, DampingLaw
 from fitting.estimators import Estimate, ml
+from fitting.estimators.base import gram, solve_symmetric, transposed_times
 from fitting.lines import forward, real_rows
 from fitting.problem import Problem
 from fitting.symmetric import entry_names, split
@@ -103,7 +104,7 @@ def _exponent_sd(fit: LawFit) -> float:
     _, damping = split(fit.estimate.parameters, lines.n)
     slope = np.log(1j * lines.omega) * lines.factor
     extra = real_rows(forward(now.factor, slope * (damping @ lines.dq)))
-    coupling = rows.T @ extra
-    explained = float(coupling @ np.linalg.lstsq(rows.T @ rows, coupling, rcond=1e-13)[0])
+    coupling = transposed_times(rows, extra)
+    explained = float(coupling @ solve_symmetric(gram(rows), coupling))
     information = 2.0 * (float(extra @ extra) - explained)
     return 1.0 / max(information, 1e-300) ** 0.5

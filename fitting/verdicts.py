@@ -59,7 +59,7 @@ def physics(fit: KDFit) -> list[Notice]:
 
 
 def _fit_quality(fit: KDFit) -> list[Notice]:
-    from scipy.stats import chi2
+    from scipy.special import chdtr, chdtrc
 
     found = []
     if not fit.estimate.converged:
@@ -68,16 +68,16 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
         )
     if fit.n_dof > 0 and fit.options.robust == "none":
         ratio = fit.chi2 / fit.n_dof
-        if chi2.sf(fit.chi2, fit.n_dof) < _MISFIT:
+        if chdtrc(fit.n_dof, fit.chi2) < _MISFIT:
             found.append(
                 Notice(
                     "misfit",
                     f"Residuals exceed their noise: chi2 per degree of freedom is {ratio:.3g}. Noise may be "
-                    "understated, or the model (damping law, neglected motion, mass matrix) is wrong; "
-                    "intervals were widened accordingly.",
+                    "understated, or the model (damping law, neglected motion, mass matrix) is wrong"
+                    + ("; intervals were widened accordingly." if fit.budget.widened > 1.0 else "."),
                 )
             )
-        elif chi2.cdf(fit.chi2, fit.n_dof) < _MISFIT:
+        elif chdtr(fit.n_dof, fit.chi2) < _MISFIT:
             found.append(
                 Notice(
                     "noise_overstated",

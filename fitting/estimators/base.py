@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from fitting.lines import Lines
 
 Array = NDArray[np.float64]
+# Multiplications of a matrix product up to which common BLAS libraries start no threads.
+_SMALL_PRODUCT = 200_000
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,13 @@ def transposed_times(rows: Array, right: Array) -> Array:
     return np.asarray(np.einsum("rp,r->p", rows, right))
 
 
+def gram(rows: Array) -> Array:
+    """Return A^T A in pieces too small for threads."""
+    p = rows.shape[1]
+    size = max(1, _SMALL_PRODUCT // (p * p))
+    return np.asarray(sum(rows[at : at + size].T @ rows[at : at + size] for at in range(0, len(rows), size)))
+
+
 def least_squares(rows: Array, right: Array) -> Array:
     """Return argmin |A p - b|^2: the pseudo-inverse of A times b, with equilibrated columns.
 
@@ -113,7 +122,7 @@ def least_squares(rows: Array, right: Array) -> Array:
     norms[norms == 0.0] = 1.0
     scaled = rows / norms
     try:
-        root = np.linalg.cholesky(scaled.T @ scaled)
+        root = np.linalg.cholesky(gram(scaled))
         well = root.diagonal().min() > 1e-3
     except np.linalg.LinAlgError:
         well = False

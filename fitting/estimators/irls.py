@@ -9,6 +9,7 @@ from fitting.estimators import pinv
 from fitting.estimators.base import (
     Estimate,
     EstimatorOptions,
+    gram,
     least_squares,
     solve_symmetric,
     times,
@@ -39,7 +40,7 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     value = float(np.sum((times(rows, now) - right) ** 2))
     if not options.passive or inside(now, lines.n):
         return Estimate(now, value, count, converged)
-    hessian = rows.T @ rows
+    hessian = gram(rows)
     held, active = shortest_distance(now, hessian, pull_inside(now, lines.n), lines.n)
     return Estimate(held, value, count, converged, active)
 
@@ -48,10 +49,10 @@ def quick_start(lines: Lines) -> Array:
     """Return the first reweighted estimate, by normal equations: a start for ml."""
     fixed = regressor(lines.dq, lines.factor)
     rows = real_rows(fixed)
-    begin = solve_symmetric(rows.T @ rows, transposed_times(rows, real_rows(lines.force)))
+    begin = solve_symmetric(gram(rows), transposed_times(rows, real_rows(lines.force)))
     factor = cholesky(evaluate(begin, lines).noise)
     rows = real_rows(forward(factor, fixed))
-    return solve_symmetric(rows.T @ rows, transposed_times(rows, real_rows(forward(factor, lines.force))))
+    return solve_symmetric(gram(rows), transposed_times(rows, real_rows(forward(factor, lines.force))))
 
 
 def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import irls, pinv
-from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric, transposed_times
+from fitting.estimators.base import Estimate, EstimatorOptions, gram, solve_symmetric, transposed_times
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
 
@@ -112,7 +112,7 @@ def normal_equations(parameters: Array, lines: Lines, merit: _Merit | None = Non
 def _normal(now: Whitened, lines: Lines, weights: Array) -> tuple[Array, Array]:
     root = np.sqrt(weights)
     rows = real_rows(now.corrected(lines) * root[:, None])
-    return rows.T @ rows, transposed_times(rows, real_rows(now.residual * root))
+    return gram(rows), transposed_times(rows, real_rows(now.residual * root))
 
 
 def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Merit) -> Estimate:
