@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.footplate_search import sphere
 from ct_inertia.surface_field import Mesh
 from kinematics.frames import rotation_from_vector
 
@@ -19,6 +20,7 @@ _CELL_MM = 0.4
 _ROUNDS = 30
 _SCATTER = 2.25
 _DIRECTIONS = 600
+_FAILURES = 3
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,7 @@ class PlaneFace:
     def moved(self, step: Array) -> PlaneFace:
         """Return the face displaced by a height (mm) and two slopes (rad)."""
         turn = rotation_from_vector(np.cross(self.normal, -self.basis @ step[1:]))
-        return PlaneFace(
-            turn @ self.normal,
-            self.point_mm + step[0] * self.normal,
-            self.basis,
-            self.covariance,
-            self.area_mm2,
-            self.samples_mm,
-            self.at_border,
-        )
+        return replace(self, normal=turn @ self.normal, point_mm=self.point_mm + step[0] * self.normal)
 
     def distance(self, points_mm: Array) -> Array:
         """Return signed distances (n,) of points (n, 3), positive outside, mm."""
@@ -91,33 +85,45 @@ def plane_faces(
     """
     vectors = mesh.area_vectors
     areas = np.linalg.norm(vectors, axis=1)
-    normals = _smoothed(mesh, vectors)
-    centres = mesh.points[mesh.faces].mean(axis=1)
     border = np.zeros(len(areas), dtype=bool) if on_border is None else np.all(on_border[mesh.faces], axis=1)
-    free = areas > 0.0
+    directions = sphere(_DIRECTIONS)
+    normals = _smoothed(mesh, vectors)
+    pieces = _Pieces(
+        mesh.points[mesh.faces].mean(axis=1), normals, areas, border, _nearest(directions, normals)
+    )
     found: list[PlaneFace] = []
-    directions = _directions()
-    for _ in range(40):
-        if areas[free].sum() < least_area_mm2:
-            break
-        face, members = _largest(centres, normals, areas, free, directions)
-        if face is None:
-            break
-        free &= ~members
-        if face.area_mm2 >= least_area_mm2:
-            share = areas[members & border].sum() / areas[members].sum()
-            found.append(
-                PlaneFace(
-                    face.normal,
-                    face.point_mm,
-                    face.basis,
-                    face.covariance,
-                    face.area_mm2,
-                    face.samples_mm,
-                    bool(share > 0.5),
-                )
-            )
+    failures = 0
+    while pieces.areas.sum() > least_area_mm2 and failures < _FAILURES:
+        face, members = _largest(pieces, directions)
+        if face is not None and face.area_mm2 >= least_area_mm2:
+            found.append(face)
+        else:
+            failures += 1
+        pieces = pieces.chosen(~members)
     return sorted(found, key=lambda face: -face.area_mm2)
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of surface: centres (n, 3), unit normals (n, 3), areas, at the border, nearest direction."""
+
+    centres: Array
+    normals: Array
+    areas: Array
+    border: NDArray[np.bool_]
+    direction: NDArray[np.intp]
+
+    def chosen(self, keep: NDArray[np.bool_]) -> _Pieces:
+        """Return some of the pieces."""
+        return _Pieces(
+            self.centres[keep], self.normals[keep], self.areas[keep], self.border[keep], self.direction[keep]
+        )
+
+
+def _nearest(directions: Array, normals: Array) -> NDArray[np.intp]:
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(directions).query(normals)[1], dtype=np.intp)
 
 
 def _smoothed(mesh: Mesh, vectors: Array) -> Array:
@@ -134,44 +140,31 @@ def _smoothed(mesh: Mesh, vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30))
 
 
-def _directions() -> Array:
-    from ct_inertia.footplate_search import sphere
-
-    return sphere(_DIRECTIONS)
-
-
-def _largest(
-    centres: Array, normals: Array, areas: Array, free: NDArray[np.bool_], directions: Array
-) -> tuple[PlaneFace | None, NDArray[np.bool_]]:
-    """Return the largest plane face among the free pieces, and the pieces that it takes up."""
-    pooled = _histogram(normals[free], areas[free], directions)
+def _largest(pieces: _Pieces, directions: Array) -> tuple[PlaneFace | None, NDArray[np.bool_]]:
+    """Return the largest plane face among the pieces, and which of them it takes up."""
+    areas = pieces.areas
+    pooled = np.bincount(pieces.direction, areas, minlength=len(directions))
     cosine = np.cos(np.radians(_CONE_DEG))
     near = directions @ directions.T > cosine
     normal = directions[int(np.argmax(near @ pooled))]
-    for _ in range(5):
-        facing = free & (normals @ normal > cosine)
-        total = (normals * areas[:, None])[facing].sum(axis=0)
+    for _ in range(3):
+        facing = pieces.normals @ normal > cosine
+        total = areas[facing] @ pieces.normals[facing]
         if not np.any(total):
-            return None, free
+            return None, np.ones(len(areas), dtype=bool)
         normal = total / np.linalg.norm(total)
-    facing = free & (normals @ normal > cosine)
-    height = centres @ normal
+    facing = pieces.normals @ normal > cosine
+    height = pieces.centres @ normal
     start = float(height[facing].min()) - _LAYER_MM
     bins = np.bincount(((height[facing] - start) / _BIN_MM).astype(int), areas[facing])
     layer = np.convolve(bins, np.ones(3), mode="same")
     level = start + (int(np.argmax(layer)) + 0.5) * _BIN_MM
     members = facing & (np.abs(height - level) < 2.0 * _LAYER_MM)
     if np.count_nonzero(members) < 3:
-        return None, free
-    return _fitted(centres[members], areas[members], normal), members
-
-
-def _histogram(normals: Array, areas: Array, directions: Array) -> Array:
-    """Return the area (n,) that belongs to each of the directions (n, 3)."""
-    from scipy.spatial import cKDTree
-
-    _, place = cKDTree(directions).query(normals)
-    return np.asarray(np.bincount(place, areas, minlength=len(directions)), dtype=np.float64)
+        return None, facing
+    face = _fitted(pieces.centres[members], areas[members], normal)
+    share = areas[members & pieces.border].sum() / areas[members].sum()
+    return replace(face, at_border=bool(share > 0.5)), members
 
 
 def _fitted(points: Array, areas: Array, normal: Array) -> PlaneFace:
