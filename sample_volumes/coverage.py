@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _OFFSET = 1.234567e-7
+_MOST_AT_ONCE = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Crossings:
     column : ndarray, (n,)
         Flat index y * nx + x of the voxel column.
     height : ndarray, (n,)
-        In voxels, voxel k spanning k - 0.5 to k + 0.5.
+        In voxels, ascending, voxel k spanning k - 0.5 to k + 0.5.
     weight : ndarray, (n,)
         +1/s^2 where the column enters the body going up z, -1/s^2 where it leaves it.
     shape : tuple of int
@@ -37,21 +38,41 @@ class Crossings:
     weight: Array
     shape: tuple[int, int]
 
+    def touches(self, first: int, count: int) -> bool:
+        """Tell whether the body reaches into ``count`` slices from slice ``first`` on."""
+        return (
+            len(self.height) > 0
+            and bool(self.height[0] < first + count - 0.5)
+            and bool(self.height[-1] > first - 0.5)
+        )
+
     def slab(self, first: int, count: int) -> NDArray[np.float32]:
         """Return the filled fraction of ``count`` slices from slice ``first`` on, (z, y, x), 0 to 1."""
         nx, ny = self.shape
-        below = self.height < first + count - 0.5
-        height = np.maximum(self.height[below], first - 0.5) - first
-        weight = self.weight[below]
-        bottom = np.floor(height + 0.5).astype(np.int64)
+        filled = np.empty((count, ny, nx), dtype=np.float32)
+        step = max(1, _MOST_AT_ONCE // (nx * ny))
+        for start in range(0, count, step):
+            part = filled[start : start + step]
+            part[...] = self._filled(first + start, len(part)).reshape(part.shape)
+        return filled
+
+    def _filled(self, first: int, count: int) -> Array:
+        """Return the fractions as (z, y * nx + x)."""
+        size = self.shape[0] * self.shape[1]
+        low, high = np.searchsorted(self.height, [first - 0.5, first + count - 0.5])
+        height = self.height[low:high] - first
+        weight = self.weight[low:high]
+        bottom = np.minimum(np.floor(height + 0.5), count - 1).astype(np.int64)
         part = bottom + 0.5 - height
-        size = nx * ny
-        flat = bottom * size + self.column[below]
-        steps = np.bincount(flat, weight * part, minlength=(count + 1) * size)
-        steps += np.bincount(flat + size, weight * (1.0 - part), minlength=(count + 1) * size)
-        filled = steps[: count * size].reshape(count, ny, nx)
+        flat = bottom * size + self.column[low:high]
+        above = bottom + 1 < count
+        filled = np.zeros((count, size))
+        steps = filled.reshape(-1)
+        steps += np.bincount(flat, weight * part, minlength=count * size)
+        steps += np.bincount(flat[above] + size, (weight * (1.0 - part))[above], minlength=count * size)
+        filled[0] += np.bincount(self.column[:low], self.weight[:low], minlength=size)
         np.cumsum(filled, axis=0, out=filled)
-        return filled.astype(np.float32)
+        return filled
 
 
 def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int], samples: int) -> Crossings:
@@ -70,7 +91,7 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
     """
     nx, ny = shape
     columns, heights, weights = [], [], []
-    for triangle in np.asarray(vertices, dtype=float)[faces]:
+    for triangle in np.asarray(vertices, dtype=float)[faces].tolist():
         found = _triangle(triangle, nx, ny, samples)
         if found is not None:
             columns.append(found[0])
@@ -78,11 +99,13 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
             weights.append(found[2])
     if not columns:
         return Crossings(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), shape)
-    return Crossings(np.concatenate(columns), np.concatenate(heights), np.concatenate(weights), shape)
+    height = np.concatenate(heights)
+    order = np.argsort(height, kind="stable")
+    return Crossings(np.concatenate(columns)[order], height[order], np.concatenate(weights)[order], shape)
 
 
 def _triangle(
-    triangle: Array, nx: int, ny: int, samples: int
+    triangle: list[list[float]], nx: int, ny: int, samples: int
 ) -> tuple[NDArray[np.int64], Array, Array] | None:
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle
     twice_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)

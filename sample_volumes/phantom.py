@@ -18,7 +18,9 @@ from ct_inertia.plate_frame import positive_sense
 from kinematics.frames import RigidTransform, rotation_from_vector
 from sample_volumes import bodies
 from sample_volumes.bodies import Solid
-from sample_volumes.coverage import Crossings, crossings
+from sample_volumes.rendering import Renderer, render, write_scan
+
+__all__ = ["Ear", "Renderer", "Scene", "render", "scene", "truth", "write_scan"]
 
 Array = NDArray[np.float64]
 
@@ -234,107 +236,3 @@ def truth(placed: Scene) -> dict[str, Any]:
         "gap_mm": ear.gap_mm,
         "stapes_voxels_noise_free": moments.volume_mm3 / float(np.prod(ear.voxel_mm)),
     }
-
-
-class Renderer:
-    """Grey values of a scene, any range of slices at a time."""
-
-    def __init__(self, placed: Scene) -> None:
-        self.placed = placed
-        ear = placed.ear
-        spacing = np.asarray(ear.voxel_mm)
-        nx, ny, _ = placed.shape
-        self.margin = int(np.ceil(5.0 * ear.psf_voxels)) if ear.psf_voxels > 0.0 else 0
-        samples = 4 if spacing.min() >= 0.012 else 2
-        self.wide = (nx + 2 * self.margin, ny + 2 * self.margin)
-        shift = np.array([self.margin, self.margin, 0])
-        self.parts: list[tuple[Crossings, int]] = [
-            (crossings(solid.vertices / spacing + shift, solid.faces, self.wide, samples), material)
-            for solid, material in placed.solids
-        ]
-
-    def contrast(self, first: int, count: int) -> NDArray[np.float32]:
-        """Return noise-free grey values above air, blurred, (count, y, x), in units of the bone contrast."""
-        from scipy.ndimage import gaussian_filter
-
-        ear = self.placed.ear
-        air, plastic, bone = ear.levels
-        start, total = first - self.margin, count + 2 * self.margin
-        filled = [np.zeros((total, self.wide[1], self.wide[0]), dtype=np.float32) for _ in range(2)]
-        for part, material in self.parts:
-            filled[material - 1] += part.slab(start, total)
-        np.minimum(filled[1], 1.0, out=filled[1])
-        np.minimum(filled[0], 1.0 - filled[1], out=filled[0])
-        grey = filled[1] + np.float32((plastic - air) / (bone - air)) * filled[0]
-        if self.margin:
-            grey = gaussian_filter(grey, ear.psf_voxels, truncate=5.0, mode="nearest")
-            cut = slice(self.margin, -self.margin)
-            grey = grey[cut, cut, cut]
-        return np.asarray(grey, dtype=np.float32)
-
-    def slices(self, first: int, count: int) -> NDArray[np.uint16]:
-        """Return slices as the scanner stores them, noise included; it does not depend on the slabs."""
-        ear = self.placed.ear
-        air, _, bone = ear.levels
-        grey = self.contrast(first, count)
-        if ear.noise > 0.0:
-            for k in range(count):
-                rng = np.random.default_rng([ear.noise_seed, first + k])
-                grey[k] += np.float32(ear.noise) * rng.standard_normal(grey[k].shape, dtype=np.float32)
-        grey *= np.float32(bone - air)
-        grey += np.float32(air + 0.5)
-        return np.clip(grey, 0.0, 65535.0).astype(np.uint16)
-
-
-def slab_height(shape: tuple[int, int, int], most_bytes: int = 1 << 27) -> int:
-    """Return how many slices are rendered at a time, so that a slab of floats stays small."""
-    nx, ny, nz = shape
-    return max(1, min(nz, most_bytes // (4 * nx * ny)))
-
-
-def render(placed: Scene) -> NDArray[np.uint16]:
-    """Return the whole volume, (z, y, x)."""
-    volume = Renderer(placed).slices(0, placed.shape[2])
-    return _stored(volume, placed.ear.mirror)
-
-
-def _stored(volume: NDArray[np.uint16], mirror: str) -> NDArray[np.uint16]:
-    if not mirror:
-        return volume
-    return np.ascontiguousarray(np.flip(volume, axis="zyx".index(mirror)))
-
-
-def write_scan(path: Path, placed: Scene) -> None:
-    """Write the scan as an uncompressed TIFF stack with its spacing, slab by slab.
-
-    Up to 2 GiB it is an ImageJ stack, above that an OME BigTIFF.
-    """
-    import tifffile
-
-    nx, ny, nz = placed.shape
-    dx, dy, dz = placed.ear.voxel_mm
-    common: dict[str, Any] = {"shape": (nz, ny, nx), "dtype": np.uint16}
-    if 2 * nx * ny * nz <= 2**31:
-        common["dtype"] = np.dtype(">u2")
-        stack = tifffile.memmap(
-            path,
-            imagej=True,
-            resolution=(1.0 / dx, 1.0 / dy),
-            metadata={"spacing": dz, "unit": "mm", "axes": "ZYX"},
-            **common,
-        )
-    else:
-        sizes = {"PhysicalSizeX": dx, "PhysicalSizeY": dy, "PhysicalSizeZ": dz}
-        units = {f"{name}Unit": "mm" for name in sizes}
-        stack = tifffile.memmap(
-            path, bigtiff=True, ome=True, metadata={"axes": "ZYX", **sizes, **units}, **common
-        )
-    renderer = Renderer(placed)
-    height = slab_height(placed.shape)
-    axis = {"": None, "x": 2, "y": 1, "z": 0}[placed.ear.mirror]
-    target = stack if axis is None else np.flip(stack, axis=axis)
-    for first in range(0, nz, height):
-        count = min(height, nz - first)
-        target[first : first + count] = renderer.slices(first, count)
-    stack.flush()
-    del target, stack
