@@ -104,7 +104,7 @@ def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:
         "about": matrix.about,
         "axes": matrix.axes,
         "dof": list(DOF_NAMES),
-        "matrix_si": matrix.matrix.tolist(),
+        "matrix_si": (matrix.matrix + 0.0).tolist(),
         "standard_deviation_si": matrix.standard_deviation.tolist(),
     }
 

@@ -215,32 +215,29 @@ def _bodies_section(
 
 
 def _frames_table(content: Mapping[str, Any]) -> Any:
-    rows = []
     poses = content["frames"]["pose_covariance"]
+    columns: dict[str, list[str]] = {}
     for key in ("footplate", "plate"):
         frame = _frame(content, key)
         if frame is None:
             continue
         sd = np.sqrt(np.diag(np.array(poses[f"scan_from_{key}"]["matrix_si"], dtype=float)))
-        rows.append(
-            (
-                key,
-                _listed(frame.translation_mm, 4),
-                *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
-                ", ".join(f"{value * 1e6:.2g}" for value in sd[:3]),
-                ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
-            )
-        )
-    header = (
-        "frame",
+        columns[f"{key} frame"] = [
+            _listed(frame.translation_mm, 4),
+            *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
+            ", ".join(f"{value * 1e6:.2g}" for value in sd[:3]),
+            ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
+        ]
+    labels = (
         "origin (scan, mm)",
-        "x in scan axes",
-        "y in scan axes",
-        "z in scan axes",
-        "sd of origin (µm)",
-        "sd of rotation (°)",
+        "x axis (scan)",
+        "y axis (scan)",
+        "z axis (scan)",
+        "sd of origin along x, y, z (µm)",
+        "sd of rotation about x, y, z (°)",
     )
-    return page.table(header, rows)
+    rows = [(label, *(column[place] for column in columns.values())) for place, label in enumerate(labels)]
+    return page.table(("", *columns), rows)
 
 
 def _listed(values: Array, digits: int) -> str:
@@ -311,7 +308,7 @@ def _matrix_section(content: Mapping[str, Any]) -> page.Section:
         if block is not None:
             section.add(
                 page.matrix(
-                    block["matrix_si"],
+                    np.array(block["matrix_si"], dtype=float) + 0.0,
                     block["dof"],
                     words,
                     block["standard_deviation_si"],
@@ -339,19 +336,12 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
         ]
         com = ", ".join(f"{value * 1e6:.2f}" for value in row["center_of_mass_m"])
         rows.append((described(source), com, *shares))
-    header = (
-        "source",
-        "centre of mass x, y, z (µm)",
-        "mass (%)",
-        "M(alpha, alpha) (%)",
-        "M(beta, beta) (%)",
-        "M(gamma, gamma) (%)",
-    )
+    header = ("source", "centre of mass (µm)", "mass (%)", "M(α, α) (%)", "M(β, β) (%)", "M(γ, γ) (%)")
     section = page.Section(
         "Uncertainty budget",
         [
             page.text(
-                "One standard deviation that each source adds, in footplate axes about the footplate centre."
+                "One standard deviation that each source adds; centre of mass along x, y, z of the footplate."
             ),
             page.table(header, rows),
         ],
