@@ -215,8 +215,8 @@ def run(prog: str, work: Callable[[list[str]], tuple[argparse.Namespace, Outcome
     except StapeskitError as fault:
         sys.stderr.write(f"{fault}\n")
         code = 2
-    except KeyboardInterrupt:
-        sys.stderr.write(f"{prog}: interrupted; nothing was written.\n")
+    except KeyboardInterrupt as stop:
+        sys.stderr.write(f"{prog}: {stop if str(stop) else 'interrupted; nothing was written.'}\n")
         code = 130
     except BrokenPipeError:
         code = 0

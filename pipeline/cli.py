@@ -160,3 +160,7 @@ def _line(kd: Any) -> str:
 def main() -> NoReturn:
     """Run the command and leave with its exit code."""
     run("scan2kd", work)
+
+
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -120,6 +119,13 @@ def _run_all(
                 ends[job.name] = _end(job)
                 tell(f"{job.name}: {'done' if not ends[job.name]['code'] else 'failed'}")
             time.sleep(0.02)
+    except KeyboardInterrupt as stop:
+        _stop(running)
+        done = [name for name, end in ends.items() if not end["code"]]
+        if not done:
+            raise
+        text = f"interrupted; the finished studies stand in {out}: {', '.join(done)}."
+        raise KeyboardInterrupt(text) from stop
     except BaseException:
         _stop(running)
         raise
@@ -172,8 +178,7 @@ def _search_path(environment: Mapping[str, str]) -> str:
 
 def _end(job: _Job) -> dict[str, Any]:
     """Return how a study ended; one that died without a word is named as such."""
-    for thread in job.readers:
-        thread.join()
+    _closed(job)
     with suppress(ValueError, IndexError):
         end: dict[str, Any] = json.loads(job.output["stdout"].strip().splitlines()[-1])
         return end
@@ -183,13 +188,30 @@ def _end(job: _Job) -> dict[str, Any]:
 
 
 def _stop(running: Sequence[_Job]) -> None:
-    """Ask the studies at work to clean up and leave; end those that do not."""
-    for job in running:
-        with suppress(ProcessLookupError):
-            job.process.send_signal(signal.SIGTERM)
+    """Ask the studies at work to clean up and leave, again each second, and end those that do not.
+
+    Once is not enough: an exception that a signal raises within a callback of the import machinery is lost.
+    """
     deadline = time.monotonic() + _PATIENCE_S
+    left = list(running)
+    while left and time.monotonic() < deadline:
+        for job in left:
+            job.process.terminate()
+        pause = time.monotonic() + 1.0
+        while left and time.monotonic() < pause:
+            time.sleep(0.02)
+            left = [job for job in left if job.process.poll() is None]
+    for job in left:
+        job.process.kill()
     for job in running:
-        try:
-            job.process.wait(max(0.1, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            job.process.kill()
+        _closed(job)
+
+
+def _closed(job: _Job) -> None:
+    """Wait for a process to end and close what it wrote to."""
+    job.process.wait()
+    for thread in job.readers:
+        thread.join()
+    for stream in (job.process.stdout, job.process.stderr):
+        if stream is not None:
+            stream.close()

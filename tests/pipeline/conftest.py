@@ -1,0 +1,43 @@
+"""One ear, run once for all tests of this room."""
+
+import shutil
+
+import pytest
+from markupsafe import Markup
+
+from pipeline.scan2kd import run_study
+from tests.pipeline.ears import make_ear
+
+
+def settle(patch):
+    """Draw by matplotlib, the same on every machine, and take the code as one that nobody edits meanwhile."""
+    patch.setenv("STAPESKIT_OFFSCREEN", "0")
+    patch.setattr("pipeline.records._code", lambda rooms: "code of " + " ".join(rooms))
+
+
+@pytest.fixture(autouse=True)
+def settled(monkeypatch):
+    """Settle every test of this room, and leave the drawing away, which `finished` has done once."""
+    settle(monkeypatch)
+    monkeypatch.setattr("kinematics.page.figure", lambda *_, **__: Markup("<figure></figure>"))
+    monkeypatch.setattr("ct_inertia.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ()))
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """A study file and the folder of its finished run."""
+    with pytest.MonkeyPatch.context() as patch:
+        settle(patch)
+        folder = tmp_path_factory.mktemp("ear")
+        study = make_ear(folder / "ear1")
+        result = run_study(study, folder / "out")
+    return study, folder / "out", result
+
+
+@pytest.fixture
+def ear(finished, tmp_path):
+    """A copy of the finished study that a test may change: study file and output folder."""
+    study, out, _ = finished
+    shutil.copytree(study.parent, tmp_path / "ear1")
+    shutil.copytree(out, tmp_path / "out")
+    return tmp_path / "ear1" / "study.toml", tmp_path / "out"

@@ -1,0 +1,134 @@
+"""Several ears: one subfolder each, a table, a plain comparison; a failed study does not lose the others."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.cohort import Ear, Quantity, quantities, read_ear, write_cohort_csv, write_cohort_page
+from pipeline.several import folder_names, run_studies
+
+ROOT = Path(__file__).parents[2]
+
+
+def ears_like(finished, count, side="left"):
+    one = read_ear(finished[1], "one")
+    return [Ear(f"ear {k}", f"ear{k}", side, one.mass, one.kd) for k in range(count)]
+
+
+def test_cohort_table_has_a_row_per_ear_and_units_in_its_names(finished, tmp_path):
+    write_cohort_csv(tmp_path / "cohort.csv", ears_like(finished, 2))
+    with (tmp_path / "cohort.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    kd = finished[2].kd
+    assert [row["study"] for row in rows] == ["ear 0", "ear 1"]
+    for column, value in (
+        ("mass_kg", finished[2].mass["mass_kg"]),
+        ("K_y_y_n_per_m", kd["stiffness_si"][0][0]),
+        ("K_y_y_sd_n_per_m", kd["stiffness_sd_si"][0][0]),
+        ("K_y_alpha_n", kd["stiffness_si"][0][1]),
+        ("D_gamma_gamma_n_s_m_per_rad", kd["damping_si"][2][2]),
+        ("mode2_frequency_hz", kd["modes"][1]["frequency_hz"]),
+        ("mode3_damping_ratio", kd["modes"][2]["damping_ratio"]),
+    ):
+        assert float(rows[1][column]) == pytest.approx(value, rel=1e-12), column
+
+
+def test_homogeneity_is_cochrans():
+    rng = np.random.default_rng(5)
+    p = []
+    for _ in range(2000):
+        sd = rng.uniform(0.5, 2.0, 6)
+        p.append(Quantity("a", "", 3.0 + sd * rng.standard_normal(6), sd).homogeneity()[2])
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=0.015)
+    far = Quantity("a", "", np.array([1.0, 2.0]), np.array([0.1, 0.1])).homogeneity()
+    assert far[0] == pytest.approx(50.0)
+    assert far[1] == 1
+    assert far[2] < 1e-9
+    assert np.isnan(Quantity("a", "", np.array([1.0]), np.array([0.1])).homogeneity()[2])
+
+
+def test_entries_that_turn_with_the_side(finished):
+    """A mirror image in the x-y plane turns alpha, beta and z: K' = S K S with S = diag(1, -1, 1)."""
+    turns = {one.name for one in quantities(ears_like(finished, 2)) if one.turns}
+    sign = np.outer([1, -1, 1], [1, -1, 1])
+    names = ("y", "alpha", "gamma")
+    wanted = {
+        f"{letter}_{names[i]}_{names[j]}"
+        for letter in "KD"
+        for i in range(3)
+        for j in range(i, 3)
+        if sign[i, j] < 0
+    }
+    assert turns == wanted
+
+
+def test_page_compares_only_what_can_be_compared(finished, tmp_path):
+    left, right = ears_like(finished, 1)[0], ears_like(finished, 1, "right")[0]
+    write_cohort_page(tmp_path / "same.html", [left, left], {})
+    write_cohort_page(tmp_path / "mixed.html", [left, right], {"ear 9": "no scan"})
+    same, mixed = ((tmp_path / name).read_text() for name in ("same.html", "mixed.html"))
+    assert same.count("K(y, alpha)") == 2
+    assert mixed.count("K(y, alpha)") == 1
+    assert "no scan" in mixed
+    assert "http" not in same
+
+
+def test_folders_are_named_by_file_or_by_place():
+    names = folder_names(
+        [Path("/a/left.toml"), Path("/b/study.toml"), Path("/c/study.toml"), Path("/d/c/study.toml")]
+    )
+    assert names == ["left", "b", "c", "c-2"]
+
+
+def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
+    study, out = ear
+    (tmp_path / "all").mkdir()
+    out.rename(tmp_path / "all" / "ear1")
+    broken = tmp_path / "broken" / "study.toml"
+    broken.parent.mkdir()
+    broken.write_text(study.read_text().replace("[fit]", "[fitt]"))
+    lines = []
+    result = run_studies([study, broken], tmp_path / "all", jobs=2, tell=lines.append)
+    assert [one.name for one in result.ears] == ["ear1"]
+    assert result.codes == {"broken": 2}
+    assert "Did you mean [fit]?" in result.faults["broken"]
+    assert "scan.file must be an existing file" in result.faults["broken"]
+    assert not (tmp_path / "all" / "broken").exists()
+    assert (tmp_path / "all" / "cohort.csv").read_text().count("\n") == 2
+    assert "broken" in (tmp_path / "all" / "cohort.html").read_text()
+    assert any(line.startswith("ear1: fit") for line in lines)
+
+
+def test_interrupting_several_studies_leaves_nothing(ear, tmp_path):
+    study, _ = ear
+    second = tmp_path / "ear2"
+    study.parent.rename(second)
+    other = tmp_path / "ear1"
+    other.mkdir()
+    for path in second.iterdir():
+        (other / path.name).write_bytes(path.read_bytes())
+    words = [sys.executable, "-m", "pipeline.cli", str(other / "study.toml"), str(second / "study.toml")]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [*words, "--jobs", "2", "--out", str(tmp_path / "both")],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    told = process.stderr.readline()
+    assert "vibrometer table" in told
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in rest
+    assert not (tmp_path / "both").exists()
+    assert not list(tmp_path.glob(".stapeskit-*"))

@@ -1,0 +1,83 @@
+"""The report: every section, nothing from the network, the notes at the top."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+HEADINGS = (
+    "This ear",
+    "Warnings",
+    "The stapes in its frames",
+    "Mass matrix M",
+    "Points and beams",
+    "Motion of stapes and bone",
+    "Stiffness K and damping D",
+    "Measured and simulated responses",
+    "Principal axes on the footplate",
+    "Modes",
+    "Uncertainty of K and D",
+    "Inputs",
+)
+
+
+class Reader(HTMLParser):
+    """Collects headings, references and pictures."""
+
+    def __init__(self):
+        super().__init__()
+        self.headings, self.references, self.pictures, self.inside = [], [], 0, ""
+
+    def handle_starttag(self, tag, attrs):
+        self.inside = tag
+        for name, value in attrs:
+            if name in ("src", "href", "data", "action", "poster", "srcset"):
+                self.references.append(value)
+        self.pictures += tag == "img"
+
+    def handle_data(self, data):
+        if self.inside == "h2" and data.strip():
+            self.headings.append(data)
+
+    def handle_endtag(self, tag):
+        self.inside = ""
+
+
+@pytest.fixture(scope="module")
+def page(finished):
+    text = (finished[1] / "report.html").read_text(encoding="utf-8")
+    reader = Reader()
+    reader.feed(text)
+    return text, reader
+
+
+def test_sections_stand_in_their_order(page):
+    found = [heading for heading in page[1].headings if heading in HEADINGS]
+    assert tuple(found) == HEADINGS
+    assert len(set(page[1].headings)) == len(page[1].headings)
+
+
+def test_nothing_comes_from_the_network(page):
+    text, reader = page
+    assert reader.pictures >= 7
+    assert all(value.startswith(("data:image/", "#")) for value in reader.references)
+    outside = re.sub(r'src="data:[^"]*"', "", text)
+    assert not re.search(r"url\(|<script|<link|@import|https?://", outside)
+
+
+def test_notes_key_results_warnings_and_hashes(page, finished):
+    text, _ = page
+    top = text[: text.index('<section id="s3"')]
+    assert "SIMULATED vibrometer data." in top
+    assert "Incus removed." in top
+    for words in ("mass", "K(y, y)", "D(gamma, gamma)", "mode 3", "N s m/rad", "damping ratio"):
+        assert words in top
+    for notice in finished[2].notices:
+        assert notice.code in top
+    for name in ("study.toml", "ldv.csv", "points.csv", "fiducials.csv", "stapes.ply"):
+        assert re.search(rf"{name}</td>.*?xxh3_128:[0-9a-f]{{32}}", text, re.DOTALL)
+
+
+def test_every_warning_is_in_words_of_the_study_file(finished):
+    for notice in finished[2].notices:
+        assert "--" not in notice.text

@@ -1,0 +1,203 @@
+"""The chain: right numbers, stages reused exactly as long as they hold, outputs whole or not at all."""
+
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from kinematics.errors import StapeskitError
+from pipeline import stages
+from pipeline.progress import Progress
+from pipeline.scan2kd import run_study
+
+OUTPUTS = {"report.html", "mass.json", "stapes.ply", "dof.csv", "dof.h5", "dof.channels.csv", "kd.json"}
+
+
+def contents(folder: Path):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def reused(result):
+    return {run.name: run.reused for run in result.stages}
+
+
+def edit(path: Path, old: str, new: str):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_the_chain_recovers_stiffness_and_damping(finished):
+    kd = finished[2].kd
+    upper = np.triu_indices(3)
+    truth = np.concatenate([PAPER_STIFFNESS[upper], PAPER_DAMPING_CORRECTED[upper]])
+    found = np.concatenate([np.array(kd["stiffness_si"])[upper], np.array(kd["damping_si"])[upper]])
+    error = found - truth
+    distance = error @ np.linalg.solve(np.array(kd["covariance_si"]), error)
+    assert distance < 26.2  # chi2 of 12 degrees of freedom at p = 0.01
+    assert np.all(np.abs(np.diag(kd["stiffness_si"]) / np.diag(PAPER_STIFFNESS) - 1.0) < 0.08)
+
+
+def test_the_outputs_of_the_contract(finished):
+    _, out, result = finished
+    assert {path.name for path in out.iterdir() if path.is_file()} == OUTPUTS
+    assert {path.name for path in result.files} == OUTPUTS
+    assert json.loads((out / "kd.json").read_text())["schema"] == "stapeskit.kd/1"
+
+
+def test_a_second_run_recomputes_nothing(ear):
+    study, out = ear
+    before = contents(out)
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    result = run_study(study, out)
+    assert all(reused(result).values())
+    assert contents(out) == before
+    assert all(path.stat().st_mtime_ns == times[path] for path in out.rglob("*") if path.is_file())
+    assert result.kd["stiffness_si"] == json.loads(before["kd.json"])["stiffness_si"]
+
+
+def test_another_density_reuses_the_motion(ear):
+    study, out = ear
+    edit(study, "1382.4+-14", "1400+-14")
+    result = run_study(study, out)
+    assert reused(result) == {"scan": False, "motion": True, "fit": False, "report": False}
+    assert result.mass["density_kg_m3"] == 1400.0
+    assert "changed: density_kg_m3" in result.stages[0].reason
+
+
+def test_other_notes_make_only_the_report_anew(ear):
+    study, out = ear
+    edit(study, "Incus removed", "Cochlea opened")
+    assert reused(run_study(study, out)) == {"scan": True, "motion": True, "fit": True, "report": False}
+    assert "Cochlea opened" in (out / "report.html").read_text()
+
+
+def test_another_estimator_makes_only_fit_and_report_anew(ear):
+    study, out = ear
+    edit(study, 'dof = "y,alpha,gamma"', 'dof = "y,alpha,gamma"\nestimator = "pinv"')
+    result = run_study(study, out)
+    assert reused(result) == {"scan": True, "motion": True, "fit": False, "report": False}
+    assert result.kd["estimator"] == "pinv"
+
+
+@pytest.mark.parametrize("name", ["kd.json", "dof.csv", "report.html", ".stapeskit/fit.sections.json"])
+def test_an_edited_or_missing_output_is_made_anew(ear, name):
+    study, out = ear
+    before = contents(out)
+    (out / name).write_bytes(before[name][:-20])
+    result = run_study(study, out)
+    assert not all(reused(result).values())
+    assert reused(result)["scan"]
+    assert contents(out)[name] != before[name][:-20]
+    (out / name).unlink()
+    assert not all(reused(run_study(study, out)).values())
+    assert (out / name).exists()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema": "stapeskit.stage/1"}'])
+def test_a_corrupt_record_is_not_believed(ear, text):
+    study, out = ear
+    (out / ".stapeskit" / "fit.json").write_text(text)
+    result = run_study(study, out)
+    assert not reused(result)["fit"]
+    assert reused(result)["motion"]
+
+
+def test_changed_vibrometer_data_make_motion_and_fit_anew(ear):
+    study, out = ear
+    table = study.parent / "ldv.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join(line for line in lines if not line.startswith("stapes,3,")) + "\n")
+    assert reused(run_study(study, out)) == {"scan": True, "motion": False, "fit": False, "report": False}
+
+
+def test_force_makes_everything_anew(ear, monkeypatch):
+    study, out = ear
+    called = []
+    for stage in stages.STAGES:
+        run = stage.run
+
+        def counted(*words, name=stage.name, run=run):
+            called.append(name)
+            return run(*words)
+
+        monkeypatch.setattr(stage, "run", staticmethod(counted))
+    run_study(study, out, force=True)
+    assert called == ["scan", "motion", "fit"]
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, StapeskitError])
+@pytest.mark.parametrize("where", [0, 2])
+def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, where):
+    study, out = ear
+    before = contents(tmp_path)
+    edit(study, "1382.4+-14", "1390+-14")
+    changed = contents(tmp_path)
+
+    def stop(*_):
+        raise fault("stopped")
+
+    if where == 2:
+        fake = json.loads((out / "mass.json").read_text()) | {"warnings": []}
+
+        def scan(_study, work):
+            (work.fresh / "mass.json").write_text(json.dumps(fake))
+            (work.fresh / "stapes.ply").write_bytes((out / "stapes.ply").read_bytes())
+            return ["mass.json", "stapes.ply"], stages.Told()
+
+        monkeypatch.setattr(stages.Scan, "run", staticmethod(scan))
+    monkeypatch.setattr(stages.STAGES[where], "run", staticmethod(stop))
+    with pytest.raises(fault):
+        run_study(study, out)
+    assert contents(tmp_path) == changed
+    assert set(before) == set(changed)
+    with pytest.raises(fault):
+        run_study(study, tmp_path / "new" / "deep")
+    assert not (tmp_path / "new").exists()
+
+
+def test_outputs_that_no_longer_belong_are_removed(ear):
+    study, out = ear
+    record = out / ".stapeskit" / "scan.json"
+    content = json.loads(record.read_text())
+    content["outputs"]["plate.ply"] = "xxh3_128:0"
+    record.write_text(json.dumps(content))
+    (out / "plate.ply").write_bytes(b"of another scan")
+    (out / "mine.txt").write_text("the user's own")
+    run_study(study, out)
+    assert not (out / "plate.ply").exists()
+    assert (out / "mine.txt").exists()
+
+
+def test_faults_of_the_table_are_told_before_the_scan_is_read(ear, monkeypatch):
+    study, out = ear
+    edit(study, 'dof = "y,alpha,gamma"', 'dof = "y,alpha,gamma"\nstructure = "stirrup"')
+    table = study.parent / "fiducials.csv"
+    monkeypatch.setattr(stages.Scan, "run", staticmethod(lambda *_: pytest.fail("the scan was read")))
+    with pytest.raises(StapeskitError, match=r"the body stirrup must be among .*structure in \[fit\]"):
+        run_study(study, out)
+    table.write_text(table.read_text().replace("f1,", "f1,oops"))
+    with pytest.raises(StapeskitError, match=r"fiducials\.csv"):
+        run_study(study, out, force=True)
+
+
+def test_dof_of_the_fit_must_be_measured(ear):
+    study, out = ear
+    edit(study, 'points = "points.csv"', 'points = "points.csv"\ndof = "x,y,z"')
+    with pytest.raises(StapeskitError, match=r"fit.dof must be among ldv.dof, x, y, z; got alpha, gamma"):
+        run_study(study, out)
+
+
+def test_progress_is_one_line_a_stage_where_there_is_no_terminal(ear):
+    study, out = ear
+    stream = io.StringIO()
+    run_study(study, out, progress=Progress(stream=stream))
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 5
+    assert all(re.search(r"\d+\.\d s", line) for line in lines)
+    assert sum("reused" in line for line in lines) == 4
+    assert "\x1b" not in stream.getvalue()
