@@ -21,6 +21,7 @@ from kinematics.spatial import DOF_UNITS
 
 Array = NDArray[np.float64]
 _MOST_RUNS = 4
+_MOST_VECTOR_POINTS = 1000
 SOURCE_WORDS = {
     NOISE: "channel noise",
     ATTENUATION: "attenuation bias",
@@ -122,12 +123,15 @@ def _responses(fit: KDFit) -> Section:
             "of the measured base motion."
         )
     )
+    vector = found.measured.size <= _MOST_VECTOR_POINTS
     for run in np.unique(found.run)[:_MOST_RUNS]:
         caption = (
             f"Run {fit.observation.runs[run]}." if len(fit.observation.runs) > 1 else "Amplitude and phase."
         )
         section.add(
-            page.figure(response_figure(found, int(run)), caption, "measured and simulated responses")
+            page.figure(
+                response_figure(found, int(run)), caption, "measured and simulated responses", vector=vector
+            )
         )
     return section
 

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 _STABLE = -1e-6
 _GAP = 1e-10
 _EXTRA_STARTS = 4
+# Distance to a bound, in scaled units, that counts as leaning on it.
+_NEAR = 1e-5
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,7 @@ def _feasible(parameters: Array, problem: Quadratic) -> bool:
 
 def _at_bounds(parameters: Array, problem: Quadratic) -> tuple[str, ...]:
     names = entry_names(problem.n)
-    near = 1e-9
+    near = _NEAR
     low = [f"{name}_lower" for name, gap in zip(names, parameters - problem.lower, strict=True) if gap < near]
     high = [
         f"{name}_upper" for name, gap in zip(names, problem.upper - parameters, strict=True) if gap < near

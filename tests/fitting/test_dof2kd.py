@@ -1,0 +1,278 @@
+"""The command: files in, kd.json and kd.html out, faults in one sentence."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting.cli import _work
+from fitting.dof2kd import dof2kd, footplate_outline
+from fitting.errors import FittingError
+from fitting.kd import KDOptions, fit_kd
+from fitting.kd_json import kd_json
+from fitting.mass_file import read_mass
+from fitting.report import kd_page, kd_sections, source_words, summary_rows
+from kinematics.errors import StapeskitError
+from kinematics.motion_files import write_motion
+from tests.fitting.cases import DOF, D, K, M, paper_motion, six_dof_mass, six_dof_motion
+
+KEYS = {
+    "schema",
+    "dof",
+    "model",
+    "estimator",
+    "stiffness_si",
+    "stiffness_sd_si",
+    "damping_si",
+    "damping_sd_si",
+    "noise_only_sd_si",
+    "covariance_si",
+    "parameters",
+    "budget",
+    "stable",
+    "max_real_eigenvalue_1_s",
+    "passive",
+    "modes",
+    "overdamped_roots_1_s",
+    "principal_axes",
+    "fit",
+    "identifiability",
+    "warnings",
+    "provenance",
+}
+
+
+def counted_motion(noise: float = 0.05, seed: int | None = 0):
+    """A motion whose chi2 and n_dof are numbers, as points2dof writes it."""
+    from dataclasses import replace
+
+    motion = paper_motion(noise, seed)
+    ones = np.ones_like(motion.chi2)
+    return replace(motion, chi2=42.0 * ones, n_dof=42.0 * ones)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    write_motion(tmp_path, "dof", counted_motion())
+    np.savetxt(tmp_path / "M.csv", M, delimiter=",")
+    return tmp_path
+
+
+def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
+    monkeypatch.chdir(files)
+    _, outcome = _work(["dof.csv", "--mass", "M.csv", "--out", "new/kd.json"])
+    content = json.loads((files / "new" / "kd.json").read_text())
+    assert set(content) >= KEYS
+    assert content["schema"] == "stapeskit.kd/1"
+    assert content["dof"] == ["y", "alpha", "gamma"]
+    assert content["parameters"][:3] == ["K11", "K12", "K13"]
+    assert np.array(content["covariance_si"]).shape == (12, 12)
+    gap = np.abs(np.array(content["stiffness_si"]) - K) / np.array(content["stiffness_sd_si"])
+    assert gap.max() < 4.0
+    assert content["stable"] is True
+    assert content["passive"] == {"stiffness": True, "damping": True}
+    assert [mode["frequency_hz"] for mode in content["modes"]] == pytest.approx(
+        [1750.7, 2780.4, 3861.1], rel=0.005
+    )
+    assert {"shape_re", "shape_im", "normalisation", "undamped_frequency_hz", "damping_ratio"} <= set(
+        content["modes"][0]
+    )
+    axes = content["principal_axes"]
+    assert axes["origin_x_mm"] == pytest.approx(-0.279, abs=0.01)
+    assert axes["angle_deg"] == pytest.approx(1.231, abs=0.6)
+    assert content["fit"]["n_dof"] == 1188
+    assert content["fit"]["chi2_per_dof"] == pytest.approx(1.0, abs=0.15)
+    assert content["budget"]["channel_noise"]["K11"] == pytest.approx(content["stiffness_sd_si"][0][0])
+    assert content["provenance"]["inputs"]["motion"]["file"] == "dof.csv"
+    assert outcome.files == (Path("new/kd.json"), Path("new/kd.html"))
+    assert len(outcome.rows) <= 15
+    html = (files / "new" / "kd.html").read_text()
+    for words in (
+        "Measured and simulated responses",
+        "Principal axes",
+        "Modes",
+        "Residuals",
+        "mass_uncertainty_not_given",
+    ):
+        assert words in html
+    assert 'src="http' not in html
+
+
+def test_h5_and_csv_give_the_same(files: Path) -> None:
+    first = dof2kd(files / "dof.csv", files / "M.csv", KDOptions(), files / "a.json").fit
+    second = dof2kd(files / "dof.h5", files / "M.csv", KDOptions(), files / "b.json").fit
+    assert first.stiffness == pytest.approx(second.stiffness, rel=1e-9)
+    assert first.covariance == pytest.approx(second.covariance, rel=1e-6)
+
+
+def test_exact_data_survive_the_files(tmp_path: Path) -> None:
+    write_motion(tmp_path, "dof", counted_motion(1e-4, None))
+    np.savetxt(tmp_path / "M.csv", M, delimiter=",", fmt="%.17g")
+    for estimator in ("ml", "irls", "pinv", "constrained"):
+        fit = dof2kd(
+            tmp_path / "dof.csv", tmp_path / "M.csv", KDOptions(estimator=estimator), tmp_path / "kd.json"
+        ).fit
+        root = np.sqrt(np.outer(np.diag(K), np.diag(K)))
+        assert np.abs((fit.stiffness - K) / root).max() < 1e-6
+        assert np.abs((fit.damping - D) / np.sqrt(np.outer(np.diag(D), np.diag(D)))).max() < 1e-6
+
+
+def test_all_options_reach_the_fit(files: Path, monkeypatch) -> None:
+    monkeypatch.chdir(files)
+    line = "dof.h5 --mass M.csv --estimator constrained --constraint psd --lower K11=1750 --upper D11=0.03"
+    _, outcome = _work(
+        [*line.split(), "--band", "500,4500", "--exclude", "990-1010", "--exclude", "2000-2100"]
+    )
+    parameters = outcome.result["provenance"]["parameters"]
+    assert parameters["lower"] == {"K11": 1750.0}
+    assert parameters["band_hz"] == [500.0, 4500.0]
+    assert parameters["exclude_hz"] == [[990.0, 1010.0], [2000.0, 2100.0]]
+    assert outcome.result["stiffness_si"][0][0] == pytest.approx(1750.0, rel=1e-4)
+    assert "constraint_active" in {notice.code for notice in outcome.notices}
+
+
+def test_config_file_gives_options(files: Path, monkeypatch) -> None:
+    monkeypatch.chdir(files)
+    (files / "o.toml").write_text(
+        'mass = "M.csv"\nband = [500, 4000]\nexclude = ["990-1010"]\nrobust = "t4"\n'
+    )
+    _, outcome = _work(["dof.csv", "--config", "o.toml"])
+    assert outcome.result["provenance"]["parameters"]["robust"] == "t4"
+    assert outcome.result["provenance"]["parameters"]["band_hz"] == [500.0, 4000.0]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("none.csv --mass M.csv", "none.csv"),
+        ("dof.csv --mass none.json", "the mass file must be an existing mass.json; got none.json"),
+        ("dof.csv --mass none.csv", "--mass must be an existing mass.json or M.csv; got none.csv"),
+        (
+            "dof.csv --mass M.csv --dof y,alpha",
+            "M.csv must be 2 x 2 for --dof y,alpha; got 3 rows of 3 numbers",
+        ),
+        ("dof.csv --mass M.csv --dof y,roll", "--dof must be a list of different names"),
+        ("dof.csv --mass M.csv --structure incus", "the body must be one of stapes, base; got incus"),
+        ("dof.csv --mass M.csv --base plate", "the body must be one of stapes, base; got plate"),
+        ("dof.csv --mass M.csv --band 1,2", "the band must be one with measured lines of both bodies"),
+        ("dof.csv --mass M.csv --band 5000,400", "--band must be a range of frequencies"),
+        ("dof.csv --mass M.csv --exclude 5", "the range must be two frequencies in Hz as F1-F2; got 5"),
+        (
+            "dof.csv --mass M.csv --lower K11",
+            "the bound must be an entry and a number in SI, as K11=100; got K11",
+        ),
+        ("dof.csv --mass M.csv --inplane load", "--inplane load must be given with measured motion"),
+        ("dof.csv --mass M.csv --out kd.txt", "--out must be a file name that ends with .json; got kd.txt"),
+        ("dof.csv", "--mass"),
+        ("dof.csv --mass M.csv --estimater ml", "Did you mean --estimator?"),
+        ("dof.csv --mass text.csv", "M.csv must be numbers separated by commas, without a header"),
+        ("dof.csv --mass binary.csv", "--mass must be a text file of numbers or a mass.json"),
+        ("dof.csv --mass negative.csv", "the diagonal of the mass matrix must be positive"),
+    ],
+)
+def test_faults_are_one_sentence_and_leave_nothing(files: Path, monkeypatch, line: str, message: str) -> None:
+    monkeypatch.chdir(files)
+    (files / "text.csv").write_text("y,alpha,gamma\n1,0,0\n")
+    (files / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
+    np.savetxt(files / "negative.csv", -M, delimiter=",")
+    before = sorted(path.name for path in files.iterdir())
+    with pytest.raises(StapeskitError) as fault:
+        _work(line.split())
+    assert message in str(fault.value)
+    assert "\n" not in str(fault.value)
+    assert sorted(path.name for path in files.iterdir()) == before
+
+
+def test_help_is_quick_and_exit_codes_hold(files: Path) -> None:
+    program = [sys.executable, "-c", "from fitting.cli import main; main()"]
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run(
+            [*program, "--help"], capture_output=True, text=True, cwd=Path.cwd(), check=False
+        )
+        times.append(time.perf_counter() - start)
+        assert done.returncode == 0
+        assert "--estimator" in done.stdout
+    assert min(times) < 0.3
+    done = subprocess.run(
+        [*program, "none.csv", "--mass", "M.csv"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_mass_json_is_read_as_a_mass_matrix(tmp_path: Path) -> None:
+    (tmp_path / "mass.json").write_text("{}")
+    with pytest.raises(StapeskitError, match="schema"):
+        read_mass(tmp_path / "mass.json", DOF)
+
+
+def test_byte_order_mark_and_blank_lines_in_m_csv(tmp_path: Path) -> None:
+    text = "\ufeff" + "\r\n".join(",".join(f"{value:.17g}" for value in row) for row in M) + "\r\n\r\n"
+    (tmp_path / "M.csv").write_bytes(text.encode())
+    matrix, record = read_mass(tmp_path / "M.csv", DOF)
+    assert np.array_equal(matrix, M)
+    assert record is None
+
+
+def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
+    """Enormous and undefined numbers become null, never NaN, which is no JSON."""
+    mass, stiffness = np.diag(np.diag(M)), np.diag(np.diag(K))
+    from fitting.experiment import driven_base, simulated_motion
+    from tests.fitting.cases import FREQ
+
+    base = driven_base(FREQ, DOF, others=0.0)
+    fit = fit_kd(simulated_motion(mass, stiffness, np.diag(np.diag(D)), DOF, FREQ, base, 0.02, None), mass)
+    json.dumps(kd_json(fit, {}), allow_nan=False)
+
+
+def test_page_of_six_degrees_of_freedom_several_runs_and_all_sources() -> None:
+    from fitting.kd import KDOptions as Options
+    from kinematics.spatial import DOF_NAMES
+    from tests.fitting.cases import six_dof_parameters
+
+    parameters = six_dof_parameters()
+    mass = six_dof_mass({"density": 1e-4 * np.outer(parameters, parameters)})
+    fit = fit_kd(six_dof_motion(0.02, 0, "xyz"), mass, Options(dof=DOF_NAMES))
+    html = kd_page(fit, {"inputs": {}}).html()
+    assert "Run 1." in html
+    assert "Run 3." in html
+    assert "mass matrix: density" in html
+    assert "Principal axes" not in html
+    assert any(row[0] == "worst combination" for row in summary_rows(fit))
+    json.dumps(kd_json(fit, {}), allow_nan=False)
+
+
+def test_page_compares_damping_laws_and_draws_the_outline() -> None:
+    fit = fit_kd(paper_motion(), M, KDOptions(damping="compare"))
+    angle = np.linspace(0.0, 2.0 * np.pi, 40)
+    outline = np.column_stack([1.3 * np.cos(angle), 0.0 * angle, 0.6 * np.sin(angle)])
+    headings = [section.heading for section in kd_sections(fit, outline)]
+    assert headings[:4] == [
+        "Measured and simulated responses",
+        "Stiffness and damping",
+        "Modes",
+        "Principal axes",
+    ]
+    text = "".join(str(block) for section in kd_sections(fit, outline) for block in section.blocks)
+    assert "Damping laws compared" in text
+    assert "over the footplate&#39;s outline" in text
+    assert footplate_outline(None) is None
+
+
+def test_sources_have_words() -> None:
+    assert source_words("channel_noise") == "channel noise"
+    assert source_words("mass.voxel_size") == "mass matrix: voxel size"
+    assert source_words("beam_directions") == "beam directions"
+
+
+def test_out_must_be_json(files: Path) -> None:
+    with pytest.raises(FittingError, match=r"ends with \.json"):
+        dof2kd(files / "dof.csv", files / "M.csv", KDOptions(), files / "kd.csv")
