@@ -84,7 +84,8 @@ def parameters(options: KDOptions) -> dict[str, Any]:
 
 def footplate_outline(mass_record: MassRecord | None) -> Array | None:
     """Return the footplate's outline in footplate axes (points, 2 or 3), mm, when mass.json holds one."""
-    raw = None if mass_record is None else mass_record.raw.get("footplate_outline_mm")
+    found = {} if mass_record is None else mass_record.raw.get("found") or {}
+    raw = found.get("footplate_outline_in_footplate_mm")
     if raw is None:
         return None
     outline = np.asarray(raw, dtype=float)

@@ -267,6 +267,14 @@ def test_page_compares_damping_laws_and_draws_the_outline() -> None:
     assert footplate_outline(None) is None
 
 
+def test_outline_comes_from_mass_json() -> None:
+    from types import SimpleNamespace
+
+    ring = [[1.0, 0.1, 0.0], [0.0, 0.1, 0.5], [-1.0, 0.0, 0.0]]
+    for raw, there in (({"found": {"footplate_outline_in_footplate_mm": ring}}, True), ({}, False)):
+        assert (footplate_outline(SimpleNamespace(raw=raw)) is not None) == there
+
+
 def test_sources_have_words() -> None:
     assert source_words("channel_noise") == "channel noise"
     assert source_words("mass.voxel_size") == "mass matrix: voxel size"
