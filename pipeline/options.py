@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from pydantic import BaseModel
+
 from pipeline.study import Fit, Ldv, Scan
 
 if TYPE_CHECKING:
@@ -12,49 +14,38 @@ if TYPE_CHECKING:
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
 
-_KEYS = {
-    "--spacing": "spacing_mm in [scan]",
-    "--density": "density_kg_m3 in [scan]",
-    "--mass-mg": "mass_mg in [scan]",
-    "--calibration": "calibration in [scan]",
-    "--labels": "labels in [scan]",
-    "--stapes-label": "stapes_label in [scan]",
-    "--plate-label": "plate_label in [scan]",
-    "--landmarks": "landmarks in [scan]",
-    "--plate-fiducials": "plate_fiducials in [scan]",
-    "--side": "side in [scan]",
-    "--anterior": "anterior in [scan]",
-    "--threshold": "threshold in [scan]",
-    "--seed": "seed_mm in [scan]",
-    "--box": "box_mm in [scan]",
-    "--add-mass": "add_mass in [scan]",
-    "--nan-as-air": "nan_as_air in [scan]",
-    "--voxel-size-sd": "voxel_size_sd_percent in [scan]",
-    "--mirror": "mirror in [scan] or [ldv]",
-    "--points": "points in [ldv]",
-    "--fiducials": "fiducials in [ldv]",
-    "--frame": "frame in [ldv]",
-    "--reference": "reference in [ldv]",
-    "--robust": "robust in [ldv] or [fit]",
-    "--dof": "dof in [ldv] or [fit]",
-    "--structure": "structure in [fit]",
-    "--base": "base in [fit]",
-    "--estimator": "estimator in [fit]",
-    "--damping": "damping in [fit]",
-    "--inplane": "inplane in [fit]",
-    "--band": "band_hz in [fit]",
-    "--exclude": "exclude_hz in [fit]",
-    "--constraint": "constraint in [fit]",
-    "--lower": "lower in [fit]",
-    "--upper": "upper in [fit]",
-    "--mass": "the scan",
+_OTHER_NAMES = {
+    "spacing": "spacing_mm",
+    "density": "density_kg_m3",
+    "seed": "seed_mm",
+    "box": "box_mm",
+    "voxel_size_sd": "voxel_size_sd_percent",
+    "band": "band_hz",
+    "exclude": "exclude_hz",
 }
+_TABLES: dict[str, type[BaseModel]] = {"scan": Scan, "ldv": Ldv, "fit": Fit}
 _OPTION = re.compile(r"--[a-z]+(?:-[a-z]+)*")
 
 
-def in_study_words(text: str) -> str:
-    """Name the keys of a study file where a message of a single command names its options."""
-    return _OPTION.sub(lambda found: _KEYS.get(found.group(), found.group()), text)
+def in_study_words(text: str, table: str = "scan") -> str:
+    """Name the keys of a study file where a message of a single command names its options.
+
+    Parameters
+    ----------
+    text : str
+    table : str
+        Where a key is looked for first, ``scan``, ``ldv`` or ``fit``: some stand in more than one.
+    """
+
+    def key(found: re.Match[str]) -> str:
+        option = found.group()[2:].replace("-", "_")
+        name = _OTHER_NAMES.get(option, option)
+        for home in (table, *_TABLES):
+            if name in _TABLES[home].model_fields:
+                return f"{home}.{name}"
+        return found.group()
+
+    return _OPTION.sub(key, text)
 
 
 def mass_options(scan: Scan) -> MassOptions:

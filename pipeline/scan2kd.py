@@ -135,8 +135,10 @@ def _stage(
         except PipelineError:
             raise
         except StapeskitError as fault:
-            raise PipelineError(in_study_words(str(fault))) from fault
-        told = Told(told.sections, tuple(Notice(n.code, in_study_words(n.text)) for n in told.notices))
+            raise PipelineError(in_study_words(str(fault), stage.table)) from fault
+        told = Told(
+            told.sections, tuple(Notice(n.code, in_study_words(n.text, stage.table)) for n in told.notices)
+        )
         write_told(work.fresh, stage.name, told)
         hashes = {one: content_hash(work.fresh / one) for one in (*names, told_name(stage.name))}
         write_record(work.fresh, StageRecord(stage.name, now, hashes, step.seconds))

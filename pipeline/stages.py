@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +38,7 @@ class Scan:
     """Scan to mass matrix and frames (`ct2mass`)."""
 
     name = "scan"
+    table = "scan"
     title = "scan: bodies, frames, mass matrix"
     rooms = ("kinematics", "ct_inertia", *_OWN)
 
@@ -73,6 +74,7 @@ class Motion:
     """Vibrometer points to rigid motion (`points2dof`)."""
 
     name = "motion"
+    table = "ldv"
     title = "motion: points to degrees of freedom"
     rooms = ("kinematics", *_OWN)
 
@@ -126,6 +128,7 @@ class Fit:
     """Motion and mass matrix to stiffness and damping (`dof2kd`)."""
 
     name = "fit"
+    table = "fit"
     title = "fit: stiffness and damping"
     rooms = ("kinematics", "fitting", *_OWN)
 
@@ -202,16 +205,17 @@ def check_inputs(study: Study) -> None:
         Every fault of the options and of the vibrometer's files.
     """
     faults: list[str] = []
-    for make in (
-        lambda: mass_options(study.scan),
-        lambda: motion_options(study.ldv),
-        lambda: fit_options(study.fit),
-        lambda: _check_measurement(study),
-    ):
+    checks: tuple[tuple[str, Callable[[], object]], ...] = (
+        ("scan", lambda: mass_options(study.scan)),
+        ("ldv", lambda: motion_options(study.ldv)),
+        ("fit", lambda: fit_options(study.fit)),
+        ("ldv", lambda: _check_measurement(study)),
+    )
+    for table, check in checks:
         try:
-            make()
+            check()
         except StapeskitError as fault:
-            faults += in_study_words(str(fault)).splitlines()
+            faults += in_study_words(str(fault), table).splitlines()
     raise_all(PipelineError, faults)
 
 
@@ -225,9 +229,9 @@ def _check_measurement(study: Study) -> None:
             f"among those of the vibrometer table, {', '.join(bodies)}",
             "no row of it",
             file,
-            f"Name the bodies with {key} in [fit]",
+            f"Name the bodies with {key}",
         )
-        for key, name in (("structure", study.fit.structure), ("base", study.fit.base))
+        for key, name in (("fit.structure", study.fit.structure), ("fit.base", study.fit.base))
         if name not in bodies
     ]
     wanted = [name for name in study.fit.dof if name not in study.ldv.dof]

@@ -11,6 +11,7 @@ import pytest
 from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from kinematics.errors import StapeskitError
 from pipeline import stages
+from pipeline.options import in_study_words
 from pipeline.progress import Progress
 from pipeline.scan2kd import run_study
 
@@ -178,7 +179,7 @@ def test_faults_of_the_table_are_told_before_the_scan_is_read(ear, monkeypatch):
     edit(study, 'dof = "y,alpha,gamma"', 'dof = "y,alpha,gamma"\nstructure = "stirrup"')
     table = study.parent / "fiducials.csv"
     monkeypatch.setattr(stages.Scan, "run", staticmethod(lambda *_: pytest.fail("the scan was read")))
-    with pytest.raises(StapeskitError, match=r"the body stirrup must be among .*structure in \[fit\]"):
+    with pytest.raises(StapeskitError, match=r"the body stirrup must be among .*with fit.structure"):
         run_study(study, out)
     table.write_text(table.read_text().replace("f1,", "f1,oops"))
     with pytest.raises(StapeskitError, match=r"fiducials\.csv"):
@@ -201,3 +202,10 @@ def test_progress_is_one_line_a_stage_where_there_is_no_terminal(ear):
     assert all(re.search(r"\d+\.\d s", line) for line in lines)
     assert sum("reused" in line for line in lines) == 4
     assert "\x1b" not in stream.getvalue()
+
+
+def test_options_of_single_commands_become_keys():
+    assert in_study_words("Give --spacing.") == "Give scan.spacing_mm."
+    assert in_study_words("--mirror x or --seed X,Y,Z", "ldv") == "ldv.mirror x or scan.seed_mm X,Y,Z"
+    assert in_study_words("--robust t4 needs --band", "fit") == "fit.robust t4 needs fit.band_hz"
+    assert in_study_words("see --no-such") == "see --no-such"
