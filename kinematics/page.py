@@ -40,6 +40,7 @@ figure { margin: 14px 0; } figure img { max-width: 100%; height: auto; display: 
 figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4px; }
 .notice { border-left: 4px solid #e0a526; background: #fdf7e8; padding: 6px 12px; margin: 6px 0; max-width: 100ch; }
 .notice code { color: var(--warn); } .good { border-left-color: #2c8a57; background: #eef7f1; }
+details > summary { cursor: pointer; color: var(--accent); margin: 10px 0; }
 pre { background: var(--tint); padding: 10px; overflow-x: auto; font-size: 13px; }
 """
 
@@ -159,7 +160,7 @@ def matrix(
         [
             {
                 "value": f"{numbers[i, j]:.4g}",
-                "sd": "" if sds is None else f"± {sds[i, j]:.2g}",
+                "sd": "" if sds is None or sds[i, j] == numbers[i, j] == 0.0 else f"± {sds[i, j]:.2g}",
                 "unit": "" if units is None else units[i][j],
             }
             for j in range(len(names))
@@ -181,7 +182,7 @@ def figure(drawing: Figure, caption: str, alt: str, dpi: int = 130, vector: bool
     """Embed a matplotlib figure (SVG, or PNG when ``vector`` is false) and release it."""
     stream = io.BytesIO()
     kind = "svg" if vector else "png"
-    drawing.savefig(stream, format=kind, dpi=dpi, bbox_inches="tight")
+    drawing.savefig(stream, format=kind, dpi=dpi)
     drawing.clear()
     return image(stream.getvalue(), caption, alt, kind)
 
@@ -195,6 +196,15 @@ def image(data: bytes, caption: str, alt: str, kind: str = "png") -> Markup:
         source=source,
         caption=caption,
         alt=alt,
+    )
+
+
+def folded(summary: str, *blocks: Markup) -> Markup:
+    """Return blocks that stand behind one line until the reader opens it."""
+    return _render(
+        "<details><summary>{{ s }}</summary>{% for b in blocks %}{{ b }}{% endfor %}</details>",
+        s=summary,
+        blocks=blocks,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from kinematics import drawings, page
 from kinematics.page import Page, Section
 from kinematics.points2dof import Points2Dof
+from kinematics.verdicts import ChannelVerdict
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -128,16 +130,10 @@ def _verdicts(result: Points2Dof) -> Section:
     section.add(page.text(f"{len(result.channels)} channels: {said}."))
     faulty = [v for v in result.channels if v.verdict != "ok"]
     header = ("run", "body", "point", "beam", "residual rms (nm)", "weight", "verdict", "estimate", "p")
-    shown = faulty if len(result.channels) > 120 else list(result.channels)
-    rows = [
-        (
-            v.run, v.body, v.point, ", ".join(f"{value:.3f}" for value in v.direction),
-            f"{v.residual_rms_m * 1e9:.3g}", f"{v.weight:.3g}", v.verdict, v.estimate, f"{v.p_value:.2g}",
-        )
-        for v in shown
-    ]  # fmt: skip
-    if rows:
-        section.add(page.table(header, rows))
+    if faulty:
+        section.add(page.table(header, _verdict_rows(faulty)))
+    if len(result.channels) <= 240:
+        section.add(page.folded("All channels", page.table(header, _verdict_rows(result.channels))))
     section.add(
         page.text(
             "p of a fault is corrected for the number of tests; p of an ok channel is the chance of "
@@ -146,6 +142,16 @@ def _verdicts(result: Points2Dof) -> Section:
         )
     )
     return section
+
+
+def _verdict_rows(channels: Sequence[ChannelVerdict]) -> list[tuple[str, ...]]:
+    return [
+        (
+            v.run, v.body, v.point, ", ".join(f"{value:.3f}" for value in v.direction),
+            f"{v.residual_rms_m * 1e9:.3g}", f"{v.weight:.3g}", v.verdict, v.estimate, f"{v.p_value:.2g}",
+        )
+        for v in channels
+    ]  # fmt: skip
 
 
 def _residuals(result: Points2Dof) -> Section:

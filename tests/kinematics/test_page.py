@@ -21,6 +21,7 @@ def test_every_text_is_escaped(tmp_path):
         page.notices([Notice(EVIL, EVIL)]),
         page.matrix([[1.0]], [EVIL], EVIL, [[0.1]], [[EVIL]]),
         page.image(b"x", EVIL, EVIL),
+        page.folded(EVIL, page.text(EVIL)),
         page.inputs_table(
             {"inputs": {EVIL: {"file": EVIL, "size_bytes": 1, "modified": EVIL, "hash": EVIL}}}
         ),
@@ -30,7 +31,7 @@ def test_every_text_is_escaped(tmp_path):
     made.write(tmp_path / "p.html")
     html = (tmp_path / "p.html").read_text(encoding="utf-8")
     assert "<script" not in html
-    assert html.count("&lt;script&gt;") >= 16
+    assert html.count("&lt;script&gt;") >= 18
     assert "http" not in html.replace("http-equiv", "")
 
 
@@ -51,3 +52,9 @@ def test_matrix_shows_values_and_deviations():
     html = page.matrix(np.diag([1.5, 2.5]), ["y", "alpha"], "M", np.full((2, 2), 0.1))
     assert "1.5" in html
     assert "± 0.1" in html
+
+
+def test_matrix_writes_no_deviation_beside_a_zero_of_the_pattern():
+    html = page.matrix(np.diag([1.5, 2.5]), ["y", "alpha"], "M", np.diag([0.1, 0.2]))
+    assert "± 0.1" in html
+    assert "± 0<" not in html
