@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kinematics import page
 from kinematics.page import Page
+from pipeline.report import plus_minus
 
 Array = NDArray[np.float64]
 
@@ -238,7 +239,7 @@ def _cell(one: Quantity, place: int) -> str:
     value, sd = one.values[place], one.deviations[place]
     if not np.isfinite(value):
         return "–"
-    return f"{value:.4g} ± {sd:.2g}" if np.isfinite(sd) else f"{value:.4g}"
+    return plus_minus(float(value), float(sd)) if np.isfinite(sd) else f"{value:.4g}"
 
 
 def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:

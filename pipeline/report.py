@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -70,24 +71,38 @@ def write_report(
 def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the numbers that a reader looks for first, each with its standard deviation."""
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    rows = [("mass", f"{mass['mass_kg'] * 1e6:.3f} ± {sd * 1e6:.2g} mg")]
+    rows = [("mass", f"{plus_minus(mass['mass_kg'] * 1e6, sd * 1e6)} mg")]
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for place, dof in enumerate(kd["dof"]):
             value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
             unit = ("N" if letter == "K" else "N s") + ("/m" if dof in "xyz" else " m/rad")
-            rows.append((f"{letter}({dof}, {dof})", f"{value:.4g} ± {_number(spread, '.2g')} {unit}"))
+            rows.append((f"{letter}({dof}, {dof})", f"{plus_minus(value, spread)} {unit}"))
     for place, mode in enumerate(kd["modes"]):
-        frequency = f"{mode['frequency_hz']:.1f} ± {_number(mode.get('frequency_sd_hz'), '.2g')} Hz"
-        ratio = f"{mode['damping_ratio']:.4f} ± {_number(mode.get('damping_ratio_sd'), '.1g')}"
-        rows.append((f"mode {place + 1}", f"{frequency}, damping ratio {ratio}"))
+        frequency = plus_minus(mode["frequency_hz"], mode.get("frequency_sd_hz"))
+        ratio = plus_minus(mode["damping_ratio"], mode.get("damping_ratio_sd"))
+        rows.append((f"mode {place + 1}", f"{frequency} Hz, damping ratio {ratio}"))
     stable = "yes" if kd["stable"] else "NO"
     passive = "yes" if all(kd["passive"].values()) else "NO"
     rows.append(("stable; passive", f"{stable}; {passive}"))
     return rows
 
 
-def _number(value: float | None, form: str) -> str:
-    return "unknown" if value is None else format(value, form)
+def plus_minus(value: float, sd: float | None) -> str:
+    """Write a value with its standard deviation, both to the second digit of the latter.
+
+    Examples
+    --------
+    >>> plus_minus(1736.4, 17.2), plus_minus(3.0531e-08, 7.2e-10)
+    ('1736 ± 17', '(3.053 ± 0.072)e-8')
+    """
+    if sd is None or not 0.0 < sd < math.inf:
+        return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
+    power = math.floor(math.log10(max(abs(value), sd)))
+    power = 0 if -3 < power < 6 else power
+    value, sd = value * 10.0**-power, sd * 10.0**-power
+    digits = max(0, 1 - math.floor(math.log10(sd)))
+    text = f"{value:.{digits}f} ± {sd:.{digits}f}"
+    return text if power == 0 else f"({text})e{power}"
 
 
 def ordered(told: Mapping[str, Told]) -> list[Section]:
@@ -110,13 +125,24 @@ def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], wo
     entries = {"study": input_record(study_file)}
     for source in (mass["provenance"], motion):
         entries |= source["inputs"]
-    settings = [(f"scan: {key}", value) for key, value in mass["provenance"]["parameters"].items()]
+    settings: list[tuple[str, Any]] = [
+        (f"scan: {key}", value) for key, value in mass["provenance"]["parameters"].items()
+    ]
     settings += [(f"motion: {key}", value) for key, value in motion["parameters"].items() if value]
     settings += [(f"fit: {key}", value) for key, value in kd["provenance"]["parameters"].items() if value]
     now = datetime.now(UTC).isoformat(timespec="seconds")
     used = ", ".join(f"{package} {number}" for package, number in versions().items())
     return [
         page.inputs_table({"inputs": entries}),
-        page.table(("setting", "value"), settings, words=True),
+        page.table(("setting", "value"), [(key, _listed(value)) for key, value in settings], words=True),
         page.text(f"Report of {now}. {used}."),
     ]
+
+
+def _listed(value: object) -> str:
+    """Write a setting as a person would."""
+    if isinstance(value, list | tuple):
+        return ", ".join(_listed(entry) for entry in value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} = {_listed(entry)}" for key, entry in value.items())
+    return str(value)
