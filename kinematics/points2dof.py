@@ -198,7 +198,7 @@ def _body_notices(
     if fit.beams.weak:
         text = f"body {body.body}: hardly observable from these beams: {fit.beams.weak}."
         notices.append(Notice("unobservable", text))
-    if known and not diagnosis.findings and not 0.8 < diagnosis.level < 1.25 and diagnosis.level_matters:
+    if known and not diagnosis.findings and diagnosis.level > 1.25 and diagnosis.level_matters:
         text = (
             f"body {body.body}{where}: residuals are {np.sqrt(diagnosis.level):.2g} times the stated "
             "noise on all channels alike; check the sd or the number of averages."

@@ -135,7 +135,7 @@ def fit_rigid(
     _check_pairs(a, b)
     sd = None if sd_mm is None else np.broadcast_to(np.asarray(sd_mm, dtype=float), (len(a),))
     if sd is not None and not (np.all(np.isfinite(sd)) and np.all(sd > 0.0)):
-        raise KinematicsError(sentence("sd_mm of a fiducial", "positive and finite", float(np.nanmin(sd))))
+        raise KinematicsError(sentence("sd_mm of a fiducial", "positive and finite", float(np.min(sd))))
     weights = np.ones(len(a)) if sd is None else 1.0 / sd**2
     rotation, shift, mirrored = kabsch(a, b, weights)
     residuals = a @ rotation.T + shift - b

@@ -81,8 +81,8 @@ def fit_lines(beams: BeamSet, value: ComplexArray, sd: Array, robust: str = "non
     -----
     The columns were made dimensionless and orthonormal beforehand (BeamSet), so the Gram matrices of single
     lines are as well conditioned as their weights allow, and one step of refinement restores the accuracy
-    of an orthogonal factorisation. Robust covariance: Huber and Ronchetti 2009, Robust Statistics, eq.
-    7.81, for isotropic two-dimensional residuals, pooled over lines.
+    of an orthogonal factorisation. The covariance of a robust fit is that of least squares
+    times the factor of _loss, pooled over lines.
     """
     used = np.isfinite(value.real) & np.isfinite(value.imag) & np.isfinite(sd)
     y = np.where(used, value, 0.0)
@@ -143,7 +143,7 @@ def _determined(grams: Array) -> NDArray[np.bool_]:
 
 
 def robust_weight(size: Array, kind: str) -> tuple[Array, Array]:
-    """Return u(|e|) and the mean derivative of e u(|e|) for two-dimensional residuals e in units of sd.
+    """Return u(|e|) and d(|e| u)/d|e| for two-dimensional residuals e in units of sd.
 
     ``huber``: u = min(1, k / |e|), k = 2. ``t4``: Student's t with 4 degrees of freedom,
     u = 6 / (4 + |e|^2) (Lange, Little and Taylor 1989, doi:10.1080/01621459.1989.10478852).
@@ -151,9 +151,9 @@ def robust_weight(size: Array, kind: str) -> tuple[Array, Array]:
     if kind == "huber":
         with np.errstate(divide="ignore"):
             u = np.minimum(1.0, HUBER_TUNING / size)
-        return u, np.where(size <= HUBER_TUNING, 1.0, 0.5 * u)
+        return u, np.where(size <= HUBER_TUNING, 1.0, 0.0)
     u = (T_FREEDOM + 2.0) / (T_FREEDOM + size**2)
-    return u, u * T_FREEDOM / (T_FREEDOM + size**2)
+    return u, u * (T_FREEDOM - size**2) / (T_FREEDOM + size**2)
 
 
 def _reweighted(
@@ -163,18 +163,42 @@ def _reweighted(
     weights, inverse, good = base, np.empty(0), np.empty(0, dtype=bool)
     for _ in range(_ITERATIONS):
         size = np.abs(y - basis @ z) / sd
-        u, _slope = robust_weight(size, kind)
+        u, _along = robust_weight(size, kind)
         weights = base * u
         new, inverse, good = _solve(basis, y, weights)
         step = np.sqrt(np.max(np.abs((new - z) * np.sqrt(1.0 / np.maximum(inverse[:, 0, 0], 1e-300)))))
         z = new
         if step < 1e-4:
             break
+    used &= good
     size = np.abs(y - basis @ z)[used] / sd[used]
-    u, slope = robust_weight(size, kind)
-    lines = used.sum() / max(used.sum() - basis.shape[1] * int(np.sum(good)), 1)
-    loss = float(lines * np.mean((u * size) ** 2) / 2.0 / np.mean(slope) ** 2) if size.size else 1.0
-    return weights, z, inverse, good, loss
+    share = basis.shape[1] * int(np.sum(good)) / max(size.size, 1)
+    return weights, z, inverse, good, _loss(size, share, kind) if 0.0 < share < 0.95 else 1.0
+
+
+def _loss(size: Array, share: float, kind: str) -> float:
+    """Return the variance of a robust estimate over that of weighted least squares without outliers.
+
+    Parameters
+    ----------
+    size : ndarray, (n,)
+        |residual| / sd of the robust fit.
+    share : float
+        Coefficients per complex value.
+
+    Notes
+    -----
+    El Karoui et al. 2013, doi:10.1073/pnas.1307842110: with many coefficients per value the residuals are
+    proximal images of the errors; c is the size of that contraction, found from mean(c psi' / (1 + c psi'))
+    = share. Here for residuals in the plane, whose psi' differs along and across the residual.
+    """
+    u, along = robust_weight(size, kind)
+    low, high = 0.0, 1e3
+    for _ in range(80):
+        c = 0.5 * (low + high)
+        taken = 0.5 * np.mean(c * along / (1.0 + c * along) + c * u / (1.0 + c * u))
+        low, high = (c, high) if taken < share else (low, c)
+    return float(c**2 * np.mean((u * size) ** 2) / 2.0 * (1.0 - share) / share**2)
 
 
 def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int = 400) -> Array:

@@ -51,8 +51,9 @@ def structure_of(data: LineData, state: State) -> Structure:
     Notes
     -----
     Under noise the eigenvalues of the residual covariance of F lines in p free directions end at
-    (1 + sqrt(p / F))^2 with Tracy-Widom fluctuations (Johansson 2000, doi:10.1007/s002200050027, for
-    complex data); the tail of that law is bounded by exp(-4/3 s^1.5).
+    (1 + sqrt(p / F))^2 times the noise level (not below the stated one) with Tracy-Widom fluctuations
+    (Johansson 2000, doi:10.1007/s002200050027, for complex data); the tail of that law is bounded by
+    exp(-4/3 s^1.5).
     """
     live = np.flatnonzero(np.any(data.s > 0.0, axis=1))
     nothing = Structure(0.0, 1.0, True, 0.0, np.zeros(len(data.points)))
@@ -66,9 +67,7 @@ def structure_of(data: LineData, state: State) -> Structure:
     covariance = residual.conj().T @ residual / lines
     values, vectors = np.linalg.eigh(covariance)
     values, vectors = values[::-1], vectors[:, ::-1]
-    level = float(np.median(values)) / _median_factor(free, lines)
-    if not level > 0.0:
-        return nothing
+    level = max(1.0, float(np.median(values)) / _median_factor(free, lines))
     edge = (1.0 + np.sqrt(free / lines)) ** 2
     width = (np.sqrt(lines) + np.sqrt(free)) * (lines**-0.5 + free**-0.5) ** (1.0 / 3.0) / lines
     s = (values[0] / level - edge) / width
