@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ class PlaneFace:
         Fitted area.
     samples_mm : ndarray, (n, 3)
         Centres of the pieces of surface that belong to it.
+    turning_1_mm : ndarray, (2, 2)
+        How the surface's normal turns along the basis; a cylinder of radius R has the eigenvalue 1 / R.
     at_border : bool
         The field of view ends here; it is no face of the solid.
     """
@@ -51,12 +53,19 @@ class PlaneFace:
     covariance: Array
     area_mm2: float
     samples_mm: Array
+    turning_1_mm: Array = field(default_factory=lambda: np.zeros((2, 2)))
     at_border: bool = False
 
     def moved(self, step: Array) -> PlaneFace:
         """Return the face displaced by a height (mm) and two slopes (rad)."""
         turn = rotation_from_vector(np.cross(self.normal, -self.basis @ step[1:]))
         return replace(self, normal=turn @ self.normal, point_mm=self.point_mm + step[0] * self.normal)
+
+    def curvature(self, direction: Array) -> float:
+        """Return the curvature (1/mm) along a direction (3,) in the plane."""
+        along = self.basis.T @ direction
+        square = float(along @ along)
+        return float(along @ self.turning_1_mm @ along) / max(square, 1e-30)
 
     def distance(self, points_mm: Array) -> Array:
         """Return signed distances (n,) of points (n, 3), positive outside, mm."""
@@ -164,7 +173,8 @@ def _largest(pieces: _Pieces, directions: Array) -> tuple[PlaneFace | None, NDAr
         return None, facing
     face = _fitted(pieces.centres[members], areas[members], normal)
     share = areas[members & pieces.border].sum() / areas[members].sum()
-    return replace(face, at_border=bool(share > 0.5)), members
+    turning = _turning(pieces.centres[members], pieces.normals[members], areas[members], face.basis)
+    return replace(face, at_border=bool(share > 0.5), turning_1_mm=turning), members
 
 
 def _fitted(points: Array, areas: Array, normal: Array) -> PlaneFace:
@@ -187,6 +197,18 @@ def _fitted(points: Array, areas: Array, normal: Array) -> PlaneFace:
     basis = np.linalg.svd(normal[None, :])[2][1:].T
     covariance = _covariance(points[kept] - centre, weights[kept], normal, basis)
     return PlaneFace(normal, centre, basis, covariance, float(areas[kept].sum()), points[kept])
+
+
+def _turning(points: Array, normals: Array, areas: Array, basis: Array) -> Array:
+    """Return the slope (2, 2) of the normals over the position in the plane, 1/mm."""
+    share = areas / areas.sum()
+    flat = (points - share @ points) @ basis
+    turn = (normals - share @ normals) @ basis
+    spread = (flat * share[:, None]).T @ flat
+    if np.linalg.cond(spread) > 1e8:
+        return np.zeros((2, 2))
+    slope = np.linalg.solve(spread, (flat * share[:, None]).T @ turn)
+    return np.asarray(0.5 * (slope + slope.T))
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

@@ -27,6 +27,7 @@ _STEEP = 0.2
 _BORDER_STEEP = 0.95
 _RIM_MM = 0.15
 _COVERED = 0.9
+_CURVED_1_MM = 0.15
 _AMBIGUOUS = 0.95
 _UNKNOWN_TURN_RAD = 1.0
 
@@ -115,13 +116,15 @@ def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
 
 
 def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
-    """Return the faces that end the main face: steep, reaching up to its plane, with its middle inside."""
+    """Return the faces that end the main face: steep, flat, reaching up to its plane."""
     kept: list[PlaneFace] = []
     for face in faces:
         steep = abs(face.normal @ main.normal) < (_BORDER_STEEP if face.at_border else _STEEP)
         reaches = float(np.max(main.distance(face.samples_mm))) > -_RIM_MM
         inside = float(np.median(face.distance(main.samples_mm))) < 0.0
-        if face is not main and steep and reaches and inside:
+        along = np.cross(main.normal, face.normal)
+        flat = face.at_border or face.curvature(along) < _CURVED_1_MM
+        if face is not main and steep and reaches and inside and flat:
             kept.append(face)
     return kept
 

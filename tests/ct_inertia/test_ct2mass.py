@@ -1,0 +1,351 @@
+"""The command from end to end: every kind of input, the files it writes, the faults it names."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from ct_inertia.cli import options_from, output_folder, parser, work
+from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.mass_json import mass_json
+from ct_inertia.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.surface import read_surface, write_surface
+from kinematics.command import show
+from kinematics.errors import StapeskitError
+from kinematics.mass_record import read_mass_record
+from tests.ct_inertia.shapes import box, stapes
+
+DENSITY = 1900.0
+
+
+def run(arguments):
+    """Run the command's work in this process and return its outcome."""
+    return work([str(word) for word in arguments])[1]
+
+
+@pytest.fixture(scope="module")
+def mesh(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mesh") / "stapes.stl"
+    write_surface(path, stapes(0.06))
+    return path
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    """A stapes over a plate at 50 um voxels with blur and noise, its labels, and its true surface."""
+    import SimpleITK as sitk
+
+    from tests.ct_inertia.ears import ear
+
+    made = ear(h=0.05, plate_gap=0.4, seed=3)
+    folder = tmp_path_factory.mktemp("scan")
+    image = sitk.GetImageFromArray(made.volume.array)
+    image.SetSpacing(made.volume.spacing_mm.tolist())
+    image.SetOrigin(made.volume.origin_mm.tolist())
+    sitk.WriteImage(image, str(folder / "ear.nrrd"))
+    return folder, made
+
+
+@pytest.fixture(scope="module")
+def result(scan):
+    folder, _ = scan
+    out = folder / "out"
+    outcome = run([folder / "ear.nrrd", "--density", "1900+-20", "--anterior", "1,0.2,0.1", "--out", out])
+    return out, outcome
+
+
+class TestAScan:
+    def test_writes_every_file_and_nothing_else(self, result):
+        out, outcome = result
+        names = sorted(path.name for path in out.iterdir())
+        assert names == ["labels.nrrd", "mass.json", "plate.ply", "report.html", "stapes.ply"]
+        assert sorted(path.name for path in outcome.files) == names
+        assert not list(out.parent.glob(".stapeskit*"))
+
+    def test_gives_the_mass_matrix_of_the_true_body(self, scan, result):
+        record = read_mass_record(result[0] / "mass.json")
+        exact = from_density(scan[1].stapes.moments(), DENSITY, None)
+        truth = footplate_mass_matrix(exact, record.scan_from_footplate, np.zeros((6, 6))).matrix
+        root = np.sqrt(np.diag(truth))
+        assert np.max(np.abs(record.mass_matrix.matrix - truth) / np.outer(root, root)) < 0.02
+
+    def test_reads_back_as_it_was_written(self, result):
+        record = read_mass_record(result[0] / "mass.json")
+        content = json.loads((result[0] / "mass.json").read_text())
+        assert np.allclose(record.mass_matrix.matrix, content["mass_matrix"]["matrix_si"], rtol=1e-12)
+        stated = np.array(content["mass_matrix"]["standard_deviation_si"])
+        assert np.allclose(record.mass_matrix.standard_deviation, stated, rtol=1e-9)
+        assert {"levels", "noise", "density", "frame"} <= set(record.mass_matrix.contributions)
+        assert record.plate_from_footplate is not None
+        assert np.trace(record.footplate_covariance) > 0.0
+        assert record.plate_covariance is not None
+        total = np.array(content["inertial_parameters"]["covariance_si"])
+        assert np.allclose(
+            sum(np.array(c) for c in content["inertial_parameters"]["contributions_si"].values()), total
+        )
+
+    def test_frames_and_matrices_agree(self, result):
+        content = json.loads((result[0] / "mass.json").read_text())
+        frames = {key: np.array(content["frames"][key]) for key in ("scan_from_footplate", "scan_from_plate")}
+        between = np.linalg.inv(frames["scan_from_plate"]) @ frames["scan_from_footplate"]
+        assert np.allclose(content["frames"]["plate_from_footplate"], between, atol=1e-9)
+        turn = np.kron(np.eye(2), between[:3, :3])
+        own = np.array(content["mass_matrix"]["matrix_si"])
+        expected = turn @ own @ turn.T
+        assert np.allclose(
+            content["mass_matrix_plate_axes"]["matrix_si"], expected, atol=1e-9 * expected.max()
+        )
+        reduced = np.array(content["mass_matrix_reduced"]["matrix_si"])
+        assert np.array_equal(reduced, own[np.ix_([1, 3, 5], [1, 3, 5])])
+
+    def test_surfaces_lie_on_the_labels(self, scan, result):
+        import SimpleITK as sitk
+
+        labels = sitk.ReadImage(str(result[0] / "labels.nrrd"))
+        array = sitk.GetArrayFromImage(labels)
+        places = np.argwhere(array == 1)[:, ::-1].mean(axis=0)
+        middle = np.array(labels.TransformContinuousIndexToPhysicalPoint(places.tolist()))
+        surface = read_surface(result[0] / "stapes.ply")
+        assert np.linalg.norm(surface.moments().centroid_mm - middle) < 0.02
+        assert surface.volume_mm3 == pytest.approx(scan[1].stapes.volume_mm3, rel=0.02)
+        assert read_surface(result[0] / "plate.ply").volume_mm3 > 1.0
+
+    def test_report_shows_matrix_pictures_and_hash(self, result):
+        page = (result[0] / "report.html").read_text()
+        content = json.loads((result[0] / "mass.json").read_text())
+        assert content["provenance"]["inputs"]["scan"]["hash"] in page
+        assert page.count("data:image/") >= 3
+        assert "Uncertainty budget" in page
+        assert "http://" not in page
+        assert "https://" not in page
+        assert f"{content['mass_kg'] * 1e6:.4f}" in page
+
+    def test_the_table_is_short(self, result, capsys):
+        outcome = result[1]
+        given = parser().parse(["x.tif", "--density", "1900"])
+        show(given, outcome)
+        assert len(capsys.readouterr().out.splitlines()) <= 15
+
+    def test_labels_alone_and_labels_with_the_scan(self, scan, result, tmp_path):
+        folder, made = scan
+        labels = result[0] / "labels.nrrd"
+        alone = run(["--labels", labels, "--density", "1900", "--no-report", "--out", tmp_path / "a"])
+        assert alone.result["volume_m3"] * 1e9 == pytest.approx(made.stapes.volume_mm3, rel=0.05)
+        both = run(
+            [
+                folder / "ear.nrrd",
+                "--labels",
+                labels,
+                "--density",
+                "1900",
+                "--no-report",
+                "--out",
+                tmp_path / "b",
+            ]
+        )
+        assert both.result["volume_m3"] * 1e9 == pytest.approx(made.stapes.volume_mm3, rel=0.02)
+        assert not (tmp_path / "b" / "report.html").exists()
+
+    def test_a_calibration_needs_and_uses_grey_values(self, scan, result, tmp_path):
+        folder, made = scan
+        line = tmp_path / "line.toml"
+        line.write_text("points = [[2000, 0], [20000, 1900]]\nsd_kg_m3 = 10\n")
+        found = ct2mass(MassOptions(folder / "ear.nrrd", calibration=line))
+        assert found.body.mass_kg == pytest.approx(made.stapes.volume_mm3 * 1.9e-6, rel=0.02)
+        assert "calibration" in found.matrix.contributions
+        with pytest.raises(CtInertiaError, match="--calibration must be used with grey values"):
+            ct2mass(MassOptions(None, labels=result[0] / "labels.nrrd", calibration=line))
+
+    def test_fiducials_override_the_fitted_plate(self, scan, tmp_path):
+        path = tmp_path / "f.csv"
+        path.write_text("name,x_mm,y_mm,z_mm\na,0,0,0\nb,4,0,0\nc,4,3,0\nd,0,3,0\n")
+        found = ct2mass(MassOptions(scan[0] / "ear.nrrd", density=(DENSITY, None), plate_fiducials=path))
+        assert found.plate_frame is not None
+        assert found.plate_frame.source == "fiducials"
+        assert np.allclose(found.plate_frame.scan_from_plate.translation_mm, [2.0, 1.5, 0.0])
+
+
+class TestAMesh:
+    def test_gives_its_own_exact_moments(self, mesh, tmp_path):
+        outcome = run(
+            [mesh, "--density", "1900+-38", "--anterior", "1,0,0", "--out", tmp_path, "--no-report"]
+        )
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["mass.json", "stapes.ply"]
+        exact = stapes(0.06).moments()
+        assert outcome.result["mass_kg"] == pytest.approx(exact.volume_mm3 * 1.9e-6, rel=1e-5)
+        sd = np.array(outcome.result["mass_matrix"]["standard_deviation_si"])
+        assert sd[0, 0] == pytest.approx(0.02 * outcome.result["mass_kg"])
+        assert outcome.result["frames"]["scan_from_plate"] is None
+        assert {"surface_taken_as_exact"} == {w["code"] for w in outcome.result["warnings"]}
+        assert outcome.result["found"]["holes"] == 1
+
+    def test_a_box_has_the_closed_form(self, tmp_path):
+        write_surface(tmp_path / "box.ply", box((3.0, 0.4, 1.4), (7.0, 1.0, 2.0)))
+        mark = tmp_path / "m.csv"
+        mark.write_text("name,x_mm,y_mm,z_mm\nhead,7,3,2\nanterior,9,1,2\n")
+        outcome = run(
+            [tmp_path / "box.ply", "--density", 1900, "--landmarks", mark, "--out", tmp_path, "--no-report"]
+        )
+        mass = 1900.0 * 3.0 * 0.4 * 1.4 * 1e-9
+        matrix = np.array(outcome.result["mass_matrix"]["matrix_si"])
+        frame = np.array(outcome.result["frames"]["scan_from_footplate"])
+        assert np.allclose(frame[:3, :3], np.eye(3), atol=1e-5)
+        height = (1.0 - frame[1, 3]) * 1e-3
+        assert height == pytest.approx(0.2e-3, abs=1e-5)
+        assert matrix[5, 5] == pytest.approx(mass * (9.0 + 0.16) * 1e-6 / 12.0 + mass * height**2, rel=1e-5)
+        assert matrix[2, 3] == pytest.approx(mass * height, rel=1e-5)
+
+    def test_json_holds_the_result_and_added_masses_enter(self, mesh, tmp_path, capsys):
+        given, outcome = work(
+            f"{mesh} --mass-mg 3.1+-0.1 --add-mass -1,0.2,0,0.4+-0.1 --add-mass=1,0.2,0,0.1 "
+            f"--voxel-size-sd 0.2 --out {tmp_path} --no-report --json --quiet --sha256".split()
+        )
+        show(given, outcome)
+        printed = json.loads(capsys.readouterr().out)
+        assert printed["mass_kg"] == pytest.approx(3.6e-6)
+        assert {"mass", "added_mass", "voxel_size", "frame"} == set(
+            printed["inertial_parameters"]["contributions_si"]
+        )
+        assert printed["uncertainty"]["not_included"] == []
+        assert printed["provenance"]["inputs"]["scan"]["hash"].startswith("sha256:")
+
+    def test_no_sd_is_told_in_warnings_and_budget(self, mesh, tmp_path):
+        outcome = run([mesh, "--density", "1900", "--out", tmp_path, "--no-report"])
+        found = {w["code"] for w in outcome.result["warnings"]}
+        assert {"density_sd_not_given", "anterior_not_given"} <= found
+        assert "density not included" in outcome.result["uncertainty"]["not_included"]
+
+    def test_a_config_file_stands_in_for_options(self, mesh, tmp_path):
+        config = tmp_path / "c.toml"
+        config.write_text('density = "1900+-19"\nanterior = [-1, 0.1, 0]\nno-report = true\nside = "left"\n')
+        outcome = run([mesh, "--config", config, "--out", tmp_path / "o"])
+        assert outcome.result["frames"]["scan_from_footplate"][0][0] < 0.0
+        assert outcome.result["frames"]["z_is"] == "superior"
+        assert not (tmp_path / "o" / "report.html").exists()
+
+    def test_numbers_in_the_file_are_finite_json(self, mesh):
+        content = mass_json(ct2mass(MassOptions(mesh, density=(DENSITY, None))))
+        json.loads(json.dumps(content, allow_nan=False))
+
+
+class TestFaults:
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ("", "the mass of the stapes must be given by exactly one of .*; got none of them"),
+            ("--density 1900 --mass-mg 3", "got --density and --mass-mg"),
+            ("--density -5", "argument --density"),
+            ("--density 1900+-x", "positive number, or number\\+-sd; got 1900"),
+            ("--density 1.9", "--density must be between 500 and 4000 kg/m3"),
+            ("--mass-mg 300", "--mass-mg must be a mass that gives the volume"),
+            ("--density 1900 --anterior 1,0", "--anterior must be 3 finite numbers"),
+            ("--density 1900 --anterior 0,0,0", "--anterior must be a non-zero direction"),
+            ("--density 1900 --side up", "invalid choice: 'up'"),
+            ("--density 1900 --spacing 0.02", "--spacing must be left out when the input is a surface mesh"),
+            ("--density 1900 --threshold 5", "--threshold must be left out"),
+            ("--density 1900 --seed 1,2,3", "--seed must be left out"),
+            ("--density 1900 --box 0,0,0,1,1,1", "--box must be left out"),
+            ("--density 1900 --box 0,0,0,-1,1,1", "--box must be X0,Y0,Z0,X1,Y1,Z1 with X0 < X1"),
+            ("--density 1900 --mirror x", "--mirror must be left out"),
+            ("--density 1900 --spacing 0", "--spacing must be positive"),
+            ("--density 1900 --voxel-size-sd 90", "--voxel-size-sd must be a percentage"),
+            ("--density 1900 --add-mass 1,2,3", "--add-mass before the mass must be 3"),
+            ("--density 1900 --landmarks none.csv", "the landmark file must be an existing file"),
+            ("--density 1900 --plate-fiducials none.csv", "must be an existing CSV file"),
+            ("--density 1900 --denisty 5", "Did you mean --density"),
+        ],
+    )
+    def test_options_are_told(self, mesh, tmp_path, words, message):
+        with pytest.raises(StapeskitError, match=message):
+            run([mesh, "--out", tmp_path / "o", *words.split()])
+        assert not (tmp_path / "o").exists()
+
+    def test_options_are_checked_before_content(self, tmp_path):
+        with pytest.raises(CtInertiaError, match="exactly one of --density"):
+            run([tmp_path / "none.tif"])
+        with pytest.raises(CtInertiaError, match="the landmark file"):
+            run([tmp_path / "none.tif", "--density", "1900", "--landmarks", tmp_path / "none.csv"])
+
+    def test_a_missing_scan_is_told(self, tmp_path):
+        with pytest.raises(CtInertiaError, match="the scan must be given as the first argument; got none"):
+            run(["--density", "1900"])
+        with pytest.raises(CtInertiaError, match="existing"):
+            run([tmp_path / "none.tif", "--density", "1900"])
+        with pytest.raises(CtInertiaError, match="existing"):
+            run([tmp_path / "none.stl", "--density", "1900"])
+
+    def test_a_missing_spacing_ends_with_code_2_and_one_sentence(self, tmp_path):
+        import tifffile
+
+        tifffile.imwrite(
+            tmp_path / "s.tif", np.random.default_rng(0).integers(0, 9, (8, 8, 8)).astype(np.uint8)
+        )
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                "from ct_inertia.cli import main; main()",
+                tmp_path / "s.tif",
+                "--density",
+                "1900",
+            ],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+        )
+        assert done.returncode == 2
+        assert "--spacing" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert [path.name for path in tmp_path.iterdir()] == ["s.tif"]
+
+    def test_an_open_mesh_is_told(self, tmp_path):
+        import trimesh
+
+        surface = stapes(0.06)
+        trimesh.Trimesh(surface.vertices_mm, surface.faces[5:], process=False).export(tmp_path / "open.stl")
+        with pytest.raises(CtInertiaError, match="closed and consistently oriented"):
+            run([tmp_path / "open.stl", "--density", "1900"])
+
+
+class TestTheCommandLine:
+    def test_help_is_fast(self):
+        code = "import sys; sys.argv = ['ct2mass', '--help']; from ct_inertia.cli import main; main()"
+        best = 9.0
+        for _ in range(3):
+            start = time.perf_counter()
+            done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+            best = min(best, time.perf_counter() - start)
+        assert done.returncode == 0
+        for option in (
+            "--density",
+            "--mass-mg",
+            "--calibration",
+            "--add-mass",
+            "--labels",
+            "--plate-fiducials",
+        ):
+            assert option in done.stdout
+        assert best < 1.0
+
+    @pytest.mark.parametrize(
+        ("words", "name"),
+        [
+            ("a/scan.tif", "scan_mass"),
+            ("a/b.nii.gz", "b_mass"),
+            ("a/slices", "slices_mass"),
+            ("--labels x.seg.nrrd", "x_mass"),
+        ],
+    )
+    def test_default_output_folder(self, words, name):
+        assert output_folder(parser().parse([*words.split(), "--density", "1900"])).name == name
+
+    def test_comma_lists_may_begin_with_a_minus(self):
+        for words in (["--anterior", "-0.9,0.1,0"], ["--anterior=-0.9,0.1,0"]):
+            given = parser().parse(["x.tif", "--density", "1900", *words])
+            assert options_from(given).anterior == (-0.9, 0.1, 0.0)
