@@ -1,0 +1,222 @@
+"""The whole chain on the sample study and on simulated ears: what goes in comes out, within its intervals."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from fitting.kd import KDOptions, fit_kd
+from kinematics.fiducials import read_fiducials
+from kinematics.frames import RigidTransform
+from kinematics.ldv_csv import read_ldv
+from kinematics.mass_record import FRAME_SOURCE, MassMatrix, MassRecord, frame_derivative, read_mass_record
+from kinematics.placement import place
+from kinematics.points2dof import points2dof
+from sample_volumes.make_sample import make_study
+from sample_volumes.phantom import Ear
+from sample_volumes.vibrometer import Vibrometry
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "sample_volumes"
+BIN = Path(sys.executable).parent
+UPPER = np.triu_indices(3)
+COARSE = Ear(voxel_mm=(0.1, 0.1, 0.1))
+
+
+def entries(stiffness, damping):
+    return np.concatenate([np.asarray(part)[UPPER] for part in (stiffness, damping)])
+
+
+def wanted(truth):
+    return entries(truth["stiffness_si"], truth["damping_si"])
+
+
+def known_mass(truth, footplate_covariance=None, plate_covariance=None):
+    """Return what a perfect ct2mass would say of a simulated ear."""
+    zero = np.zeros((6, 6))
+    footplate_covariance = zero if footplate_covariance is None else footplate_covariance
+    parameters = np.array(truth["inertial_parameters_si"])
+    slope = frame_derivative(parameters)
+    matrix = MassMatrix(
+        "footplate_centre", "footplate", parameters, {FRAME_SOURCE: slope @ footplate_covariance @ slope.T}
+    )
+    return MassRecord(
+        matrix,
+        RigidTransform(np.array(truth["scan_from_footplate"]), "scan", "footplate"),
+        RigidTransform(np.array(truth["plate_from_footplate"]), "plate", "footplate"),
+        footplate_covariance,
+        zero if plate_covariance is None else plate_covariance,
+        (),
+        {"frames": {"scan_from_plate": truth["scan_from_plate"]}},
+    )
+
+
+def recovered(folder, mass, options=None):
+    """Run points2dof and dof2kd on the files of a study."""
+    measurement = read_ldv(folder / "ldv.csv", folder / "points.csv", "vibrometer")
+    placement = place(read_fiducials(folder / "fiducials.csv"), "footplate", mass)
+    return fit_kd(points2dof(measurement, placement, mass=mass).motion, mass.mass_matrix, options)
+
+
+def run(*words, cwd):
+    command = [str(BIN / words[0]), *map(str, words[1:])]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The sample study, run once by its command."""
+    out = tmp_path_factory.mktemp("demo")
+    done = run("scan2kd", SAMPLE / "study.toml", "--out", out / "run", "--quiet", cwd=out)
+    assert done.returncode == 0, done.stderr
+    return out / "run"
+
+
+@pytest.fixture(scope="module")
+def sample_truth():
+    return json.loads((SAMPLE / "truth.json").read_text())
+
+
+@pytest.mark.parametrize("estimator", ["ml", "pinv", "constrained", "irls"])
+def test_noise_free_data_give_back_stiffness_and_damping(tmp_path, estimator):
+    truth = make_study(tmp_path, COARSE, Vibrometry(noise_free=True, lines=60), "exact", ("ldv",))
+    fit = recovered(tmp_path, known_mass(truth), KDOptions(estimator=estimator))
+    error = entries(fit.stiffness, fit.damping) - wanted(truth)
+    scale = entries(*(np.sqrt(np.outer(np.diag(m), np.diag(m))) for m in (fit.stiffness, fit.damping)))
+    assert np.abs(error / scale).max() < 1e-6
+
+
+def test_sample_mass_matrix_agrees_with_that_of_the_exact_mesh(demo, sample_truth):
+    record = read_mass_record(demo / "mass.json")
+    exact = np.array(sample_truth["mass_matrix_si"])
+    stated = record.raw["density_kg_m3"] / sample_truth["density_kg_m3"]
+    root = np.sqrt(np.diag(exact))
+    shape_error = record.mass_matrix.matrix / stated - exact
+    assert np.abs(shape_error / np.outer(root, root)).max() < 0.005
+    assert np.abs((record.mass_matrix.matrix - exact) / np.outer(root, root)).max() < 0.02
+    assert record.raw["volume_m3"] == pytest.approx(sample_truth["volume_m3"], rel=1e-3)
+
+
+def test_sample_frames_agree_with_the_truth(demo, sample_truth):
+    frames = read_mass_record(demo / "mass.json").raw["frames"]
+    for key, most_mm, most_deg in (("scan_from_footplate", 0.01, 0.3), ("scan_from_plate", 0.003, 0.06)):
+        error = np.linalg.inv(np.array(sample_truth[key])) @ np.array(frames[key])
+        assert np.linalg.norm(error[:3, 3]) < most_mm
+        angle = np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+        assert angle < most_deg
+
+
+def test_sample_stiffness_and_damping_agree_with_the_truth_within_their_covariance(demo, sample_truth):
+    kd = json.loads((demo / "kd.json").read_text())
+    error = entries(kd["stiffness_si"], kd["damping_si"]) - wanted(sample_truth)
+    covariance = np.array(kd["covariance_si"])
+    sd = np.sqrt(np.diag(covariance))
+    distance = (error / sd) @ np.linalg.solve(covariance / np.outer(sd, sd), error / sd)
+    assert chi2.sf(distance, 12) > 0.01
+    assert np.all(np.abs(error / sd) < 3.5)
+    assert kd["stable"]
+    assert all(kd["passive"].values())
+    assert chi2.sf(kd["fit"]["chi2"], kd["fit"]["n_dof"]) > 1e-3
+
+
+def test_sample_report_is_one_page_that_needs_no_network(demo):
+    page = (demo / "report.html").read_text()
+    assert "SIMULATED" in page
+    assert 'src="http' not in page
+    assert 'href="http' not in page
+    for code in {
+        w["code"]
+        for name in ("mass", "kd")
+        for w in json.loads((demo / f"{name}.json").read_text())["warnings"]
+    }:
+        assert code in page
+
+
+def test_intervals_cover_the_truth_in_reseeded_measurements(tmp_path):
+    """Noise, positions, fiducials and the frames of the scan drawn anew; 40 x 12 entries at 95 %."""
+    count = 40
+    rng = np.random.default_rng(2026)
+    frame = np.diag(np.array([5e-6, 5e-6, 5e-6, 2e-3, 1e-3, 1e-3]) ** 2)
+    plate = np.diag(np.array([2e-6, 1e-6, 2e-6, 2e-4, 3e-4, 2e-4]) ** 2)
+    z, distances = [], []
+    for seed in range(count):
+        folder = tmp_path / f"{seed}"
+        truth = make_study(
+            folder, replace(COARSE, pose_seed=seed), Vibrometry(seed=seed, lines=60), "ear", ("ldv",)
+        )
+        mass = displaced(known_mass(truth, frame, plate), rng)
+        fit = recovered(folder, mass)
+        sd = np.sqrt(np.diag(fit.covariance))
+        error = (entries(fit.stiffness, fit.damping) - wanted(truth)) / sd
+        z.append(error)
+        distances.append(error @ np.linalg.solve(fit.covariance / np.outer(sd, sd), error))
+    covered = np.abs(z) < 1.96
+    assert 0.925 < covered.mean() < 0.975
+    assert covered.sum(axis=0).min() >= binom.ppf(1e-4, count, 0.95)
+    total = np.sum(distances)
+    assert 1e-4 < chi2.sf(total, 12 * count) < 1.0 - 1e-4
+
+
+def displaced(mass, rng):
+    """Return the mass record with both frames in error as their covariances say."""
+    motion = rng.multivariate_normal(np.zeros(6), mass.footplate_covariance)
+    scan_from_footplate = mass.scan_from_footplate.perturbed(motion)
+    shift, turn = motion[:3], scan_from_footplate.rotation.T @ mass.scan_from_footplate.rotation
+    matrix = mass.mass_matrix.moved(turn, shift, "footplate_centre", "footplate")
+    scan_from_plate = mass.scan_from_footplate @ mass.plate_from_footplate.inverse()
+    scan_from_plate = scan_from_plate.perturbed(rng.multivariate_normal(np.zeros(6), mass.plate_covariance))
+    return replace(
+        mass,
+        mass_matrix=matrix,
+        scan_from_footplate=scan_from_footplate,
+        plate_from_footplate=scan_from_plate.inverse() @ scan_from_footplate,
+        raw={"frames": {"scan_from_plate": scan_from_plate.matrix.tolist()}},
+    )
+
+
+@pytest.mark.parametrize("command", ["ct2mass", "points2dof", "dof2kd", "scan2kd"])
+def test_help_appears_at_once(command, tmp_path):
+    seconds = []
+    for _ in range(5):
+        started = time.perf_counter()
+        done = run(command, "--help", cwd=tmp_path)
+        seconds.append(time.perf_counter() - started)
+    assert done.returncode == 0
+    assert "usage" in done.stdout
+    assert min(seconds) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["ct2mass", "none.tif", "--density", "1900"], "none.tif"),
+        (["points2dof", "none.csv"], "none.csv"),
+        (["dof2kd", "none.csv", "--mass", "none.json"], "none"),
+        (["scan2kd", "none.toml"], "none.toml"),
+        (["ct2mass", "plain.tif", "--density", "1900"], "--spacing"),
+        (["points2dof", "short.csv"], "freq_hz"),
+        (["dof2kd", "dof.csv", "--masss", "m.json"], "--mass"),
+    ],
+)
+def test_faults_end_with_one_sentence_and_exit_code_2(words, told, tmp_path):
+    import tifffile
+
+    tifffile.imwrite(
+        tmp_path / "plain.tif", np.random.default_rng(0).integers(0, 9, (8, 8, 8), dtype=np.uint16)
+    )
+    (tmp_path / "short.csv").write_text("body,point,x_mm,y_mm,z_mm,dir,re_m_s,im_m_s\nstapes,1,0,0,0,y,1,0\n")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    done = run(*words, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) <= 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
