@@ -113,7 +113,7 @@ def _sd(value: float | None) -> str:
 def _responses(fit: KDFit) -> Section:
     section = Section("Measured and simulated responses")
     found = responses(fit)
-    load = " and of the measured in-plane load" if fit.inplane.used else ""
+    load = " and to the measured in-plane load" if fit.inplane.used else ""
     section.add(
         page.text(
             "The stapes' motion at the footplate centre (dots) against the response of the fitted model "
