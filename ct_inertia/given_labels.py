@@ -264,8 +264,20 @@ def _guess(
     far = capped_distance(local != 0, spacing_mm, 6.0 * step) > 5.0 * step
     depth = capped_distance(~stapes, spacing_mm, 6.0 * step)
     deep = depth >= 0.9 * float(depth.max())
-    air = float(np.percentile(grey[far] if np.any(far) else grey, 30.0))
-    return Guess(air, float(np.median(grey[deep])))
+    outside = grey[far] if np.any(far) else grey
+    air = float(np.percentile(outside, 30.0))
+    spread = air - float(np.percentile(outside, 5.0))
+    bone = float(np.median(grey[deep]))
+    if not bone - air > 4.0 * spread:
+        raise CtInertiaError(
+            sentence(
+                "the stapes of the label volume",
+                "brighter than the air around it",
+                f"grey values about {bone:.6g} inside and {air:.6g} outside",
+                next_step="Check that the labels belong to this scan and lie on it",
+            )
+        )
+    return Guess(air, bone)
 
 
 def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
@@ -277,15 +289,6 @@ def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
     bone = drawn.grey > 0.5 * (guess.air + guess.bone)
     step = float(spacing_mm.max())
     near = capped_distance(drawn.stapes, spacing_mm, 4.0 * step) <= 3.0 * step
-    if not np.any(drawn.stapes & bone):
-        raise CtInertiaError(
-            sentence(
-                "the stapes of the label volume",
-                "brighter than the air around it",
-                "a region without bone",
-                next_step="Check that the labels belong to this scan and lie on it",
-            )
-        )
     other = bone & ~drawn.stapes & (~near | drawn.others) & ~drawn.plate
     markers = (drawn.stapes & bone).astype(np.int32) + 2 * other.astype(np.int32)
     parts = flooded(drawn.grey, markers, bone & ~drawn.plate)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
+from ct_inertia.level_fit import fit_bodies
 from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone
 from ct_inertia.moments import Moments
+from ct_inertia.neighbours import Parted, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments
 from ct_inertia.psf import edge_sigma
-from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2
 _DEFAULT_SIGMA_VOXELS = 1.0
+_GOOD_INSIDE = 4e-4
+_WEAK = 4e-3
 
 
 @dataclass(frozen=True)
@@ -73,24 +76,21 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     around = Surroundings(cut.grey, stapes, foreign, spacing)
     distance = capped_distance(stapes, spacing, outer)
     air = measure_air(around, distance, reach, guess.air)
-    bone = measure_bone(around, air, sigma) or _shallow_bone(cut, stapes, air)
+    bone, sigma_fit = _bone(around, air, sigma, distance, reach)
     sigma, sigma_sd, sigma_from = _blur(cut, stapes, air.level, bone.level, spacing)
-    own = own_voxels(cut, distance, reach, spacing)
-    values = cut.grey[own].astype(float)
-    index = np.stack(np.nonzero(own)[::-1], axis=1) + cut.first.astype(float)
-    noise = np.where(stapes[own], bone.noise, air.noise)
-    share = Share(
-        index, values, noise, air.level, bone.level, air.sd, bone.sd, sigma, sigma_sd, air.correlation
-    )
+    if sigma_fit is not None:
+        sigma, sigma_sd, sigma_from = sigma_fit, 0.02 * sigma_fit, "fit of body, level and blur"
+    levels = (air.level, bone.level)
+    parted = part_from_neighbours(cut, distance, reach, spacing, levels, sigma)
+    share = _share(cut, parted, air, bone, (sigma, sigma_sd))
     moments = partial_volume_moments(share, volume.scan_from_index)
-    field = np.where(own, (cut.grey - air.level) / (bone.level - air.level), 0.0).astype(np.float32)
     return Measured(
         moments,
         as_levels(air, bone, guess.plastic),
         sigma,
         sigma_from,
-        field,
-        own,
+        _field(cut, parted, levels),
+        parted.own,
         None,
         air.correlation,
         air.clipped,
@@ -98,21 +98,69 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     )
 
 
-def own_voxels(
-    cut: Cut, distance_mm: NDArray[np.float32], reach_mm: float, spacing_mm: Array
-) -> NDArray[np.bool_]:
-    """Return the voxels whose grey values belong to the stapes: its basin within reach of its blur.
+def _bone(
+    around: Surroundings, air: Air, sigma_mm: float, distance_mm: NDArray[np.float32], reach_mm: float
+) -> tuple[Bone, float | None]:
+    """Measure the bone level inside, or fit it with the body and its blur when there is too little inside."""
+    inside = measure_bone(around, air, sigma_mm)
+    if inside is not None and inside.sd < _GOOD_INSIDE * (inside.level - air.level):
+        return inside, None
+    own = distance_mm <= reach_mm
+    if np.any(around.foreign):
+        own &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= 0.999 * reach_mm
+    box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(own))
+    start = float(np.percentile(around.grey[around.bone], 90.0)) - air.level
+    if inside is not None:
+        start = inside.level - air.level
+    excess = around.grey[box] - np.float32(air.level)
+    fit = fit_bodies(excess, own[box], around.spacing_mm, start, sigma_mm, air.noise)
+    if inside is not None and inside.sd < fit.relative_sd * fit.contrast:
+        return inside, None
+    noise = air.noise if inside is None else inside.noise
+    sd = fit.relative_sd * fit.contrast * np.sqrt(air.correlation)
+    notices: tuple[Notice, ...] = ()
+    if sd > _WEAK * fit.contrast:
+        text = (
+            f"The stapes has hardly a voxel deeper than the blur of the scan: its bone level comes from a "
+            f"fit of body and blur, uncertain by {100.0 * sd / fit.contrast:.1f} %, and so are volume and "
+            f"mass. Scan with smaller voxels."
+        )
+        notices = (Notice("bone_level_weak", text),)
+    return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices), fit.sigma_mm
 
-    Where other bone is within twice that reach, the border is the watershed of the grey values between the
-    bodies: there the tails of their blur swap, and what each loses it gets back.
-    """
-    reach = distance_mm <= reach_mm
-    if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
-        return np.asarray(reach)
-    near = capped_distance(cut.others, spacing_mm, reach_mm) <= reach_mm
-    markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
-    basins = flooded(cut.grey, markers, (reach & near) | (markers > 0))
-    return np.asarray(reach & (~near | (basins == 1)))
+
+def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
+    """Collect the stapes' grey values: measured on its side, modelled behind the border to other bone."""
+    contrast = bone.level - air.level
+    values = cut.grey[parted.own].astype(float)
+    noise = np.where(cut.stapes[parted.own], bone.noise, air.noise)
+    index = np.stack(np.nonzero(parted.own)[::-1], axis=1)
+    if parted.foreign is not None and parted.behind is not None:
+        values -= contrast * parted.foreign[parted.own]
+        hidden = parted.behind > 1e-6
+        values = np.concatenate([values, air.level + contrast * parted.behind[hidden]])
+        noise = np.concatenate([noise, np.zeros(int(hidden.sum()))])
+        index = np.vstack([index, np.stack(np.nonzero(hidden)[::-1], axis=1)])
+    return Share(
+        index + cut.first.astype(float),
+        values,
+        noise,
+        air.level,
+        bone.level,
+        air.sd,
+        bone.sd,
+        *blur,
+        air.correlation,
+    )
+
+
+def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.float32]:
+    """Return the share of bone of the stapes in each voxel of the box, 0 beyond its own."""
+    air, bone = levels
+    share = (cut.grey - np.float32(air)) / np.float32(bone - air)
+    if parted.foreign is not None:
+        share -= parted.foreign
+    return np.where(parted.own, share, np.float32(0.0))
 
 
 def _blur(
@@ -126,17 +174,6 @@ def _blur(
         sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
         return sigma, 0.5 * sigma, "assumed: one voxel"
     return found[0], found[1], "edges of the stapes"
-
-
-def _shallow_bone(cut: Cut, stapes: NDArray[np.bool_], air: Air) -> Bone:
-    """Fall back on the brightest voxels when the body has no inside deeper than its blur."""
-    values = cut.grey[stapes].astype(float)
-    level = float(np.percentile(values, 97.0))
-    text = (
-        "The stapes has hardly a voxel deeper than the blur of the scan: its bone level is a guess from its "
-        "brightest voxels, and volume and mass are uncertain by several percent. Scan with smaller voxels."
-    )
-    return Bone(level, 0.03 * (level - air.level), air.noise, "brightest", (Notice("bone_level_weak", text),))
 
 
 def _air_notices(air: Air, bone: Bone) -> list[Notice]:

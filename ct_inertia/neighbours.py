@@ -1,0 +1,110 @@
+"""The blur of other bone near the stapes, modelled and taken off the stapes' grey values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.cutting import Cut
+from ct_inertia.distance import capped_distance
+from ct_inertia.level_fit import blurred, fit_bodies
+from ct_inertia.separate import flooded
+
+Array = NDArray[np.float64]
+
+# Planes further apart than this many widths of the blur share less than 1e-4 of a width.
+_CLOSE_SIGMAS = 7.0
+
+
+@dataclass(frozen=True)
+class Parted:
+    """How grey values near other bone are shared.
+
+    Attributes
+    ----------
+    own : ndarray of bool, [z, y, x]
+        The stapes' side of the border, within reach of its blur.
+    foreign : ndarray of float32, [z, y, x], or None
+        Share of other bone's blur in each voxel.
+    behind : ndarray of float32, [z, y, x], or None
+        Share of the stapes' blur in voxels on the other side.
+    """
+
+    own: NDArray[np.bool_]
+    foreign: NDArray[np.float32] | None = None
+    behind: NDArray[np.float32] | None = None
+
+
+def part_from_neighbours(
+    cut: Cut,
+    distance_mm: NDArray[np.float32],
+    reach_mm: float,
+    spacing_mm: Array,
+    levels: tuple[float, float],
+    sigma_mm: float,
+) -> Parted:
+    """Decide which grey values belong to the stapes.
+
+    Parameters
+    ----------
+    cut : Cut
+    distance_mm : ndarray of float32, [z, y, x]
+        From the stapes.
+    reach_mm : float
+        How far its blur reaches.
+    spacing_mm : ndarray, (3,)
+    levels : (air, bone)
+    sigma_mm : float
+        Standard deviation of the point spread.
+
+    Notes
+    -----
+    The border is the watershed of the grey values. Where two bodies are alike their tails swap across it
+    and cancel; a thin rim beside a thick bone gives more than it gets (0.1 % of a stapes at a gap of two
+    voxels). Within a few widths of the blur both are therefore modelled as two-valued bodies fitted to the
+    grey values: the neighbour's tail is subtracted on this side, the stapes' own added on the other.
+    """
+    reach = distance_mm <= reach_mm
+    if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
+        return Parted(reach)
+    away = capped_distance(cut.others, spacing_mm, 2.0 * reach_mm)
+    near = away <= reach_mm
+    markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
+    basins = flooded(cut.grey, markers, (reach & near) | (markers > 0))
+    own = reach & (~near | (basins == 1))
+    close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
+    if not np.any(close):
+        return Parted(own)
+    return _modelled(cut, own, reach, close, reach_mm, spacing_mm, levels, sigma_mm)
+
+
+def _modelled(
+    cut: Cut,
+    own: NDArray[np.bool_],
+    reach: NDArray[np.bool_],
+    close: NDArray[np.bool_],
+    reach_mm: float,
+    spacing_mm: Array,
+    levels: tuple[float, float],
+    sigma_mm: float,
+) -> Parted:
+    air, bone = levels
+    margin = np.ceil((_CLOSE_SIGMAS * sigma_mm + reach_mm) / spacing_mm[::-1]).astype(int) + 2
+    index = np.nonzero(close)
+    box = tuple(
+        slice(max(0, int(k.min()) - m), int(k.max()) + m + 1) for k, m in zip(index, margin, strict=True)
+    )
+    known = np.ones(own[box].shape, dtype=bool)
+    if np.any(cut.plate[box]):
+        known = capped_distance(cut.plate[box], spacing_mm, reach_mm) >= 0.999 * reach_mm
+    fit = fit_bodies(
+        cut.grey[box] - np.float32(air), known, spacing_mm, bone - air, sigma_mm, 0.0, fit_contrast=False
+    )
+    spacing = np.asarray(spacing_mm)[::-1]
+    mine = np.where(own[box], fit.body, np.float32(0.0))
+    foreign, behind = np.zeros_like(cut.grey), np.zeros_like(cut.grey)
+    foreign[box] = np.where(own[box], blurred(fit.body - mine, sigma_mm, spacing), np.float32(0.0))
+    behind[box] = np.where(reach[box] & ~own[box], blurred(mine, sigma_mm, spacing), np.float32(0.0))
+    return Parted(own, foreign, behind)

@@ -1,0 +1,203 @@
+"""Finding the stapes and measuring it: accuracy, choices, corrections, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.partial_volume import as_vector
+from ct_inertia.read import read_volume
+from ct_inertia.search import SearchOptions
+from ct_inertia.segmentation import find_bodies
+from ct_inertia.volume import Volume
+
+from .ears import AIR, BONE, ear, errors
+
+
+def codes(bodies):
+    return {notice.code for notice in bodies.notices}
+
+
+def test_a_stapes_in_air_within_a_tenth_of_a_percent():
+    scan = ear(h=0.03)
+    bodies = find_bodies(scan.volume)
+    volume, centroid, inertia = errors(bodies.moments, scan.stapes)
+    assert abs(volume) < 1.5e-3
+    assert centroid < 0.6
+    assert inertia < 2e-3
+    assert bodies.stapes.euler_characteristic == 0
+    assert bodies.stapes.volume_mm3 == pytest.approx(bodies.moments.volume_mm3, rel=1e-4)
+    assert bodies.frame_surface.volume_mm3 == pytest.approx(bodies.moments.volume_mm3, rel=1e-4)
+    assert bodies.plate is None
+    assert bodies.psf_sigma_mm == pytest.approx(1.2 * 0.03, rel=0.05)
+    assert bodies.levels.air == pytest.approx(AIR, abs=0.002 * (BONE - AIR))
+    assert bodies.levels.bone == pytest.approx(BONE, abs=0.002 * (BONE - AIR))
+    assert codes(bodies) == set()
+    inside = bodies.labels.mask(1)
+    assert inside.sum() * scan.volume.voxel_mm3 == pytest.approx(bodies.moments.volume_mm3, rel=0.01)
+
+
+def test_the_error_is_covered_by_its_uncertainty():
+    scores = []
+    for seed in range(4):
+        scan = ear(h=0.05, seed=seed, rays=4)
+        moments = find_bodies(scan.volume).moments
+        sd = np.sqrt(np.diag(sum(moments.contributions.values())))
+        truth = as_vector(scan.stapes.moments())
+        scores.append((as_vector(moments) - truth) / sd)
+    assert np.sqrt(np.mean(np.array(scores) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize("gap", [0.2, 0.06])
+def test_a_stapes_in_its_window_on_a_plate(gap):
+    scan = ear(h=0.03, gap=gap, plate_gap=0.6, margin=0.35)
+    bodies = find_bodies(scan.volume)
+    volume, centroid, inertia = errors(bodies.moments, scan.stapes)
+    assert abs(volume) < 1e-3
+    assert centroid < 1.0
+    assert inertia < 1.5e-3
+    assert bodies.plate.volume_mm3 == pytest.approx(scan.plate.volume_mm3, rel=0.02)
+    assert bodies.stapes.euler_characteristic == 0
+    assert np.unique(bodies.labels.labels).tolist() == [0, 1, 2, 3]
+    assert bodies.evidence["stapes"]["holes"] == 1
+
+
+def test_voxels_need_not_be_cubes():
+    scan = ear(h=0.03, stretch=(1, 1, 1.6))
+    volume, centroid, inertia = errors(find_bodies(scan.volume).moments, scan.stapes)
+    assert abs(volume) < 1e-3
+    assert centroid < 1.0
+    assert inertia < 2e-3
+
+
+def test_labels_lie_on_the_scan(tmp_path):
+    scan = ear(h=0.05, rays=4)
+    bodies = find_bodies(scan.volume)
+    bodies.labels.write(tmp_path / "labels.nrrd")
+    labels = read_volume(tmp_path / "labels.nrrd")
+    assert labels.handedness_confirmed
+    assert labels.spacing_mm == pytest.approx(scan.volume.spacing_mm)
+    index = np.argwhere(np.asarray(labels.array) == 1)[:, ::-1]
+    assert labels.scan_points(index).mean(axis=0) == pytest.approx(bodies.moments.centroid_mm, abs=0.01)
+    assert min(index.min(axis=0)) == 0
+    assert np.array_equal(index.max(axis=0), labels.size - 1)
+
+
+def test_given_labels_with_and_without_grey_values(tmp_path):
+    scan = ear(h=0.04)
+    bodies = find_bodies(scan.volume)
+    bodies.labels.write(tmp_path / "labels.nrrd")
+    labels = read_volume(tmp_path / "labels.nrrd")
+    alone = find_bodies(None, SearchOptions(labels=labels))
+    volume, centroid, _ = errors(alone.moments, scan.stapes)
+    assert abs(volume) < 0.01
+    assert centroid < 5.0
+    assert "labels_alone" in codes(alone)
+    assert "touches_border" not in codes(alone)
+    grey = find_bodies(scan.volume, SearchOptions(labels=labels))
+    volume, centroid, inertia = errors(grey.moments, scan.stapes)
+    assert abs(volume) < 1.5e-3
+    assert centroid < 1.0
+    assert inertia < 2e-3
+    assert grey.labels.origin_mm == pytest.approx(labels.origin_mm)
+
+
+def test_bad_labels():
+    scan = ear(h=0.05, rays=4)
+    labels = replace(scan.volume, array=(scan.volume.array > 11000).astype(np.uint8))
+    with pytest.raises(CtInertiaError, match=r"number 5\); got 0 of them; numbers present: 0, 1"):
+        find_bodies(None, SearchOptions(labels=labels, stapes_label=5))
+    with pytest.raises(CtInertiaError, match="whole numbers"):
+        find_bodies(None, SearchOptions(labels=replace(labels, array=labels.array + np.float32(0.5))))
+    elsewhere = Volume(labels.array[5:], labels.spacing_mm * 1.5, labels.origin_mm, np.eye(3))
+    with pytest.raises(CtInertiaError, match="on the voxels of the scan"):
+        find_bodies(scan.volume, SearchOptions(labels=elsewhere))
+    empty = np.zeros_like(labels.array)
+    empty[:8, :8, :8] = 1
+    with pytest.raises(CtInertiaError, match="brighter than the air"):
+        find_bodies(scan.volume, SearchOptions(labels=replace(labels, array=empty)))
+    with pytest.raises(CtInertiaError, match="the scan must be given"):
+        find_bodies(None)
+
+
+def two_ears():
+    scan = ear(h=0.05, rays=4)
+    other = np.flip(scan.volume.array, 0)
+    return scan, replace(scan.volume, array=np.concatenate([scan.volume.array, other], axis=0))
+
+
+def test_two_stapedes_need_a_seed_or_a_box():
+    scan, volume = two_ears()
+    with pytest.raises(CtInertiaError, match=r"one body that can be the stapes; got 2: .*--seed"):
+        find_bodies(volume)
+    truth = scan.stapes.moments().centroid_mm
+    on_bone = scan.volume.scan_points(np.argwhere(scan.volume.array > 19000)[1000][::-1])
+    bodies = find_bodies(volume, SearchOptions(seed_mm=on_bone))
+    assert bodies.moments.centroid_mm == pytest.approx(truth, abs=2e-3)
+    high = scan.volume.scan_points(scan.volume.size - 1)
+    box = np.concatenate([scan.volume.origin_mm, high])
+    assert find_bodies(volume, SearchOptions(box_mm=box)).moments.centroid_mm == pytest.approx(
+        truth, abs=2e-3
+    )
+
+
+def test_a_seed_must_lie_in_bone_and_in_the_scan():
+    volume = ear(h=0.05, rays=4).volume
+    with pytest.raises(CtInertiaError, match="a point without bone around it"):
+        find_bodies(volume, SearchOptions(seed_mm=volume.scan_points([4, 4, 4])))
+    with pytest.raises(CtInertiaError, match="--seed must be inside the scan"):
+        find_bodies(volume, SearchOptions(seed_mm=np.full(3, 99.0)))
+
+
+def test_a_threshold_between_the_levels_changes_next_to_nothing():
+    scan = ear(h=0.05, rays=4)
+    for threshold in (8000.0, 14000.0):
+        bodies = find_bodies(scan.volume, SearchOptions(threshold=threshold))
+        assert abs(errors(bodies.moments, scan.stapes)[0]) < 3e-3
+    with pytest.raises(CtInertiaError, match="--threshold must be between the grey levels"):
+        find_bodies(scan.volume, SearchOptions(threshold=30000.0))
+
+
+def test_faulty_scans_are_named():
+    scan = ear(h=0.05, rays=4)
+    volume = scan.volume
+    with pytest.raises(CtInertiaError, match="they are inverted"):
+        find_bodies(replace(volume, array=np.uint16(25000) - volume.array))
+    big = Volume(volume.array, volume.spacing_mm * 10, volume.origin_mm, np.eye(3))
+    with pytest.raises(CtInertiaError, match=r"voxel spacing must be right.* mm high.*--spacing"):
+        find_bodies(big)
+    noise = np.random.default_rng(0).normal(1000, 50, (40, 40, 40)).astype(np.uint16)
+    with pytest.raises(CtInertiaError, match="one material only"):
+        find_bodies(replace(volume, array=noise))
+    ball = np.linalg.norm(np.indices((60, 60, 60)) - 30, axis=0) < 8
+    array = (2000 + 18000 * ball + np.random.default_rng(0).normal(0, 300, ball.shape)).astype(np.uint16)
+    with pytest.raises(CtInertiaError, match=r"can be a stapes .* got .*--seed"):
+        find_bodies(replace(volume, array=array))
+
+
+def test_what_the_border_cuts_is_told():
+    scan = ear(h=0.05, rays=4)
+    index = np.argwhere(scan.volume.array > 11000)
+    cut = replace(scan.volume, array=scan.volume.array[:, :, : index[:, 2].max() - 3])
+    assert "touches_border" in codes(find_bodies(cut))
+
+
+def test_nan_counts_as_air_when_allowed():
+    scan = ear(h=0.05, rays=4)
+    array = scan.volume.array.astype(np.float32)
+    array[:3] = np.nan
+    bodies = find_bodies(replace(scan.volume, array=array, nan_as_air=True))
+    assert abs(errors(bodies.moments, scan.stapes)[0]) < 3e-3
+    with pytest.raises(CtInertiaError, match="must be finite"):
+        find_bodies(replace(scan.volume, array=array))
+
+
+def test_direction_and_origin_carry_through():
+    scan = ear(h=0.05, rays=4)
+    turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
+    placed = Volume(scan.volume.array, scan.volume.spacing_mm, np.array([5.0, 6.0, 7.0]), turn)
+    here, there = find_bodies(scan.volume).moments, find_bodies(placed).moments
+    shifted = turn @ (here.centroid_mm - scan.volume.origin_mm) + [5.0, 6.0, 7.0]
+    assert there.centroid_mm == pytest.approx(shifted, abs=1e-9)
+    assert there.second_mm5 == pytest.approx(turn @ here.second_mm5 @ turn.T, abs=1e-9)
