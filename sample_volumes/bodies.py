@@ -20,7 +20,10 @@ from kinematics.frames import RigidTransform, rotation_from_vector
 
 Array = NDArray[np.float64]
 OPENEAR_STAPES = Path(__file__).parent / "openear_stapes.ply"
-_ANGLES = 128
+WINDOW_TOP_MM = 0.45
+_ANGLES = 192
+_SECTORS = 20000
+_LEAST_GAP_MM = 0.01
 
 
 @dataclass(frozen=True)
@@ -39,33 +42,49 @@ def stapes_in_footplate(path: Path = OPENEAR_STAPES) -> Surface:
     return Surface(frame.scan_from_footplate.inverse().points(mesh.vertices_mm), mesh.faces)
 
 
-def footplate_outline(stapes: Surface, gap_mm: float) -> Array:
-    """Return the footplate's outline widened by ``gap_mm`` on all sides, (128, 2) of (x, z), by angle."""
-    from scipy.spatial import ConvexHull
+def footplate_outline(stapes: Surface, gap_mm: float, top_mm: float = WINDOW_TOP_MM) -> Array:
+    """Return the outline of what stands in the oval window, widened by ``gap_mm`` on all sides.
 
-    vertices = stapes.vertices_mm
-    plate = vertices[vertices[:, 1] < 0.35][:, [0, 2]]
-    hull = plate[ConvexHull(plate).vertices]
-    turns = np.linspace(0.0, 2.0 * np.pi, 96, endpoint=False)
-    ring = gap_mm * np.column_stack([np.cos(turns), np.sin(turns)])
-    points = (hull[:, None, :] + ring[None, :, :]).reshape(-1, 2)
-    widened = points[ConvexHull(points).vertices]
-    return _by_angle(widened)
+    Parameters
+    ----------
+    stapes : Surface
+        In the footplate frame.
+    gap_mm : float
+        Distance from the outline, kept all round, at the concave waist too.
+    top_mm : float
+        Height up to which the stapes stands in the window.
 
-
-def _by_angle(polygon: Array) -> Array:
-    """Sample a convex polygon around the origin at equal angles."""
+    Returns
+    -------
+    ndarray, (192, 2)
+        x and z, mm, at equal angles around the footplate centre.
+    """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    edges = np.roll(polygon, -1, axis=0) - polygon
-    normals = np.column_stack([edges[:, 1], -edges[:, 0]])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    offsets = np.einsum("ij,ij->i", normals, polygon)
-    normals *= np.sign(offsets)[:, None]
-    along = directions @ normals.T
-    with np.errstate(divide="ignore"):
-        reach = np.where(along > 1e-12, np.abs(offsets) / along, np.inf)
-    return directions * reach.min(axis=1)[:, None]
+    rim = _silhouette(stapes, top_mm)
+    along = rim @ directions.T
+    beside = rim[:, :1] * directions[:, 1] - rim[:, 1:] * directions[:, 0]
+    around = max(gap_mm, _LEAST_GAP_MM)
+    reach = np.where(
+        np.abs(beside) < around, along + np.sqrt(np.maximum(around**2 - beside**2, 0.0)), -np.inf
+    ).max(axis=0)
+    return np.asarray(directions * (reach - (around - gap_mm))[:, None])
+
+
+def _silhouette(stapes: Surface, top_mm: float) -> Array:
+    """Return the outermost points (n, 2) of the stapes below a height, seen along y, densely by angle."""
+    corners = stapes.vertices_mm[stapes.faces]
+    corners = corners[corners[:, :, 1].min(axis=1) < top_mm]
+    longest = np.ptp(corners, axis=1).max()
+    steps = np.linspace(0.0, 1.0, 2 + int(longest / 0.003))[:, None, None, None]
+    edges = corners + steps * (np.roll(corners, -1, axis=1) - corners)
+    points = edges.reshape(-1, 3)
+    flat = points[points[:, 1] < top_mm][:, [0, 2]]
+    radius = np.hypot(flat[:, 0], flat[:, 1])
+    sector = np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5) * _SECTORS).astype(int)
+    order = np.lexsort((-radius, sector))
+    _, first = np.unique(sector[order], return_index=True)
+    return np.asarray(flat[order[first]])
 
 
 def ring(inner: Array, outer: Array, low: float, high: float) -> Solid:
@@ -112,6 +131,32 @@ def rod(start: Array, end: Array, radius: float, sides: int = 48) -> Solid:
         ]
     )
     return outward(vertices, faces)
+
+
+def ellipsoid(centre: Array, radii: Array, steps: int = 48) -> Solid:
+    """Return an ellipsoid with its axes along x, y and z, as a mesh of ``steps`` by ``steps`` / 2 patches."""
+    around = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+    down = np.linspace(0.0, np.pi, steps // 2 + 1)[1:-1]
+    belt = np.stack(
+        [
+            np.sin(down)[:, None] * np.cos(around),
+            np.broadcast_to(np.cos(down)[:, None], (len(down), steps)),
+            np.sin(down)[:, None] * np.sin(around),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    vertices = np.concatenate([belt, [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]]) * radii + centre
+    north, south = len(belt), len(belt) + 1
+    here = np.arange(steps)
+    there = (here + 1) % steps
+    faces = [np.column_stack([np.full(steps, north), there, here])]
+    for row in range(len(down) - 1):
+        a, b = row * steps, (row + 1) * steps
+        faces.append(np.column_stack([a + here, a + there, b + there]))
+        faces.append(np.column_stack([a + here, b + there, b + here]))
+    last = (len(down) - 1) * steps
+    faces.append(np.column_stack([np.full(steps, south), last + here, last + there]))
+    return outward(vertices, np.concatenate(faces))
 
 
 def outward(vertices: Array, faces: NDArray[np.int64]) -> Solid:

@@ -2,6 +2,7 @@
 
     python -m sample_volumes.make_sample                       the sample study, always the same
     python -m sample_volumes.make_sample --out ear2 --seed 2 --gap-um 60 --bridges 2
+    python -m sample_volumes.make_sample --out ear3 --seed 3 --incus-gap-um 60 --bone-reach 1.5 --mirror z
     python -m sample_volumes.make_sample --out big --voxel-um 5 --shape 1024,1024,1024 --only scan
 
 Vibrometer data and grey values are simulated on the geometry of a real stapes; nothing here is a measurement.
@@ -20,17 +21,27 @@ import numpy as np
 from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from kinematics.frames import RigidTransform
 from sample_volumes import bodies
+from sample_volumes.analytic import write_analytic_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.vibrometer import Recording, Vibrometry, record
 
 HERE = Path(__file__).parent
 DENSITY_SD = 0.01
 
-_NOTES = (
-    "SIMULATED on real geometry: the stapes is a real one (OpenEar library, Sieber et al. 2019, CC BY 4.0); "
+_SIMULATED = (
     "the grey values, the bone around it, the plate and all vibrometer data are computed. Nothing here is a "
-    "measurement. Incus removed, cochlea open."
+    "measurement."
 )
+_REAL = (
+    f"SIMULATED on real geometry: the stapes is a real one (OpenEar library, Sieber et al. 2019, CC BY 4.0); "
+    f"{_SIMULATED}"
+)
+_MADE = f"SIMULATED: the stapes is a made one; {_SIMULATED}"
+
+
+def reseeded(ear: Ear, how: Vibrometry, seed: int) -> tuple[Ear, Vibrometry]:
+    """Return the same study with pose, noise, position errors and stated density drawn anew."""
+    return replace(ear, pose_seed=seed, noise_seed=seed), replace(how, seed=seed)
 
 
 def make_study(
@@ -60,36 +71,61 @@ def make_study(
     if "scan" in parts:
         write_scan(folder / "scan.tif", placed)
     if "ldv" in parts:
-        pose = RigidTransform(np.array(behind["plate_from_footplate"]), "plate", "footplate").inverse()
         stapes = bodies.stapes_in_footplate(ear.stapes)
-        marks = [(name, np.array(place)) for name, place in behind["fiducials_in_plate_mm"].items()]
-        write_recording(
-            folder, record(np.array(behind["mass_matrix_si"]), pose, how, marks, stapes=stapes), how
-        )
-    (folder / "study.toml").write_text(study_text(name, ear, placed), encoding="utf-8")
+        frame, marks = _references(placed, behind)
+        mass = np.array(behind["mass_matrix_si"])
+        write_recording(folder, record(mass, frame, how, marks, stapes=stapes), how, frame.source)
+    (folder / "study.toml").write_text(study_text(name, ear, placed, how), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(behind, indent=1) + "\n", encoding="utf-8")
     return behind
 
 
-def study_text(name: str, ear: Ear, placed: Scene) -> str:
+def _references(
+    placed: Scene, behind: dict[str, Any]
+) -> tuple[RigidTransform, list[tuple[str, np.ndarray[Any, Any]]]]:
+    """Return the frame that ties the vibrometer to the scan, and its fiducials: plate, else scan."""
+    plate = RigidTransform(np.array(behind["plate_from_footplate"]), "plate", "footplate").inverse()
+    marks = {name: np.array(place) for name, place in behind["fiducials_in_plate_mm"].items()}
+    if placed.ear.plate:
+        return plate, list(marks.items())
+    scan_from_plate = placed.scan_from_footplate @ plate
+    frame = placed.scan_from_footplate.inverse()
+    return frame, [(name, scan_from_plate.points(place)) for name, place in marks.items()]
+
+
+def study_text(name: str, ear: Ear, placed: Scene, how: Vibrometry) -> str:
     """Return the study file; the stated density is drawn around the true one, as a lab would know it."""
     rng = np.random.default_rng([ear.noise_seed, 11])
     sd = DENSITY_SD * ear.density_kg_m3
     stated = ear.density_kg_m3 + sd * rng.standard_normal()
     anterior = placed.scan_from_footplate.rotation[:, 0]
-    mirror = f'mirror = "{ear.mirror}"\n' if ear.mirror else ""
     direction = ", ".join(f"{part:.1f}" for part in anterior)
-    return (
-        f'[study]\nname = "{name}"\nnotes = "{_NOTES}"\n\n'
-        f'[scan]\nfile = "scan.tif"\ndensity_kg_m3 = "{stated:.1f}+-{sd:.1f}"\nside = "left"\n'
-        f"anterior = [{direction}]\n{mirror}\n"
-        f'[ldv]\nfile = "ldv.csv"\npoints = "points.csv"\nfiducials = "fiducials.csv"\n\n'
-        f'[fit]\ndof = "y,alpha,gamma"\nestimator = "ml"\n'
-    )
+    state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
+    notes = f"{_REAL if ear.stapes == bodies.OPENEAR_STAPES else _MADE} {state}, cochlea open."
+    tables = [
+        ["[study]", f'name = "{name}"', f'notes = "{notes}"'],
+        [
+            "[scan]",
+            'file = "scan.tif"',
+            f'density_kg_m3 = "{stated:.1f}+-{sd:.1f}"',
+            'side = "left"',
+            f"anterior = [{direction}]",
+            *([f'mirror = "{ear.mirror}"'] if ear.mirror else []),
+        ],
+        [
+            "[ldv]",
+            'file = "ldv.csv"',
+            'points = "points.csv"',
+            'fiducials = "fiducials.csv"',
+            *([f'mirror = "{how.mirror}"'] if how.mirror else []),
+        ],
+        ["[fit]", 'dof = "y,alpha,gamma"', 'estimator = "ml"'],
+    ]
+    return "\n\n".join("\n".join(table) for table in tables) + "\n"
 
 
-def write_recording(folder: Path, recording: Recording, how: Vibrometry) -> None:
-    """Write ldv.csv, points.csv and fiducials.csv."""
+def write_recording(folder: Path, recording: Recording, how: Vibrometry, frame: str = "plate") -> None:
+    """Write ldv.csv, points.csv and fiducials.csv, the fiducials' references in ``frame``."""
     many = len(recording.runs) > 1
     digits = ".15g" if how.noise_free else ".7g"
     header = "body,point,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s" + ("" if how.noise_free else ",sd_m_s")
@@ -113,7 +149,7 @@ def write_recording(folder: Path, recording: Recording, how: Vibrometry) -> None
     _write(folder / "points.csv", ["body,point,x_mm,y_mm,z_mm" + (",sd_mm" if sd_mm else ""), *rows])
     sd_mm = "" if how.noise_free else f",{how.fiducial_sd_mm:g}"
     rows = [
-        f"{name}," + ",".join(f"{part:{coordinate}}" for part in (*seen, *place)) + f",plate{sd_mm}"
+        f"{name}," + ",".join(f"{part:{coordinate}}" for part in (*seen, *place)) + f",{frame}{sd_mm}"
         for name, seen, place in recording.fiducials
     ]
     head = "name,x_mm,y_mm,z_mm,x_ref_mm,y_ref_mm,z_ref_mm,frame" + (",sd_mm" if sd_mm else "")
@@ -130,6 +166,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--out", type=Path, default=HERE, help="folder (the sample study's own)")
     parser.add_argument("--seed", type=int, default=1, help="pose, noise, positions and stated density")
+    parser.add_argument("--pose-seed", type=int, help="pose in the scanner alone (--seed)")
     parser.add_argument("--only", choices=("scan", "ldv"), help="make this part alone")
     parser.add_argument("--voxel-um", default="25", help="one number, or DX,DY,DZ")
     parser.add_argument("--shape", help="NX,NY,NZ voxels (the smallest that holds everything)")
@@ -145,11 +182,23 @@ def _parser() -> argparse.ArgumentParser:
         "--upright", choices=("x", "y", "z"), default="z", help="scan axis near the lateral direction"
     )
     parser.add_argument("--shift-mm", default="0,0,0", help="moves the sample in the volume")
+    parser.add_argument(
+        "--plate-tilt-deg", default="4,-3", help="of the plate about x and z of the footplate"
+    )
+    parser.add_argument("--plate-turn-deg", type=float, default=12.0, help="of the plate about y")
+    parser.add_argument("--plate-distance-mm", type=float, default=0.8, help="plate face to footplate centre")
+    parser.add_argument(
+        "--bone-reach", type=float, default=1.0, help="above 1: bone runs out of the field of view"
+    )
+    parser.add_argument("--incus-gap-um", type=float, help="add an incus; negative: grown onto the head")
     parser.add_argument("--dust", type=int, default=0, help="loose fragments")
     parser.add_argument("--mirror", choices=("x", "y", "z"), default="", help="store slices in reverse order")
     parser.add_argument("--no-plate", action="store_true")
     parser.add_argument("--no-bone", action="store_true", help="no peripheral bone")
-    parser.add_argument("--stapes", type=Path, default=bodies.OPENEAR_STAPES, help="closed surface, mm")
+    parser.add_argument(
+        "--phantom", choices=("openear", "analytic"), default="openear", help="real stapes, or a made one"
+    )
+    parser.add_argument("--stapes", type=Path, help="closed surface of another stapes, mm")
     parser.add_argument("--ldv-noise", type=float, default=0.01)
     parser.add_argument("--position-sd-um", type=float, default=10.0)
     parser.add_argument("--fiducial-sd-um", type=float, default=10.0)
@@ -158,11 +207,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _stapes(options: argparse.Namespace) -> Path:
+    """Return the mesh of the stapes; a made one is written beside the study."""
+    if options.stapes is not None:
+        return Path(options.stapes)
+    if options.phantom == "openear":
+        return bodies.OPENEAR_STAPES
+    options.out.mkdir(parents=True, exist_ok=True)
+    return write_analytic_stapes(options.out / "analytic_stapes.ply")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Make what the command line asks for."""
     options = _parser().parse_args(arguments)
     spacing = [float(part) * 1e-3 for part in options.voxel_um.split(",")] * 3
     shape = None if options.shape is None else tuple(int(part) for part in options.shape.split(","))
+    tilt = [float(part) for part in options.plate_tilt_deg.split(",")]
     ear = replace(
         Ear(),
         voxel_mm=tuple(spacing[:3]),
@@ -175,12 +235,17 @@ def main(arguments: list[str] | None = None) -> None:
         noise=options.noise,
         tilt_deg=options.tilt,
         upright=options.upright,
+        plate_tilt_deg=(tilt[0], tilt[1]),
+        plate_turn_deg=options.plate_turn_deg,
+        plate_distance_mm=options.plate_distance_mm,
+        bone_reach=options.bone_reach,
+        incus_gap_mm=None if options.incus_gap_um is None else options.incus_gap_um * 1e-3,
         dust=options.dust,
         mirror=options.mirror,
         plate=not options.no_plate,
         bone=not options.no_bone,
-        stapes=options.stapes,
-        pose_seed=options.seed,
+        stapes=_stapes(options),
+        pose_seed=options.seed if options.pose_seed is None else options.pose_seed,
         noise_seed=options.seed,
     )
     how = Vibrometry(

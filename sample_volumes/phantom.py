@@ -6,7 +6,7 @@ is a real stapes (ATTRIBUTION.md). Any voxel size and any volume up to 2048^3 ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 PLATE_LOW = np.array([-2.2, -0.5, -1.5])
 PLATE_HIGH = np.array([2.2, 0.0, 1.5])
 PINS = ((-1.95, 1.3, 0.7), (1.95, -1.3, 0.45))
-BONE_LOW, BONE_HIGH = -0.15, 0.45
+BONE_LOW, BONE_HIGH = -0.15, bodies.WINDOW_TOP_MM
 _PIN_HALF = 0.12
 FIDUCIALS_MM = (
     ("corner_a", -2.1, 0.0, -1.4),
@@ -73,6 +73,10 @@ class Ear:
         Leave the plate or the peripheral bone away.
     dust : int
         Loose bone fragments of about 0.1 mm.
+    incus_gap_mm : float or None
+        Distance of the incus from the head; negative: grown together; None: incus removed.
+    bone_reach : float
+        Scales the peripheral bone outward; above 1 it runs out of the field of view.
     mirror : str
         Scan axis along which the stored slices are in reverse order, or empty.
     pose_seed, noise_seed : int
@@ -99,6 +103,8 @@ class Ear:
     plate: bool = True
     bone: bool = True
     dust: int = 0
+    incus_gap_mm: float | None = None
+    bone_reach: float = 1.0
     mirror: str = ""
     pose_seed: int = 1
     noise_seed: int = 1
@@ -132,7 +138,8 @@ def scene(ear: Ear) -> Scene:
     solids = _solids(ear, footplate_from_plate)
     rotation = _upright(ear.upright) @ _random_tilt(rng, ear.tilt_deg)
     turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
-    points = np.concatenate([turned.points(solid.vertices) for solid, _ in solids])
+    seen = solids if ear.bone_reach <= 1.0 else _solids(replace(ear, bone_reach=1.0), footplate_from_plate)
+    points = np.concatenate([turned.points(solid.vertices) for solid, _ in seen])
     low, high = points.min(axis=0), points.max(axis=0)
     spacing = np.asarray(ear.voxel_mm)
     if ear.shape is None:
@@ -176,6 +183,8 @@ def _solids(ear: Ear, footplate_from_plate: RigidTransform) -> list[tuple[Solid,
             for x, z, height in PINS
         ]
         found += [(bodies.moved(part, footplate_from_plate), 1) for part in slab]
+    if ear.incus_gap_mm is not None:
+        found += [(solid, 2) for solid in _incus(stapes, ear.incus_gap_mm)]
     rng = np.random.default_rng(ear.pose_seed + 1000)
     for _ in range(ear.dust):
         place = np.array([rng.uniform(-1.5, 1.5), rng.uniform(1.0, 2.5), rng.choice([-1.2, 1.2])])
@@ -190,12 +199,12 @@ def _peripheral_bone(ear: Ear, stapes: bodies.Surface) -> list[Solid]:
     angle = np.arctan2(inner[:, 1], inner[:, 0])
     reach = 1.0 / (np.abs(np.cos(angle) / 2.0) ** 4 + np.abs(np.sin(angle) / 1.4) ** 4) ** 0.25
     lumps = 1.0 + 0.03 * np.sin(3.0 * angle + 0.5) + 0.02 * np.sin(7.0 * angle)
-    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps)[:, None]
+    outer = np.column_stack([np.cos(angle), np.sin(angle)]) * (reach * lumps * ear.bone_reach)[:, None]
     parts = [bodies.ring(inner, outer, BONE_LOW, BONE_HIGH)]
-    feet = ((-1.55, 0.75), (1.5, 0.8), (-1.5, -0.8), (1.55, -0.7))
+    feet = ((-1.6, 0.88), (1.56, 0.9), (-1.55, -0.9), (1.6, -0.86))
     deep = -ear.plate_distance_mm - 0.1
     parts += [
-        bodies.box(np.array([x - 0.2, deep, z - 0.2]), np.array([x + 0.2, 0.0, z + 0.2])) for x, z in feet
+        bodies.box(np.array([x - 0.18, deep, z - 0.18]), np.array([x + 0.18, 0.0, z + 0.18])) for x, z in feet
     ]
     rim = bodies.footplate_outline(stapes, 0.0)
     for number in range(ear.bridges):
@@ -207,6 +216,17 @@ def _peripheral_bone(ear: Ear, stapes: bodies.Surface) -> list[Solid]:
             )
         )
     return parts
+
+
+def _incus(stapes: bodies.Surface, gap_mm: float) -> list[Solid]:
+    """Return the lenticular process and the end of the long process of the incus, above the head."""
+    top = stapes.vertices_mm[int(np.argmax(stapes.vertices_mm[:, 1]))]
+    thick = 0.22
+    centre = top + np.array([0.0, gap_mm + thick, 0.0])
+    return [
+        bodies.ellipsoid(centre, np.array([0.42, thick, 0.34])),
+        bodies.rod(centre, centre + np.array([0.25, 0.75, -0.2]), 0.26),
+    ]
 
 
 def truth(placed: Scene) -> dict[str, Any]:

@@ -145,12 +145,12 @@ def record(
     rng = np.random.default_rng([how.seed, 7])
     surface = bodies.stapes_in_footplate() if stapes is None else stapes
     freq_hz = np.linspace(*how.band_hz, how.lines)
-    targets = {
-        "stapes": visible_points(surface, how.stapes_points),
-        "base": bone_points(surface, how.bone_points),
-    }
     pose = vibrometer_pose(rng)
     beams = laser_directions(how.beam_cone_deg)
+    targets = {
+        "stapes": visible_points(surface, how.stapes_points, pose.inverse().vectors(beams)),
+        "base": bone_points(surface, how.bone_points),
+    }
     motions = []
     for excitation in how.excitations:
         base = base_motion(freq_hz, excitation)
@@ -191,8 +191,22 @@ def record(
     return _mirrored(recording, how.mirror)
 
 
-def visible_points(surface: bodies.Surface, count: int) -> Array:
-    """Return vertices that look lateral, spread over head, crura and footplate, (count, 3) mm."""
+def visible_points(surface: bodies.Surface, count: int, beams: Array) -> Array:
+    """Return vertices that all lasers reach, spread over head, crura and footplate.
+
+    Parameters
+    ----------
+    surface : Surface
+        In the footplate frame.
+    count : int
+    beams : ndarray, (n, 3)
+        Unit vectors towards the laser heads, in footplate axes.
+
+    Returns
+    -------
+    ndarray, (count, 3)
+        mm.
+    """
     vertices, faces = surface.vertices_mm, surface.faces
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -200,21 +214,45 @@ def visible_points(surface: bodies.Surface, count: int) -> Array:
     for k in range(3):
         np.add.at(at_vertex, faces[:, k], normal)
     at_vertex /= np.linalg.norm(at_vertex, axis=1)[:, None]
-    open_to = vertices[at_vertex[:, 1] > 0.35]
-    chosen = [int(np.argmax(open_to[:, 1]))]
-    nearest = np.linalg.norm(open_to - open_to[chosen[0]], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, np.linalg.norm(open_to - open_to[chosen[-1]], axis=1))
+    facing = np.all(at_vertex @ beams.T > 0.2, axis=1)
+    starts, open_to = vertices[facing] + 1e-6 * at_vertex[facing], vertices[facing]
+    nearest = open_to[:, 1] - open_to[:, 1].min()
+    chosen: list[int] = []
+    while len(chosen) < count and nearest.max() > 0.0:
+        best = int(np.argmax(nearest))
+        if any(_shaded(starts[best], corners, beam) for beam in beams):
+            nearest[best] = 0.0
+            continue
+        away = np.linalg.norm(open_to - open_to[best], axis=1)
+        nearest = np.where(nearest > 0.0, away if not chosen else np.minimum(nearest, away), 0.0)
+        chosen.append(best)
     return open_to[chosen]
+
+
+def _shaded(start: Array, corners: Array, beam: Array) -> bool:
+    """Tell whether triangles (m, 3, 3) hide a point (3,) from a laser in the direction ``beam``.
+
+    Moeller and Trumbore 1997, J. Graphics Tools 2:21, doi:10.1080/10867651.1997.10487468.
+    """
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
+    across = np.cross(beam, second)
+    scale = np.einsum("mk,mk->m", across, first)
+    cut = np.flatnonzero(scale)
+    away = start - corners[cut, 0]
+    turned = np.cross(away, first[cut])
+    u = np.einsum("mk,mk->m", away, across[cut]) / scale[cut]
+    v = turned @ beam / scale[cut]
+    distance = np.einsum("mk,mk->m", turned, second[cut]) / scale[cut]
+    return bool(np.any((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)))
 
 
 def bone_points(surface: bodies.Surface, count: int) -> Array:
     """Return points on the lateral side of the bone around the oval window, (count, 3) mm."""
-    outline = bodies.footplate_outline(surface, 0.45)
-    places = outline[np.linspace(0, len(outline), count, endpoint=False).astype(int)]
-    heights = BONE_HIGH - 0.25 * (np.arange(count) % 3 == 1)
-    return np.insert(places, 1, heights, axis=1)
+    near, far = bodies.footplate_outline(surface, 0.32), bodies.footplate_outline(surface, 0.48)
+    turn = np.linspace(0, len(near), count, endpoint=False).astype(int)
+    places = np.where((np.arange(count) % 2 == 0)[:, None], near[turn], far[turn])
+    return np.insert(places, 1, BONE_HIGH, axis=1)
 
 
 def vibrometer_pose(rng: np.random.Generator) -> RigidTransform:
