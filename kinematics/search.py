@@ -184,25 +184,23 @@ class Search:
         return max(1.0, float(np.median(energies[left])))
 
     def _suspects(self, tests: list[tuple[float, Fault | None]]) -> list[FaultFit]:
-        """Fit the most significant faults of every kind."""
-        chosen: list[Fault] = []
-        used: dict[tuple[str, int], int] = {}
-        for fault in self._ranked(tests):
-            key = (fault.kind, 1 if len(fault.channels) == 1 else 3)
-            if used.get(key, 0) < _QUOTA.get(key, 3):
-                used[key] = used.get(key, 0) + 1
-                chosen.append(fault)
-        return [self._fitted(fault) for fault in [*chosen, *self._swaps()]]
+        """Fit the most significant faults of every kind and, with uncertain positions, the most blamed."""
+        faults = [(p, fault) for p, fault in tests if fault is not None]
+        orders = [sorted(faults, key=lambda entry: (max(entry[0], 1e-250), -self._blamed(entry[1])))]
+        if np.any(self.prior > 0.0):
+            orders.append(sorted(faults, key=lambda entry: -self._blamed(entry[1])))
+        chosen: dict[int, Fault] = {}
+        for order in orders:
+            used: dict[tuple[str, int], int] = {}
+            for _, fault in order:
+                key = (fault.kind, 1 if len(fault.channels) == 1 else 3)
+                if used.get(key, 0) < _QUOTA.get(key, 3):
+                    used[key] = used.get(key, 0) + 1
+                    chosen[id(fault)] = fault
+        return [self._fitted(fault) for fault in [*chosen.values(), *self._swaps()]]
 
-    def _ranked(self, tests: list[tuple[float, Fault | None]]) -> list[Fault]:
-        """Order faults by p-value and, where it vanishes or positions are uncertain, by their blame."""
-        uncertain = bool(np.any(self.prior > 0.0))
-
-        def key(entry: tuple[float, Fault]) -> tuple[float, float]:
-            p, fault = entry
-            return (0.0 if uncertain or p < 1e-250 else p, -float(np.max(self.blame[fault.channels])))
-
-        return [fault for _, fault in sorted(((p, f) for p, f in tests if f is not None), key=key)]
+    def _blamed(self, fault: Fault) -> float:
+        return float(np.max(self.blame[fault.channels]))
 
     def _swaps(self) -> list[Fault]:
         order = sorted(self.by_point, key=lambda name: -float(np.sum(self.blame[self.by_point[name]])))
