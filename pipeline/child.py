@@ -20,12 +20,12 @@ def _stop(_signal: int, _frame: object) -> NoReturn:
 
 
 def run_child(words: list[str]) -> dict[str, Any]:
-    """Run a study and say how it ended: ``code`` and, when it failed, ``fault``."""
+    """Run a study and say how it ended: ``code``, and its ``name`` or, when it failed, ``fault``."""
     from pipeline.progress import Progress
     from pipeline.scan2kd import run_study
 
     try:
-        run_study(Path(words[0]), Path(words[1]), "--force" in words, Progress())
+        result = run_study(Path(words[0]), Path(words[1]), "--force" in words, Progress())
     except StapeskitError as fault:
         return {"code": 2, "fault": str(fault)}
     except KeyboardInterrupt:
@@ -37,7 +37,7 @@ def run_child(words: list[str]) -> dict[str, Any]:
         }
     except Exception:
         return {"code": 1, "fault": traceback.format_exc()}
-    return {"code": 0}
+    return {"code": 0, "name": result.name}
 
 
 if __name__ == "__main__":

@@ -126,7 +126,7 @@ def _several(given: argparse.Namespace) -> Outcome:
         raise _failure(result)
     return Outcome(
         f"scan2kd: {len(result.ears)} studies",
-        [(ear.name, _line(ear.kd)) for ear in result.ears],
+        [(ear.folder, _line(ear.kd)) for ear in result.ears],
         (),
         [out / file.name for file in result.files],
         {

@@ -11,10 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics import page
-from kinematics.page import Page
-from pipeline.report import plus_minus
-
 Array = NDArray[np.float64]
 
 # Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
@@ -100,7 +96,7 @@ class Quantity:
 
 
 def read_ear(folder: Path, name: str) -> Ear:
-    """Read the results of one study from its output folder."""
+    """Read the results of one study, called ``name``, from its output folder."""
     mass, kd = (
         json.loads((Path(folder) / one).read_text(encoding="utf-8")) for one in ("mass.json", "kd.json")
     )
@@ -109,9 +105,7 @@ def read_ear(folder: Path, name: str) -> Ear:
 
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears."""
-    found = [
-        _quantity(ears, "mass_kg", "kg", lambda ear: ear.mass["mass_kg"], lambda ear: _mass_sd(ear.mass))
-    ]
+    found = [_quantity(ears, "mass", "kg", lambda ear: ear.mass["mass_kg"], lambda ear: _mass_sd(ear.mass))]
     dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for row, first in enumerate(dof):
@@ -195,82 +189,5 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear]) -> None:
 
 
 def _column_unit(unit: str) -> str:
-    """Return the ending of a column: ``_n_per_m`` for N/m; nothing where the name says it already."""
-    if unit in ("", "kg"):
-        return ""
-    return "_" + unit.replace("/", "_per_").replace(" ", "_").lower()
-
-
-def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]) -> None:
-    """Write cohort.html: the ears side by side, and a plain comparison."""
-    found = quantities(ears)
-    made = Page("Cohort", f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units.")
-    if faults:
-        made.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
-    rows = [
-        (ear.name, ear.side or "not given", ", ".join(ear.kd["dof"]), ear.kd["estimator"], str(ear.warnings))
-        for ear in ears
-    ]
-    made.section(
-        "Studies",
-        page.table(("study", "side", "degrees of freedom", "estimator", "warnings"), rows, words=True),
-    )
-    for heading, part in _groups(found):
-        header = ("study", *(f"{_title(one)}{f' ({one.unit})' if one.unit else ''}" for one in part))
-        cells = [(ear.name, *(_cell(one, place) for one in part)) for place, ear in enumerate(ears)]
-        made.section(heading, page.table(header, cells))
-    made.section("Do the ears differ?", *_comparison(ears, found))
-    made.write(path)
-
-
-def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
-    titles = (("Mass and modes", ("mass", "mode")), ("Stiffness K", ("K_",)), ("Damping D", ("D_",)))
-    return [(title, [one for one in found if one.name.startswith(starts)]) for title, starts in titles]
-
-
-def _title(one: Quantity) -> str:
-    letter, *dof = one.name.split("_")
-    if letter in "KD":
-        return f"{letter}({', '.join(dof)})"
-    return one.name.removesuffix("_kg").replace("_", " ").replace("mode", "mode ")
-
-
-def _cell(one: Quantity, place: int) -> str:
-    value, sd = one.values[place], one.deviations[place]
-    if not np.isfinite(value):
-        return "–"
-    return plus_minus(float(value), float(sd)) if np.isfinite(sd) else f"{value:.4g}"
-
-
-def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
-    """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
-    if len(ears) < 2:
-        return [page.text("One ear alone cannot be compared.")]
-    mixed = len({ear.side for ear in ears}) > 1 or not all(ear.side for ear in ears)
-    rows = []
-    for one in found:
-        if one.turns and mixed:
-            continue
-        q, count, p = one.homogeneity()
-        own = float(np.sqrt(np.nanmean(one.deviations**2))) if np.any(np.isfinite(one.deviations)) else np.nan
-        test = f"{q:.3g} ({count}), p = {p:.2g}" if count else "–"
-        numbers = (f"{value:.3g}" if np.isfinite(value) else "–" for value in (one.mean, one.spread, own))
-        rows.append((f"{_title(one)}{f' ({one.unit})' if one.unit else ''}", *numbers, test))
-    header = ("quantity", "mean", "sd between ears", "sd of one ear (rms)", "Q (n − 1)")
-    blocks = [
-        page.table(header, rows),
-        page.text(
-            "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954). It "
-            "takes these as independent between ears; a shared error, such as one density from the "
-            "literature for all, makes Q too small. No correction is made for the number of rows. The mean "
-            "is unweighted. Modes are compared in the order of their frequencies."
-        ),
-    ]
-    if mixed:
-        blocks.append(
-            page.text(
-                "The ears are not all known to be of one side: z is superior in a left ear and inferior in a "
-                "right one, so that entries which change their sign between mirror images are not compared."
-            )
-        )
-    return blocks
+    """Return the ending of a column: ``_n_per_m`` for N/m."""
+    return f"_{unit}".replace("/", "_per_").replace(" ", "_").lower() if unit else ""

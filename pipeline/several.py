@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.output import staged
-from pipeline.cohort import Ear, read_ear, write_cohort_csv, write_cohort_page
+from pipeline.cohort import Ear, read_ear, write_cohort_csv
+from pipeline.cohort_page import write_cohort_page
 
 _PATIENCE_S = 20.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -91,7 +92,7 @@ def run_studies(
     ends = _run_all(dict(zip(names, studies, strict=True)), out, jobs, force, tell or (lambda _line: None))
     faults = {name: end["fault"] for name, end in ends.items() if end["code"]}
     codes = {name: int(end["code"]) for name, end in ends.items() if end["code"]}
-    ears = tuple(read_ear(out / name, name) for name in names if name not in faults)
+    ears = tuple(read_ear(out / name, ends[name]["name"]) for name in names if name not in faults)
     files: list[Path] = []
     if ears:
         with staged(out) as fresh:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cohort import Ear, Quantity, quantities, read_ear, write_cohort_csv, write_cohort_page
+from pipeline.cohort import Ear, Quantity, quantities, read_ear, write_cohort_csv
+from pipeline.cohort_page import write_cohort_page
 from pipeline.several import folder_names, run_studies
 
 ROOT = Path(__file__).parents[2]
@@ -30,6 +31,7 @@ def test_cohort_table_has_a_row_per_ear_and_units_in_its_names(finished, tmp_pat
     assert [row["study"] for row in rows] == ["ear 0", "ear 1"]
     for column, value in (
         ("mass_kg", finished[2].mass["mass_kg"]),
+        ("mass_sd_kg", finished[2].mass["mass_matrix"]["standard_deviation_si"][0][0]),
         ("K_y_y_n_per_m", kd["stiffness_si"][0][0]),
         ("K_y_y_sd_n_per_m", kd["stiffness_sd_si"][0][0]),
         ("K_y_alpha_n", kd["stiffness_si"][0][1]),
@@ -96,7 +98,7 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     broken.write_text(study.read_text().replace("[fit]", "[fitt]"))
     lines = []
     result = run_studies([study, broken], tmp_path / "all", jobs=2, tell=lines.append)
-    assert [one.name for one in result.ears] == ["ear1"]
+    assert [(one.folder, one.name) for one in result.ears] == [("ear1", "ear one")]
     assert result.codes == {"broken": 2}
     assert "Did you mean [fit]?" in result.faults["broken"]
     assert "scan.file must be an existing file" in result.faults["broken"]

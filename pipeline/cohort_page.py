@@ -1,0 +1,147 @@
+"""The page of several ears: side by side, and a plain comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinematics import page
+from kinematics.page import Page
+from pipeline.cohort import Ear, Quantity, quantities
+from pipeline.report import plus_minus
+
+_FEW = 5
+
+
+def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]) -> None:
+    """Write cohort.html: the ears side by side, and a plain comparison."""
+    found = quantities(ears)
+    made = Page("Cohort", f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units.")
+    if faults:
+        made.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
+    rows = [
+        (
+            ear.name,
+            ear.folder,
+            ear.side or "not given",
+            ", ".join(ear.kd["dof"]),
+            ear.kd["estimator"],
+            ear.warnings,
+        )
+        for ear in ears
+    ]
+    header = ("study", "folder", "side", "degrees of freedom", "estimator", "warnings")
+    made.section("Studies", page.table(header, rows, words=True))
+    made.section("Side by side", *_side_by_side(ears, found))
+    made.section("Do the ears differ?", *_comparison(ears, found))
+    made.write(path)
+
+
+def _side_by_side(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
+    """Return a picture and tables: a column per ear when there are few, else a row per ear."""
+    blocks = [
+        page.figure(
+            _figure(ears, [one for one in found if _on_diagonal(one)]),
+            "Each ear with two standard deviations of its own; line: plain mean.",
+            "values of all ears with error bars",
+        )
+    ]
+    for heading, part in _groups(found):
+        blocks.append(page.subheading(heading))
+        if len(ears) <= _FEW:
+            cells = [(_headed(one), *(_cell(one, k) for k in range(len(ears)))) for one in part]
+            blocks.append(page.table(("", *(ear.name for ear in ears)), cells))
+        else:
+            cells = [(ear.name, *(_cell(one, k) for one in part)) for k, ear in enumerate(ears)]
+            blocks.append(page.table(("study", *map(_headed, part)), cells))
+    return blocks
+
+
+def _on_diagonal(one: Quantity) -> bool:
+    letter, *dof = one.name.split("_")
+    return (letter in "KD" and dof[0] == dof[1]) or one.name.endswith("frequency")
+
+
+def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
+    """Draw one panel per quantity."""
+    columns = 3
+    lines = -(-len(shown) // columns)
+    drawing = page.new_figure(10.5, 1.9 * lines + 0.3)
+    panels = drawing.subplots(lines, columns, squeeze=False).ravel()
+    for panel, one in zip(panels, shown, strict=False):
+        places = np.arange(len(ears))
+        panel.errorbar(
+            places, one.values, 2.0 * np.nan_to_num(one.deviations), fmt="o", ms=4, color="#0b6e99", capsize=3
+        )
+        panel.axhline(one.mean, color="#9aa5b1", lw=1, zorder=0)
+        panel.set_title(_headed(one), fontsize=9, loc="right")
+        panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places)
+        labels = [ear.name if len(ears) <= _FEW else str(k + 1) for k, ear in enumerate(ears)]
+        panel.set_xticklabels(labels, fontsize=8)
+        panel.tick_params(axis="y", labelsize=8)
+        panel.grid(True, axis="y", color="#eef1f4")
+        panel.spines[["top", "right"]].set_visible(False)
+    for panel in panels[len(shown) :]:
+        panel.set_axis_off()
+    return drawing
+
+
+def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
+    titles = (("Mass and modes", ("mass", "mode")), ("Stiffness K", ("K_",)), ("Damping D", ("D_",)))
+    return [(title, [one for one in found if one.name.startswith(starts)]) for title, starts in titles]
+
+
+def _title(one: Quantity) -> str:
+    letter, *dof = one.name.split("_")
+    if letter in "KD":
+        return f"{letter}({', '.join(dof)})"
+    return one.name.replace("_", " ").replace("mode", "mode ")
+
+
+def _headed(one: Quantity) -> str:
+    """Return the name of a quantity with its unit."""
+    return f"{_title(one)} ({one.unit})" if one.unit else _title(one)
+
+
+def _cell(one: Quantity, place: int) -> str:
+    value, sd = one.values[place], one.deviations[place]
+    if not np.isfinite(value):
+        return "–"
+    return plus_minus(float(value), float(sd)) if np.isfinite(sd) else f"{value:.4g}"
+
+
+def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
+    """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
+    if len(ears) < 2:
+        return [page.text("One ear alone cannot be compared.")]
+    mixed = len({ear.side for ear in ears}) > 1 or not all(ear.side for ear in ears)
+    rows = []
+    for one in found:
+        if one.turns and mixed:
+            continue
+        q, count, p = one.homogeneity()
+        own = float(np.sqrt(np.nanmean(one.deviations**2))) if np.any(np.isfinite(one.deviations)) else np.nan
+        test = f"{q:.3g} ({count}), p = {p:.2g}" if count else "–"
+        numbers = (f"{value:.4g}" if np.isfinite(value) else "–" for value in (one.mean, one.spread, own))
+        rows.append((_headed(one), *numbers, test))
+    header = ("quantity", "mean", "sd between ears", "sd of one ear (rms)", "Q (n − 1)")
+    blocks = [
+        page.table(header, rows),
+        page.text(
+            "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954). It "
+            "takes these as independent between ears; a shared error, such as one density from the "
+            "literature for all, makes Q too small. No correction is made for the number of rows. The mean "
+            "is unweighted. Modes are compared in the order of their frequencies."
+        ),
+    ]
+    if mixed:
+        blocks.append(
+            page.text(
+                "The ears are not all known to be of one side: z is superior in a left ear and inferior in a "
+                "right one, so that entries which change their sign between mirror images are not compared."
+            )
+        )
+    return blocks
