@@ -81,7 +81,7 @@ def fit_bodies(
 
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
-    data = np.where(own, np.pad(excess, _PAD), np.float32(0.0))
+    data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
     rounds = _ROUNDS if fit_contrast else _ROUNDS // 2

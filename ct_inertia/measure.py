@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments
+from ct_inertia.plate_face import face_near, plate_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
@@ -26,6 +27,7 @@ _TAIL_SIGMAS = 4.2
 _DEFAULT_SIGMA_VOXELS = 1.0
 _GOOD_INSIDE = 4e-4
 _WEAK = 4e-3
+_SAME_BLUR = 0.15
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     if sigma_fit is not None:
         sigma, sigma_sd, sigma_from = sigma_fit, 0.02 * sigma_fit, "fit of body, level and blur"
     levels = (air.level, bone.level)
+    cut, face = _without_plate(volume, cut, distance, reach, (air.level, guess.plastic, sigma))
+    if face is not None and abs(face.sigma_mm / sigma - 1.0) < _SAME_BLUR:
+        sigma, sigma_sd, sigma_from = face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate"
     parted = part_from_neighbours(cut, distance, reach, spacing, levels, sigma)
     share = _share(cut, parted, air, bone, (sigma, sigma_sd))
     moments = partial_volume_moments(share, volume.scan_from_index)
@@ -91,7 +96,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         sigma_from,
         _field(cut, parted, levels),
         parted.own,
-        None,
+        face,
         air.correlation,
         air.clipped,
         (*bone.notices, *_air_notices(air, bone)),
@@ -127,6 +132,26 @@ def _bone(
         )
         notices = (Notice("bone_level_weak", text),)
     return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices), fit.sigma_mm
+
+
+def _without_plate(
+    volume: Volume,
+    cut: Cut,
+    distance_mm: NDArray[np.float32],
+    reach_mm: float,
+    start: tuple[float, float | None, float],
+) -> tuple[Cut, PlateFace | None]:
+    """Subtract the plate's blurred face from the grey values within reach of the stapes."""
+    air, plastic, sigma = start
+    if plastic is None:
+        return cut, None
+    face = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
+    if face is None:
+        return cut, None
+    near = distance_mm <= reach_mm
+    grey = cut.grey.copy()
+    grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
+    return replace(cut, grey=grey), face
 
 
 def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
