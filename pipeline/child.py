@@ -42,4 +42,6 @@ def run_child(words: list[str]) -> dict[str, Any]:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _stop)
-    sys.stdout.write(json.dumps(run_child(sys.argv[1:])) + "\n")
+    given = sys.argv[1:]
+    sys.argv = ["scan2kd", *(Path(word).name for word in given[:1])]  # what provenance shall say
+    sys.stdout.write(json.dumps(run_child(given)) + "\n")

@@ -1,0 +1,61 @@
+"""Fingerprints: they change with what matters and only then."""
+
+import pytest
+
+from pipeline import records
+
+CODE = records._code
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Let the code of a stage be a small package of this test."""
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "a.py").write_text("x = 1\n")
+    monkeypatch.setattr(records, "__file__", str(tmp_path / "pipeline" / "records.py"))
+    monkeypatch.setattr(records, "_code", CODE)
+    return tmp_path
+
+
+def mark(tmp_path, parameters=None, name="scan.tif"):
+    return records.fingerprint(["room"], {"scan": tmp_path / name, "labels": None}, parameters or {}, {})
+
+
+def test_input_parameters_and_code_each_change_it(package):
+    (package / "scan.tif").write_bytes(b"1")
+    first = mark(package, {"side": "left"})
+    assert mark(package, {"side": "left"}) == first
+    record = records.StageRecord("scan", first, {}, 0.0)
+    assert record.changes(mark(package, {"side": "right"})) == ["side"]
+    (package / "scan.tif").write_bytes(b"2")
+    assert record.changes(mark(package, {"side": "left"})) == ["input scan"]
+    (package / "scan.tif").write_bytes(b"1")
+    (package / "room" / "a.py").write_text("x = 2\n")
+    assert record.changes(mark(package, {"side": "left"})) == ["stapeskit"]
+
+
+def test_data_beside_a_header_count(package):
+    (package / "scan.mhd").write_text("ElementDataFile = scan.raw\n")
+    (package / "scan.raw").write_bytes(b"1")
+    first = mark(package, name="scan.mhd")
+    (package / "scan.raw").write_bytes(b"2")
+    assert records.StageRecord("scan", first, {}, 0.0).changes(mark(package, name="scan.mhd")) == [
+        "input scan scan.raw"
+    ]
+
+
+def test_long_settings_are_kept_as_a_hash(package):
+    (package / "scan.tif").write_bytes(b"1")
+    made = mark(package, {"matrix": list(range(200))})
+    assert len(made["matrix"]) == 32
+
+
+def test_a_record_that_points_outside_its_folder_is_not_believed(tmp_path):
+    good = records.StageRecord("fit", {"a": "1"}, {"kd.json": "xxh3_128:0"}, 1.0)
+    records.write_record(tmp_path, good)
+    assert records.read_record(tmp_path, "fit") == good
+    assert good.spoiled(tmp_path) == ["kd.json"]
+    for name in ("../kd.json", "/etc/passwd"):
+        records.write_record(tmp_path, records.StageRecord("fit", {}, {name: "0"}, 1.0))
+        assert records.read_record(tmp_path, "fit") is None
+    assert records.read_record(tmp_path, "scan") is None
