@@ -137,17 +137,9 @@ def assemble(
     base_mass : ndarray, (n, n), optional
         M_rb, mass coupled to the base motion: w^2 (M_rr q_r + M_rc q_c + M_rb q_b) = Z dq.
     """
-    n, c = len(observation.dof), len(observation.load_dof)
+    n = len(observation.dof)
     omega = 2.0 * np.pi * observation.freq_hz / scale.omega
-    difference = np.zeros((n, 2 * n + c))
-    difference[:, :n] = np.diag(scale.root_mass)
-    difference[:, n + c :] = -np.diag(scale.root_mass)
-    inertia = np.zeros((n, 2 * n + c))
-    inertia[:, : n + c] = mass_rows
-    if base_mass is not None:
-        inertia[:, n + c :] = base_mass
-    inertia /= scale.root_mass[:, None]
-    both = np.vstack([difference, inertia]) / scale.amplitude
+    both = np.vstack(motion_rows(observation, mass_rows, scale, base_mass))
     y = np.ascontiguousarray((observation.q @ both.T).T)
     noise = np.ascontiguousarray(np.moveaxis(both @ observation.covariance @ both.T, 0, 2))
     square = omega**2
@@ -163,6 +155,25 @@ def assemble(
         mass_rows[:, :n] / np.outer(scale.root_mass, scale.root_mass),
         scale.root_mass / scale.root_mass.max(),
     )
+
+
+def motion_rows(
+    observation: Observation, mass_rows: Array, scale: Scale, base_mass: Array | None = None
+) -> tuple[Array, Array]:
+    """Return P and F / w^2, (n, m) each: scaled dq = P q and f = w^2 (F / w^2) q with w in scaled units.
+
+    Parameters are those of ``assemble``.
+    """
+    n, c = len(observation.dof), len(observation.load_dof)
+    difference = np.zeros((n, 2 * n + c))
+    difference[:, :n] = np.diag(scale.root_mass)
+    difference[:, n + c :] = -np.diag(scale.root_mass)
+    inertia = np.zeros((n, 2 * n + c))
+    inertia[:, : n + c] = mass_rows
+    if base_mass is not None:
+        inertia[:, n + c :] = base_mass
+    inertia /= scale.root_mass[:, None]
+    return difference / scale.amplitude, inertia / scale.amplitude
 
 
 @dataclass(frozen=True)

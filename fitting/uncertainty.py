@@ -17,6 +17,7 @@ from fitting.estimators import Estimate, estimator, ml
 from fitting.estimators.base import solve_symmetric
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward
 from fitting.problem import Problem
+from fitting.sensitivity import contract, slope_by_motion
 from fitting.symmetric import basis
 from kinematics.spatial import DOF_NAMES
 
@@ -26,7 +27,7 @@ ComplexArray = NDArray[np.complex128]
 NOISE = "channel_noise"
 ATTENUATION = "attenuation"
 JOINED_FRAME = "footplate_frame"
-_STEP = 1e-3
+_STEP = 1e-5
 _BIAS_ROUNDS = 6
 
 
@@ -151,37 +152,34 @@ def _weighted_gain(name: str, lines: Lines, state: State) -> ComplexArray:
 
 
 def implicit_response(problem: Problem, lines: Lines, found: Estimate) -> Callable[[Array], Array]:
-    """Return the map from a change of the estimating equations (p,) to that of the SI parameters (p,)."""
+    """Return the map from changes of the estimating equations (p[, k]) to those of the SI parameters."""
     slope = score_slope(problem, lines, found.parameters)
+    units = problem.units
+
+    def to_si(change: Array) -> Array:
+        return np.asarray((change.T * units).T)
+
     if problem.name != "ml":
         inverse = _invert_general(slope)
-        return lambda change: -(inverse @ change) * problem.units
+        return lambda change: to_si(-(inverse @ change))
     exact = 0.5 * (slope + slope.T)
     if found.active or np.linalg.eigvalsh(exact)[0] <= 0.0:
         exact, _ = ml.normal_equations(found.parameters, lines)
-    return lambda change: -solve_symmetric(exact, change) * problem.units
+    return lambda change: to_si(-solve_symmetric(exact, change))
 
 
 def shared_effects(problem: Problem, lines: Lines, found: Estimate) -> list[SharedEffect]:
     """Return how every common error of motion and mass moves the estimate."""
     respond = implicit_response(problem, lines, found)
-    effects = _mass_effects(problem, found.parameters, respond)
-    return effects + _motion_effects(problem, found.parameters, respond)
+    by_mass = None if problem.inertia.parameters is None else _mass_slope(problem, found.parameters)
+    effects = [] if by_mass is None else _mass_effects(problem, by_mass, respond)
+    return effects + _motion_effects(problem, lines, found.parameters, respond, by_mass)
 
 
-def _mass_effects(
-    problem: Problem, parameters: Array, respond: Callable[[Array], Array]
-) -> list[SharedEffect]:
-    """Return the effect of the inertial parameters, one entry a source, sharing one derivative."""
+def _mass_slope(problem: Problem, parameters: Array) -> Array:
+    """Return the derivative (p, 10) of the estimating equations by the inertial parameters."""
     inertia = problem.inertia
-    if inertia.parameters is None:
-        return []
-    joined = any(name.startswith(f"{JOINED_FRAME}.") for name in problem.observation.shared_names)
-    sources = inertia.without_frame() if joined else dict(inertia.contributions)
-    sources = {name: np.asarray(part) for name, part in sources.items() if np.any(part)}
-    if not sources:
-        return []
-    mass = inertia.parameters[0]
+    mass = float(inertia.matrix[0, 0])
     size = np.sqrt(np.abs(np.trace(inertia.matrix[3:, 3:])) * mass)
     steps = _STEP * np.array([mass] + [size] * 3 + [size**2 / mass] * 6)
     columns = []
@@ -190,47 +188,47 @@ def _mass_effects(
         change[place] = step
         ahead = problem.gradient(parameters, problem.lines(None, change))
         behind = problem.gradient(parameters, problem.lines(None, -change))
-        columns.append(respond((ahead - behind) / (2.0 * step)))
-    derivative = np.column_stack(columns)
+        columns.append((ahead - behind) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def _mass_effects(problem: Problem, slope: Array, respond: Callable[[Array], Array]) -> list[SharedEffect]:
+    """Return the effect of the inertial parameters, one entry a source, sharing one derivative."""
+    inertia = problem.inertia
+    joined = any(name.startswith(f"{JOINED_FRAME}.") for name in problem.observation.shared_names)
+    sources = inertia.without_frame() if joined else dict(inertia.contributions)
+    sources = {name: np.asarray(part) for name, part in sources.items() if np.any(part)}
+    derivative = respond(slope)
     by_mass = inertia.parameter_derivatives(problem.observation.dof)
     names = tuple(f"mass.parameter_{place}" for place in range(10))
     return [SharedEffect(f"mass.{name}", names, part, derivative, by_mass) for name, part in sources.items()]
 
 
 def _motion_effects(
-    problem: Problem, parameters: Array, respond: Callable[[Array], Array]
+    problem: Problem,
+    lines: Lines,
+    parameters: Array,
+    respond: Callable[[Array], Array],
+    mass_slope: Array | None,
 ) -> list[SharedEffect]:
     """Return the effect of the motion's common errors as one block; the frame's moves the mass as well."""
     observation = problem.observation
     if observation.shared_derivatives is None or observation.shared_covariance is None:
         return []
+    along = np.zeros((10, len(observation.shared_names)))
     frame = problem.inertia.frame_derivative()
-    by_mass = problem.inertia.parameter_derivatives(observation.dof)
-    columns, masses = [], []
-    spread = np.sqrt(np.maximum(np.diag(observation.shared_covariance), 0.0))
     for place, name in enumerate(observation.shared_names):
         source, _, axis = name.partition(".")
-        along = np.zeros(10)
         if source == JOINED_FRAME and axis in DOF_NAMES:
-            along = frame[:, DOF_NAMES.index(axis)]
-        masses.append(np.einsum("a,aij->ij", along, by_mass))
-        step = _STEP * spread[place]
-        if step == 0.0:
-            columns.append(np.zeros(len(parameters)))
-            continue
-        change = step * observation.shared_derivatives[place]
-        mass_change = step * along if problem.inertia.complete else None
-        ahead = problem.gradient(parameters, problem.lines(change, mass_change))
-        behind = problem.gradient(
-            parameters, problem.lines(-change, None if mass_change is None else -mass_change)
-        )
-        columns.append(respond((ahead - behind) / (2.0 * step)))
+            along[:, place] = frame[:, DOF_NAMES.index(axis)]
+    changes = contract(slope_by_motion(problem, lines, parameters), observation.shared_derivatives)
+    if np.any(along):
+        if mass_slope is None:
+            mass_slope = _mass_slope(problem, parameters)
+        changes = changes + mass_slope @ along
+    masses = np.einsum("ak,aij->kij", along, problem.inertia.parameter_derivatives(observation.dof))
     return [
         SharedEffect(
-            "motion",
-            observation.shared_names,
-            observation.shared_covariance,
-            np.column_stack(columns),
-            np.stack(masses),
+            "motion", observation.shared_names, observation.shared_covariance, respond(changes), masses
         )
     ]

@@ -90,9 +90,14 @@ class _Merit:
 def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
     """Minimise by Gauss-Newton with step control; within K >= 0, D >= 0 when the free optimum is outside."""
     merit = _Merit(options.robust == "t4", 2 * lines.n)
-    found = _descend(lines, options, irls.quick_start(lines) if start is None else start, merit)
+    begin = irls.quick_start(lines) if start is None else start
     if merit.robust:
-        found, merit = _with_spread(lines, options, found, merit)
+        joint = _jointly(lines, options, Estimate(begin, 0.0, 0))
+        if joint is None:
+            joint = _with_spread(lines, options, _descend(lines, options, begin, merit), merit)
+        found, merit = joint
+    else:
+        found = _descend(lines, options, begin, merit)
     active: tuple[str, ...] = ()
     if options.passive and not inside(found.parameters, lines.n):
         found, active = _held(lines, found, merit)
@@ -116,13 +121,17 @@ def _normal(now: Whitened, lines: Lines, weights: Array) -> tuple[Array, Array]:
 
 
 def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Merit) -> Estimate:
-    """Gauss-Newton steps, damped after Levenberg when a step does not lower the objective."""
+    """Gauss-Newton steps, damped after Levenberg when a step does not lower the objective.
+
+    The decrement (squared step in units of the parameters' uncertainty) falls by a nearly constant factor, so
+    that the last two foretell the next.
+    """
     parameters = np.array(start)
     now = whiten(parameters, lines)
     value = _bounded_value(parameters, now, merit)
     if not np.isfinite(value):
         return Estimate(parameters, value, 0, False)
-    damping, iterations, converged = 0.0, 0, False
+    damping, iterations, converged, previous = 0.0, 0, False, 1e-300
     while iterations < _MOST_ITERATIONS and not converged:
         hessian, gradient = _normal(now, lines, merit.weights(now.distance))
         while iterations < _MOST_ITERATIONS:
@@ -131,10 +140,11 @@ def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Meri
             decrement = float(step @ hessian @ step)
             trial = whiten(parameters + step, lines)
             reached = _bounded_value(parameters + step, trial, merit)
-            converged = decrement < options.tolerance
+            converged = decrement * min(decrement / previous, 1.0) < options.tolerance
             if reached <= value or (converged and reached <= value * (1.0 + 1e-9)):
                 parameters, now, value = parameters + step, trial, reached
                 damping = damping / 10.0 if damping > 1e-6 else 0.0
+                previous = decrement
                 break
             if converged:
                 break
@@ -152,22 +162,33 @@ def _bounded_value(parameters: Array, now: Whitened, merit: _Merit) -> float:
     return merit.value(now.distance)
 
 
+def _jointly(lines: Lines, options: EstimatorOptions, found: Estimate) -> tuple[Estimate, _Merit] | None:
+    """Iterate parameters and spread of Student's t together; None when that does not settle."""
+    dimension = 2 * lines.n
+    parameters, spread = found.parameters, 1.0
+    for count in range(1, _MOST_ITERATIONS):
+        now = whiten(parameters, lines)
+        if not np.isfinite(_bounded_value(parameters, now, _Merit(False, dimension))):
+            return None
+        following = _spread(now.distance, lines, spread, 1e-5)
+        merit = _Merit(True, dimension, following)
+        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
+        step = -solve_symmetric(hessian, gradient)
+        settled = abs(following - spread) < 1e-4 * spread
+        parameters, spread = parameters + step, following
+        if settled and float(step @ hessian @ step) < options.tolerance:
+            value = merit.value(whiten(parameters, lines).distance)
+            return Estimate(parameters, value, found.iterations + count, True), merit
+    return None
+
+
 def _with_spread(
     lines: Lines, options: EstimatorOptions, found: Estimate, merit: _Merit
 ) -> tuple[Estimate, _Merit]:
-    """Alternate between the parameters and the spread of Student's t."""
+    """Alternate between the parameters, with step control, and the spread of Student's t."""
     for _ in range(20):
         distance = whiten(found.parameters, lines).distance
-        spread = merit.spread
-        for _ in range(50):
-            weights = _Merit(True, merit.dimension, spread).weights(distance) * spread
-            following = float(
-                2.0 * np.sum(weights * distance) / (lines.count * merit.dimension - lines.parameters)
-            )
-            settled = abs(following - spread) < 1e-6 * spread
-            spread = max(following, 1e-300)
-            if settled:
-                break
+        spread = _spread(distance, lines, merit.spread, 1e-6)
         done = abs(spread - merit.spread) < 1e-4 * spread
         merit = _Merit(True, merit.dimension, spread)
         found = _descend(lines, options, found.parameters, merit)
@@ -206,9 +227,43 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     return np.einsum("ilp,il->lp", corrected.conj(), now.residual * weights).real
 
 
-def _spread(distance: Array, lines: Lines) -> float:
-    spread, dimension = 1.0, 2 * lines.n
+def _spread(distance: Array, lines: Lines, spread: float = 1.0, tolerance: float = 1e-12) -> float:
+    """Return the spread of Student's t that its weighted distances have, by Newton steps in its logarithm."""
+    dimension = 2 * lines.n
+    wanted = lines.count * dimension - lines.parameters
     for _ in range(100):
-        weights = _Merit(True, dimension, spread).weights(distance) * spread
-        spread = float(2.0 * np.sum(weights * distance) / (lines.count * dimension - lines.parameters))
+        scaled = _STUDENT * spread
+        share = 2.0 * distance / (scaled + 2.0 * distance)
+        excess = (_STUDENT + dimension) * float(np.sum(share)) - wanted
+        slope = (_STUDENT + dimension) * float(np.sum(share * (1.0 - share)))
+        change = min(max(excess / max(slope, 1e-300), -2.0), 2.0)
+        spread *= float(np.exp(change))
+        if abs(change) < tolerance:
+            break
     return spread
+
+
+def robust_slope(distance: Array, terms: Array, lines: Lines) -> tuple[Array, Array]:
+    """Return weights (lines,) and the slope (lines, p) of the robust scores by the lines' distances.
+
+    Parameters
+    ----------
+    distance : ndarray, (lines,)
+    terms : ndarray, (lines, p)
+        Scores before they are weighted.
+
+    Notes
+    -----
+    A line's distance moves its own weight, and through the spread, which the distances define, all weights.
+    """
+    dimension = 2 * lines.n
+    spread = _spread(distance, lines)
+    merit = _Merit(True, dimension, spread)
+    weights = merit.weights(distance)
+    whole = _STUDENT * spread + 2.0 * distance
+    share = 2.0 * distance / whole
+    own = -2.0 * weights / whole
+    by_spread = -_STUDENT * weights / whole
+    along = 2.0 * _STUDENT * spread / whole**2
+    spread_slope = spread * along / float(np.sum(share * (1.0 - share)))
+    return weights, terms * own[:, None] + np.outer(spread_slope, by_spread @ terms)
