@@ -179,7 +179,10 @@ class _Solved:
 
 
 def _extent(mesh: Mesh) -> float:
-    return float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+    """Return the diameter of the body about its middle, mm; the same in every pose."""
+    centres = mesh.points[mesh.faces].mean(axis=1)
+    areas = np.linalg.norm(mesh.area_vectors, axis=1)
+    return 2.0 * float(np.max(np.linalg.norm(mesh.points - areas @ centres / areas.sum(), axis=1)))
 
 
 def _chosen(mesh: Mesh, candidates: list[FaceCandidate], hints: AnatomyHints) -> tuple[_Solved, list[Notice]]:

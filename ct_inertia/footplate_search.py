@@ -42,12 +42,12 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
     mesh : Mesh
         Closed and outward.
     extent_mm : float
-        Diagonal of the body.
+        Diameter of the body.
 
     Notes
     -----
     For directions spread evenly over the sphere: the projected area of what faces that direction within
-    22 degrees and lies within 8 % of the body's diagonal of the extreme plane. Side views of the arch,
+    22 degrees and lies within 8 % of the body's diameter of the extreme plane. Side views of the arch,
     the head and the lateral side of the footplate score less: narrow, small, or not at an extremity.
     """
     centres, vectors = _pooled(mesh, _CELL * extent_mm)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from ct_inertia.anatomy import AnatomyHints
@@ -57,7 +57,7 @@ class TestTheFrameOfAKnownStapes:
         assert frame.scan_from_footplate.translation_mm[1] == pytest.approx(expected, abs=1.5e-3)
         assert frame.face_area_mm2 == pytest.approx(area, rel=0.02)
 
-    @settings(max_examples=5, deadline=None)
+    @settings(max_examples=5, deadline=None, phases=(Phase.explicit, Phase.generate))
     @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.tuples(*[st.floats(-50.0, 50.0)] * 3))
     def test_moves_with_the_body(self, vector, shift):
         rotation = rotation_from_vector(vector)
