@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Panel = tuple[Sequence["Body"], Array, Array, float]
-TIMEOUT_S = 90.0
+TIMEOUT_S = 60.0
 SWITCH = "STAPESKIT_OFFSCREEN"
 
 
@@ -112,9 +112,7 @@ def _render(folder: Path) -> None:
         matrix, (right, up, half) = job[f"matrix{place}"], job[f"frame{place}"]
         for number in job[f"shown{place}"]:
             if number not in meshes:
-                meshes[number] = pyvista.PolyData.from_regular_faces(
-                    job[f"vertices{number}"], job[f"faces{number}"]
-                )
+                meshes[number] = _mesh(job, number)
             *colour, opacity, smooth = job[f"look{number}"]
             plotter.add_mesh(
                 meshes[number],
@@ -127,9 +125,35 @@ def _render(folder: Path) -> None:
                 diffuse=0.8,
             )
         _look(plotter, matrix, right, up, half)
-        plotter.render()
-        rasters.append(plotter.screenshot(None, return_img=True))
+        rasters.append(_picture(plotter.render_window))
     np.save(folder / "done.npy", np.stack(rasters))
+
+
+def _picture(window: Any) -> Any:
+    """Render once, and return what the window then holds, (rows, columns, 3), uint8, the top row first."""
+    import pyvista
+    from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
+
+    window.Render()
+    reader = vtkWindowToImageFilter()
+    reader.SetInput(window)
+    reader.SetInputBufferTypeToRGB()
+    reader.ReadFrontBufferOff()
+    reader.ShouldRerenderOff()
+    reader.Update()
+    image = pyvista.wrap(reader.GetOutput())
+    columns, rows, _ = image.dimensions
+    return np.array(image.active_scalars).reshape(rows, columns, 3)[::-1]
+
+
+def _mesh(job: Any, number: int) -> Any:
+    """Return one surface, with normals at its vertices when its edges shall look smooth."""
+    import pyvista
+
+    made = pyvista.PolyData.from_regular_faces(job[f"vertices{number}"], job[f"faces{number}"])
+    if not job[f"look{number}"][-1]:
+        return made
+    return made.compute_normals(cell_normals=False, consistent_normals=False, split_vertices=False)
 
 
 def _look(plotter: Any, matrix: Array, right: float, up: float, half: float) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2256a5")
-_PIXELS = 900
+_PIXELS = 720
 _MARGIN = 1.22
 
 
