@@ -105,7 +105,7 @@ def _render(folder: Path) -> None:
     pixels = int(job["pixels"])
     meshes: dict[int, Any] = {}
     rasters = []
-    plotter = pyvista.Plotter(off_screen=True, window_size=[pixels, pixels], lighting="none")
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[pixels, pixels], lighting="none")
     plotter.set_background("white")
     for place in range(int(job["count"])):
         plotter.clear_actors()

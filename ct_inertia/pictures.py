@@ -256,7 +256,7 @@ def _end(direction: Array) -> str:
 
 def _directions(axes: Axes, view: View, names: dict[str, str]) -> None:
     """Write what lies to the right, left, top and bottom of a panel, and from where it is seen."""
-    style = {"transform": axes.transAxes, "fontsize": 8.5, "color": "#5d6b7a"}
+    style: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 8.5, "color": "#5d6b7a"}
     axes.text(0.985, 0.5, names[_end(view.right)], ha="right", va="center", rotation=90, **style)
     axes.text(0.015, 0.5, names[_end(-view.right)], ha="left", va="center", rotation=90, **style)
     axes.text(0.5, 0.985, names[_end(view.up)], ha="center", va="top", **style)
@@ -289,8 +289,8 @@ def _triad(
             end = origin[:2] + length * tip[:2]
             axes.annotate(
                 "",
-                xy=end,
-                xytext=origin[:2],
+                xy=(end[0], end[1]),
+                xytext=(origin[0], origin[1]),
                 arrowprops={
                     "arrowstyle": "-|>",
                     "color": colour,
@@ -303,7 +303,8 @@ def _triad(
             )
             place = end + 0.13 * length * tip[:2] / flat
         axes.text(
-            *place,
+            float(place[0]),
+            float(place[1]),
             label,
             color=colour,
             fontsize=9,
