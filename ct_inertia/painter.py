@@ -51,7 +51,7 @@ def paint_bodies(axes: Axes, bodies: Sequence[Body], picture_from_scan: Array) -
     opaque = bool(np.all(faces[:, 3] >= 1.0))
     axes.add_collection(
         PolyCollection(
-            np.concatenate(corners)[order],
+            list(np.concatenate(corners)[order]),
             facecolors=faces,
             edgecolors=faces if opaque else "none",
             linewidths=0.3 if opaque else 0.0,
