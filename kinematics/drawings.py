@@ -98,6 +98,8 @@ def _draw_axes(view: Axes, i: int, j: int, length: float, names: tuple[str, str]
 
 def spectra_figure(motion: RigidMotion) -> Figure:
     """Draw amplitude and phase of every degree of freedom with bands of two standard deviations."""
+    from matplotlib.ticker import NullFormatter
+
     count = len(motion.dof)
     figure = new_figure(11.0, 1.9 * count + 0.6)
     axes = figure.subplots(count, 2, sharex=True, squeeze=False)
@@ -120,6 +122,7 @@ def spectra_figure(motion: RigidMotion) -> Figure:
         axes[place, 1].set_ylabel(f"phase {name} (deg)")
         axes[place, 1].set_ylim(-190, 190)
         axes[place, 1].set_yticks([-180, -90, 0, 90, 180])
+        axes[place, 0].yaxis.set_minor_formatter(NullFormatter())
         for view in axes[place]:
             view.grid(True, color="#e6e9ee", lw=0.6)
     for view in axes[-1]:

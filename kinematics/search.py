@@ -243,7 +243,11 @@ class Search:
         return FaultFit(fault, found.shifts_m[name], found.covariances[name], before - found.objective())
 
     def _score(self, fit: FaultFit, reference: float) -> float:
-        return fit.drop / reference - 0.5 * fit.fault.size * float(np.log(2.0 * self.count))
+        """Return the likelihood less its price: a gain without phase counts as one parameter."""
+        size = fit.fault.size
+        if fit.fault.kind == "gain" and abs(fit.parameters[1]) < 3.0 * float(np.sqrt(fit.covariance[1, 1])):
+            size = 1
+        return fit.drop / reference - 0.5 * size * float(np.log(2.0 * self.count))
 
     def _finding(self, fit: FaultFit, reference: float, tests: int) -> Finding:
         from scipy.special import chdtrc

@@ -1,0 +1,254 @@
+"""The command from end to end: files in, files out, one sentence for every fault."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinematics.cli import work
+from kinematics.errors import KinematicsError, StapeskitError
+from kinematics.fiducials import read_fiducials
+from kinematics.ldv_csv import read_ldv
+from kinematics.mass_record import read_mass_record
+from kinematics.motion_files import read_motion, standard_deviation
+from kinematics.placement import place
+from kinematics.points2dof import points2dof
+from kinematics.spatial import matrix_from_parameters
+from sample_volumes.faults import Fault, faulty
+from sample_volumes.make_sample import write_recording
+from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
+from tests.kinematics.records import PARAMETERS, SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
+from tests.kinematics.simulated import HEADER, csv_rows, scene
+
+MARKS = [
+    (name, np.array(place, dtype=float))
+    for name, place in {
+        "a": (-6, 0, -4),
+        "b": (6, 0, -4),
+        "c": (6, 0, 4),
+        "d": (-6, 0, 4),
+        "e": (0, 3, 0),
+    }.items()
+]
+HOW = Vibrometry(lines=60, stapes_points=9, bone_points=8)
+
+
+def make(folder, how=HOW, fault=None):
+    """Write a simulated recording with its plate fiducials and a mass.json; return the common arguments."""
+    mass = matrix_from_parameters(PARAMETERS)
+    recording = record(mass, SCAN_FROM_FOOTPLATE.inverse() @ SCAN_FROM_PLATE, how, MARKS)
+    recording = recording if fault is None else faulty(recording, fault)
+    write_recording(folder, recording, how)
+    write_record(folder)
+    files = {"points": "points.csv", "fiducials": "fiducials.csv", "mass": "mass.json"}
+    options = [f"--{name}={folder / file}" for name, file in files.items()]
+    return [str(folder / "ldv.csv"), *options, "--out", str(folder / "out" / "dof.csv")]
+
+
+def fitted(folder, mirror=""):
+    """Run the library on a simulated recording."""
+    mass = read_mass_record(folder / "mass.json")
+    data = read_ldv(folder / "ldv.csv", folder / "points.csv")
+    fiducials = read_fiducials(folder / "fiducials.csv")
+    if mirror:
+        data, fiducials = data.mirrored(mirror), fiducials.mirrored(mirror)
+    return points2dof(data, place(fiducials, mass=mass), mass=mass)
+
+
+def test_the_true_motion_is_found_within_its_uncertainty(tmp_path):
+    _, outcome = work(make(tmp_path))
+    motion = read_motion(tmp_path / "out" / "dof.csv")
+    assert motion.bodies == ("stapes", "base")
+    base = base_motion(motion.freq_hz, "y")
+    from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+
+    stapes = stapes_motion(
+        motion.freq_hz, base, matrix_from_parameters(PARAMETERS), PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED
+    )
+    error = motion.q[0] - np.stack([stapes, base])
+    derivatives, shared = motion.shared.derivatives[:, 0], motion.shared.covariance
+    systematic = np.real(np.einsum("pbfd,pq,qbfd->bfd", derivatives, shared, derivatives.conj()))
+    total = np.sqrt(2.0 * standard_deviation(motion)[0] ** 2 + systematic)
+    ratio = np.sqrt(np.mean(np.abs(error / total) ** 2))
+    assert 0.5 < ratio < 1.6
+    assert np.max(np.abs(error[:, :, 1])) < 0.05 * np.max(np.abs(stapes[:, 1]))
+    sources = {name.split(".")[0] for name in motion.shared.names}
+    assert sources == {"registration", "plate_frame", "footplate_frame", "position"}
+    assert outcome.notices == ()
+    assert len(outcome.rows) + 2 <= 15
+
+
+def test_exact_data_give_exact_motion(tmp_path):
+    how = Vibrometry(lines=12, noise_free=True, stapes_points=9, bone_points=8)
+    make(tmp_path, how)
+    motion = fitted(tmp_path).motion
+    base = base_motion(motion.freq_hz, "y")
+    size = np.max(np.abs(base), axis=0)
+    assert np.max(np.abs(motion.q[0, 1] - base) / size) < 1e-8
+    assert {notice.code for notice in motion.notices} == {"noise_estimated"}
+
+
+def test_a_left_handed_scanner_is_refused_and_turned_round(tmp_path):
+    from dataclasses import replace
+
+    arguments = make(tmp_path, replace(HOW, mirror="x"))
+    with pytest.raises(KinematicsError, match=r"must be right-handed.*--mirror x, y or z"):
+        work(arguments)
+    mirrored = fitted(tmp_path, "x").motion
+    make(tmp_path)
+    assert np.allclose(mirrored.q, fitted(tmp_path).motion.q, rtol=1e-6, atol=1e-15)
+
+
+def test_four_files_named_after_out(tmp_path):
+    arguments = make(tmp_path, fault=Fault("sign", "stapes", "3", 1))
+    _, outcome = work(arguments)
+    names = ["dof.channels.csv", "dof.csv", "dof.h5", "dof.html"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    assert sorted(path.name for path in outcome.files) == names
+    with (tmp_path / "out" / "dof.channels.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == [
+        "run",
+        "body",
+        "point",
+        "dir_x",
+        "dir_y",
+        "dir_z",
+        "residual_rms_m",
+        "weight",
+        "verdict",
+        "estimate",
+        "p_value",
+    ]
+    assert len(rows) == 3 * 17
+    bad = [row for row in rows if row["verdict"] != "ok"]
+    assert [(row["body"], row["point"], row["verdict"]) for row in bad] == [("stapes", "3", "sign")]
+    page = (tmp_path / "out" / "dof.html").read_text(encoding="utf-8")
+    for words in (
+        "Points and beams",
+        "Verdict on every channel",
+        "Registration",
+        "channel_sign",
+        "xxh3_128:",
+    ):
+        assert words in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert outcome.result["verdicts"][0]["verdict"] == "sign"
+    json.dumps(outcome.result)
+
+
+@pytest.mark.parametrize("kind", ["gain", "position", "zeros", "conjugate"])
+def test_faults_of_the_sample_are_named(tmp_path, kind):
+    size = {"gain": 0.08, "position": 0.3}.get(kind, 1.0)
+    make(tmp_path, fault=Fault(kind, "stapes", "4", 2, size))
+    wanted = {"zeros": "zero_rows", "conjugate": "phase_convention"}.get(kind, f"channel_{kind}")
+    assert [notice.code for notice in fitted(tmp_path).notices] == [wanted]
+
+
+def test_reference_and_subset(tmp_path):
+    arguments = make(tmp_path)
+    work([*arguments, "--dof", "y,alpha,gamma", "--reference", "base:y"])
+    header = (tmp_path / "out" / "dof.csv").read_text().splitlines()[0]
+    assert header.startswith("run,body,freq_hz,y_re_m_per_ref,y_im_m_per_ref,alpha_re_rad_per_ref")
+    motion = read_motion(tmp_path / "out" / "dof.h5")
+    assert motion.reference == "base:y"
+    assert np.allclose(motion.q[0, 1, :, 0], 1.0)
+    assert motion.covariance.shape == (1, 60, 6, 6)
+
+
+def write_plain(folder, seed=1, **more):
+    """Write a table in the footplate frame with positions in it."""
+    made = scene(seed, lines=5, **more)
+    path = folder / "ldv.csv"
+    path.write_text("\n".join([HEADER, *csv_rows("stapes", made)]) + "\n")
+    return path, made
+
+
+def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
+    path, made = write_plain(tmp_path, snr=1e7)
+    monkeypatch.chdir(tmp_path)
+    _, outcome = work([str(path)])
+    motion = read_motion(tmp_path / "dof.csv")
+    assert np.max(np.abs(motion.q[0, 0] - made.q) / np.max(np.abs(made.q), axis=0)) < 1e-5
+    assert motion.shared is None
+    assert [str(file) for file in outcome.files] == ["dof.csv", "dof.h5", "dof.channels.csv", "dof.html"]
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        (["--frame", "scan"], "--frame scan must be given with --mass mass.json"),
+        (["--frame", "moon"], "invalid choice"),
+        (["--frame", "plate", "--fiducials", "f.csv"], "left out beside --fiducials"),
+        (["--out", "dof.xlsx"], "--out must be a name that ends in"),
+        (["--points", "nowhere.csv"], "--points must be an existing file"),
+        (["--mass", "nowhere.json"], "--mass must be an existing file"),
+        (["--dof", "y,roll"], "--dof must be a list"),
+        (["--reference", "base:y"], "--reference must be BODY:DOF"),
+        (["--robust", "median"], "invalid choice"),
+        (["--calibrate"], "--calibrate must be a known option"),
+    ],
+)
+def test_faulty_options_are_told_before_content(tmp_path, options, match):
+    path, _ = write_plain(tmp_path)
+    if "--reference" not in options:
+        path.write_text("not,a,table\n")
+    with pytest.raises(StapeskitError, match=match):
+        work([str(path), *options])
+
+
+def test_a_fault_leaves_nothing_behind(tmp_path):
+    path, _ = write_plain(tmp_path)
+    path.write_text(path.read_text().replace("stapes,1", "stapes,,1", 1))
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(KinematicsError, match="line"):
+        work([str(path), "--out", str(tmp_path / "out" / "dof.csv")])
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def command(*arguments, folder):
+    code = "from kinematics.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=Path(__file__).parents[2],
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "HOME": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_the_process_ends_as_promised(tmp_path):
+    path, _ = write_plain(tmp_path)
+    done = command(str(path), "--out", str(tmp_path / "o.csv"), folder=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[0] == "points2dof"
+    assert len(done.stdout.splitlines()) <= 15
+    missing = command("nowhere.csv", folder=tmp_path)
+    assert missing.returncode == 2
+    assert missing.stderr == "the vibrometer file must be an existing file; got nowhere.csv.\n"
+    start = time.perf_counter()
+    helped = command("--help", folder=tmp_path)
+    assert time.perf_counter() - start < 1.5
+    assert helped.returncode == 0
+    assert "fiducials.csv: name, x_mm" in helped.stdout
+
+
+def test_help_imports_nothing_heavy(tmp_path):
+    code = "import sys; from kinematics.cli import parser; parser(); print(sorted(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for name in ("'numpy'", "'scipy'", "'pandas'", "'matplotlib'", "'h5py'", "'jinja2'"):
+        assert name not in done.stdout
