@@ -170,7 +170,10 @@ def _holes(surface: Surface) -> int:
 
 def _cross_check(result: MassResult) -> dict[str, Any]:
     """Compare the moments used with those of the closed surface."""
+    from ct_inertia.second_opinion import second_opinion
+
     used, mesh = result.moments, result.mesh_moments
+    second = second_opinion(result.stapes)
     root = np.sqrt(np.diag(result.matrix.matrix))
     difference = (result.mesh_matrix.matrix - result.matrix.matrix) / np.outer(root, root)
     return {
@@ -181,6 +184,7 @@ def _cross_check(result: MassResult) -> dict[str, Any]:
         "centroid_difference_mm": (mesh.centroid_mm - used.centroid_mm).tolist(),
         "mass_matrix_difference_percent": (100.0 * difference).tolist(),
         "mass_matrix_difference_of": "sqrt(Mii Mjj)",
+        "surface_by_pymeshlab": None if second is None else asdict(second),
     }
 
 
