@@ -1,0 +1,52 @@
+"""The sample study from its scan to its report, against the truth behind it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.scan2kd import run_study
+
+SAMPLE = Path(__file__).parents[2] / "sample_volumes"
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sample")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STAPESKIT_OFFSCREEN", "0")
+        result = run_study(SAMPLE / "study.toml", out)
+    return result, json.loads((SAMPLE / "truth.json").read_text())
+
+
+def test_stiffness_and_damping_agree_with_the_truth_within_their_covariance(sample):
+    result, truth = sample
+    upper = np.triu_indices(3)
+    error = np.concatenate(
+        [
+            np.array(result.kd[f"{name}_si"])[upper] - np.array(truth[f"{name}_si"])[upper]
+            for name in ("stiffness", "damping")
+        ]
+    )
+    covariance = np.array(result.kd["covariance_si"])
+    sd = np.sqrt(np.diag(covariance))
+    scaled = error / sd
+    distance = scaled @ np.linalg.solve(covariance / np.outer(sd, sd), scaled)
+    assert distance < 26.2  # chi2 of 12 degrees of freedom at p = 0.01
+
+
+def test_mass_matrix_agrees_with_the_exact_one_of_the_mesh(sample):
+    result, truth = sample
+    exact = np.array(truth["mass_matrix_si"])
+    root = np.sqrt(np.diag(exact))
+    found = np.array(result.mass["mass_matrix"]["matrix_si"])
+    assert np.max(np.abs(found - exact) / np.outer(root, root)) < 0.02
+    assert result.mass["volume_m3"] == pytest.approx(truth["volume_m3"], rel=0.003)
+
+
+def test_a_simulated_study_says_so_at_the_top(sample):
+    text = (sample[0].out / "report.html").read_text(encoding="utf-8")
+    assert "SIMULATED" in text[: text.index('<section id="s2"')]
+    assert {path.name for path in sample[0].files} >= {"labels.nrrd", "plate.ply", "stapes.ply"}
+    assert "Segmentation" in text
