@@ -17,6 +17,7 @@ _TARGET_MM = 0.05
 _MOST_VOXELS = 24_000_000
 _FLAT = 1.7
 _LEAST_INTERIOR = 25
+_LOUD = 0.09
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,15 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     return grey
 
 
+def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]:
+    """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
+    if noise_share < _LOUD:
+        return grey
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(grey, 1.0, truncate=3.0))
+
+
 def _noise(grey: NDArray[np.float32]) -> float:
     """Estimate the noise from differences of neighbours, most of which lie in one material."""
     steps = [np.abs(np.diff(grey, axis=k)).ravel()[::3] for k in range(3)]
@@ -150,12 +160,12 @@ def _modes(values: Array, noise: float, reach: float) -> Array:
         return np.zeros(0)
     from scipy.ndimage import gaussian_filter1d
 
-    apart = max(4.0 * noise, 0.04 * reach)
+    apart = max(2.5 * noise, 0.04 * reach)
     width = apart / 16.0
     low = float(values.min()) - apart
     count = int((float(values.max()) + apart - low) / width) + 1
     histogram = np.bincount(((values - low) / width).astype(np.int64), minlength=count).astype(float)
-    smooth = gaussian_filter1d(histogram, 3.0)
+    smooth = gaussian_filter1d(histogram, 2.5)
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     kept: list[int] = []
     for peak in peaks[np.argsort(-smooth[peaks])]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.coarse import finite
+from ct_inertia.coarse import calmed, finite
 from ct_inertia.plate_region import PlateRegion, coarse_to_fine
 from ct_inertia.search import Sight
 from ct_inertia.separate import flooded
@@ -82,7 +82,8 @@ def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
     step, piece = sight.scan.step, sight.stapes
     first, box = box_around(volume, piece.low * step, piece.high * step)
     grey = finite(volume.array[box], volume)
-    bone = grey > sight.between
+    quiet = calmed(grey, sight.scan.noise / (sight.bone - sight.air))
+    bone = quiet > sight.between
     labels, _ = ndimage.label(bone)
     own_cores, other_cores = _cores(sight, first, grey.shape)
     method = sight.method
@@ -91,14 +92,14 @@ def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
     own = int(np.argmax(votes))
     stapes = labels == own
     if np.any(stapes[other_cores]):
-        stapes, rest = _flooded_apart(grey, bone, own_cores, other_cores)
+        stapes, rest = _flooded_apart(quiet, bone, own_cores, other_cores)
         if sight.markers is None:
             method = "flooded by grey value from the cores of the pieces"
     else:
         rest = bone & ~stapes
     plastic = np.zeros(grey.shape, dtype=bool)
     if plate is not None:
-        plastic = coarse_to_fine(plate.mask, plate.step, first, grey.shape) & (grey > plate.middle) & ~bone
+        plastic = coarse_to_fine(plate.mask, plate.step, first, grey.shape) & (quiet > plate.middle) & ~bone
     return Cut(first, grey, stapes, _without_dust(rest), plastic, method)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
-from ct_inertia.coarse import finite
+from ct_inertia.coarse import calmed, finite
 from ct_inertia.cutting import Cut
 from ct_inertia.plate_region import PlateRegion, coarse_to_fine
 from ct_inertia.search import Sight
@@ -29,6 +29,7 @@ def label_box(volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut)
         z = int(first[2]) + start
         count = min(_SLAB, shape[0] - start)
         grey = finite(volume.array[z : z + count, y : y + shape[1], x : x + shape[2]], volume)
+        grey = calmed(grey, sight.scan.noise / (sight.bone - sight.air))
         corner = np.array([x, y, z])
         slab = labels[start : start + count]
         bone = (grey > sight.between) & coarse_to_fine(wide, step, corner, grey.shape)

@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 _SHELL_VOXELS = 9.0
 _LEAST_AIR = 400
 _GOOD_BONE_SD = 1e-3
-_CLIPPED = 0.02
+_CLIPPED = 0.01
+_MOST_CLIPPED = 0.9
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,10 @@ class Air:
     correlation : float
         Variance of sums of noise over that of white noise.
     clipped : float
-        Share of air voxels at the lowest grey value of the type, 0 when there is no such pile.
+        Share of air voxels at the lowest grey value, 0 when there is no such pile; level and noise are then
+        those from before the clipping.
+    lowest : float
+        Lowest grey value seen.
     """
 
     level: float
@@ -67,6 +71,7 @@ class Air:
     sd: float
     correlation: float
     clipped: float
+    lowest: float = 0.0
 
 
 def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float, guess: float) -> Air:
@@ -84,9 +89,9 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
 
     Notes
     -----
-    The mean, not the median, is taken: where noise is clipped at 0 the sums over the body's rim are
-    shifted as the mean is. Its uncertainty comes from the scatter between the eight octants of the shell,
-    so that shading and streaks count, not from the noise alone.
+    The mean is taken, and where noise is clipped at 0 the level from before the clipping. Its uncertainty
+    comes from the scatter between the eight octants of the shell, so that shading and streaks count, not
+    from the noise alone.
     """
     step = float(np.max(around.spacing_mm))
     outer = reach_mm + _SHELL_VOXELS * step
@@ -98,8 +103,8 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
         noise = float(np.std(values)) if values.size > 30 else 0.0
         return Air(guess, noise, max(noise, 1e-6 * abs(guess)), 1.0, 0.0)
     middle = float(np.median(values))
-    scale = 1.4826 * float(np.median(np.abs(values - middle))) or float(np.std(values))
-    kept = np.abs(values - middle) <= 6.0 * scale + 1e-12
+    high = float(np.percentile(values, 90.0)) - middle
+    kept = np.abs(values - middle) <= 5.0 * high + 1e-12
     values = values[kept]
     level, noise = float(values.mean()), float(values.std())
     place = np.stack(np.nonzero(shell), axis=1)[kept]
@@ -111,8 +116,56 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     sd = max(scatter, noise / np.sqrt(values.size))
     lowest = float(values.min())
     pile = float(np.mean(values == lowest))
-    clipped = pile if pile > _CLIPPED and lowest <= 0.0 else 0.0
-    return Air(level, noise, sd, _correlation(around.grey, shell, noise), clipped)
+    correlation = _correlation(around.grey, shell, noise)
+    if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
+        return Air(level, noise, sd, correlation, 0.0, lowest)
+    level, noise = _censored(level, pile, lowest)
+    return Air(level, noise, sd + 0.02 * pile * noise, correlation, pile, lowest)
+
+
+def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
+    """Return level and noise of a normal distribution of which a share ``pile`` was raised to ``lowest``.
+
+    With a = (level - lowest) / noise: pile = Phi(-a), mean - lowest = noise (a Phi(a) + phi(a)).
+    """
+    from scipy.special import ndtr, ndtri
+
+    a = -float(ndtri(pile))
+    bell = float(np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi))
+    noise = (mean - lowest) / (a * float(ndtr(a)) + bell)
+    return lowest + a * noise, noise
+
+
+def unclipped(grey: NDArray[np.float32], where: NDArray[np.bool_], air: Air) -> NDArray[np.float32]:
+    """Take off what clipping at the lowest grey value added on average.
+
+    Parameters
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    where : ndarray of bool, [z, y, x]
+        Voxels to correct.
+    air : Air
+        With the level and noise from before the clipping.
+
+    Notes
+    -----
+    A voxel of true grey value m has after clipping the mean lowest + s (a Phi(a) + phi(a)) with
+    a = (m - lowest) / s. The mean is taken from the voxel's surroundings (Gaussian of 0.8 voxels), the
+    relation is inverted, and the difference is subtracted from the voxel itself.
+    """
+    from scipy.ndimage import gaussian_filter
+    from scipy.special import ndtr
+
+    if air.clipped == 0.0:
+        return grey
+    noise = air.noise
+    a = np.linspace(-6.0, 6.0, 2401)
+    mean = a * ndtr(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    local = (gaussian_filter(grey, 0.8)[where].astype(float) - air.lowest) / noise
+    true = np.interp(local, mean, a)
+    result = grey.copy()
+    result[where] -= (noise * np.where(local < mean[-1], local - true, 0.0)).astype(np.float32)
+    return result
 
 
 def _correlation(grey: NDArray[np.float32], air: NDArray[np.bool_], noise: float, block: int = 4) -> float:

@@ -11,7 +11,7 @@ from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import fit_bodies
-from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone
+from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone, unclipped
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments
@@ -78,8 +78,11 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     around = Surroundings(cut.grey, stapes, foreign, spacing)
     distance = capped_distance(stapes, spacing, outer)
     air = measure_air(around, distance, reach, guess.air)
+    if air.clipped:
+        cut = replace(cut, grey=unclipped(cut.grey, distance <= reach, air))
+        around = replace(around, grey=cut.grey)
     bone, sigma_fit = _bone(around, air, sigma, distance, reach)
-    sigma, sigma_sd, sigma_from = _blur(cut, stapes, air.level, bone.level, spacing)
+    sigma, sigma_sd, sigma_from = _blur(cut, stapes, air.level, bone.level, spacing, air.noise)
     if sigma_fit is not None:
         sigma, sigma_sd, sigma_from = sigma_fit, 0.02 * sigma_fit, "fit of body, level and blur"
     levels = (air.level, bone.level)
@@ -189,12 +192,12 @@ def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.
 
 
 def _blur(
-    cut: Cut, stapes: NDArray[np.bool_], air: float, bone: float, spacing_mm: Array
+    cut: Cut, stapes: NDArray[np.bool_], air: float, bone: float, spacing_mm: Array, noise: float = 0.0
 ) -> tuple[float, float, str]:
     from scipy.ndimage import binary_dilation
 
     rim = binary_dilation(stapes, iterations=2)
-    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm)
+    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air))
     if found is None:
         sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
         return sigma, 0.5 * sigma, "assumed: one voxel"
@@ -205,10 +208,11 @@ def _air_notices(air: Air, bone: Bone) -> list[Notice]:
     if air.clipped == 0.0:
         return []
     share = 100.0 * air.clipped
-    shift = 30.0 * air.noise / (bone.level - air.level)
+    rest = 3.0 * air.noise / (bone.level - air.level)
     text = (
-        f"{share:.0f} % of the air voxels lie at the lowest grey value: the export has clipped the noise, "
-        f"which shifts the volume by up to {shift:.1f} %. Export with an offset that keeps air above 0."
+        f"{share:.0f} % of the air voxels lie at the lowest grey value: the export has clipped the noise. "
+        f"That was corrected for; what remains may shift the volume by {rest:.2f} %. Export with an offset "
+        f"that keeps air above 0."
     )
     return [Notice("air_clipped", text)]
 

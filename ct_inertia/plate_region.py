@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.coarse import finite
+from ct_inertia.coarse import calmed, finite
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import iso_surface
 from ct_inertia.search import Sight
@@ -56,7 +56,7 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     scan = sight.scan
     middle = 0.5 * (sight.air + sight.plastic)
     rim = max(1, int(np.ceil(_RIM_MM / float(scan.spacing_mm.mean()))))
-    bone = scan.grey > sight.between
+    bone = calmed(scan.grey, scan.noise / (sight.bone - sight.air)) > sight.between
     near_bone = ndimage.binary_dilation(bone, iterations=rim)
     smooth = ndimage.gaussian_filter(scan.grey, 0.7)
     free = (smooth > middle) & ~near_bone

@@ -17,6 +17,7 @@ def edge_sigma(
     air: float,
     bone: float,
     spacing_mm: Array,
+    noise: float = 0.0,
     seed: int = 0,
 ) -> tuple[float, float] | None:
     """Estimate the standard deviation of the point spread (voxel included) from edges of bone in air.
@@ -29,6 +30,8 @@ def edge_sigma(
     air, bone : float
         Grey levels.
     spacing_mm : ndarray, (3,)
+    noise : float
+        Standard deviation of a voxel, in shares of bone minus air.
     seed : int
         Of the choice among many voxels.
 
@@ -77,6 +80,11 @@ def edge_sigma(
         [weighted(*(slope[m] if m == axis else smooth[m] for m in range(3))) for axis in range(3)], axis=1
     )
     size = np.linalg.norm(gradient, axis=1)
+    # Noise lengthens every gradient: its share of the square is known for white noise.
+    spread = noise**2 * sum(
+        np.prod([((slope[m] if m == axis else smooth[m]) ** 2).sum() for m in range(3)]) for axis in range(3)
+    )
+    size = np.sqrt(np.maximum(size**2 - spread, 1e-12))
     good = (np.abs(w - 0.5) < 0.25) & (size > 0.05 / width)
     w, size, gradient, index = w[good], size[good], gradient[good], index[good]
     if len(w) < _LEAST:
@@ -90,9 +98,10 @@ def edge_sigma(
     for reach in (-2.6, 2.6, 3.6):
         points = (foot + reach * middle * inward) / spacing
         sides.append(map_coordinates(level, points.T, order=1, mode="nearest"))
-    clean = (np.abs(sides[0]) < 0.15) & (np.abs(sides[1] - 1.0) < 0.15) & (np.abs(sides[2] - 1.0) < 0.15)
+    slack = max(0.15, 2.5 * noise)
+    clean = (np.abs(sides[0]) < slack) & (np.abs(sides[1] - 1.0) < slack) & (np.abs(sides[2] - 1.0) < slack)
     if np.count_nonzero(clean) < _LEAST:
-        clean = np.abs(sides[0]) < 0.2
+        clean = np.abs(sides[0]) < slack + 0.05
     if np.count_nonzero(clean) < _LEAST:
         return None
     variance = np.median(total[clean]) ** 2 - width**2

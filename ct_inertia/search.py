@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.candidates import POSSIBLE_MM3, Piece, count_holes, labelled_pieces
-from ct_inertia.coarse import CoarseScan, coarse_scan, material_levels
+from ct_inertia.coarse import CoarseScan, calmed, coarse_scan, material_levels
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.separate import separations
 from ct_inertia.volume import Volume
@@ -104,7 +104,9 @@ def look(volume: Volume, options: SearchOptions) -> Sight:
     tried: list[Sight] = []
     for air, plastic, bone in _readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else _between(air, plastic, bone)
-        pieces, found = labelled_pieces(scan.grey > between, scan.spacing_mm)
+        pieces, found = labelled_pieces(
+            calmed(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
+        )
         found = _whole(found, scan, volume)
         if not found:
             continue
@@ -132,8 +134,9 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     if not any(piece.volume_mm3 > POSSIBLE_MM3[0] for piece in (sight.stapes, *sight.others)):
         return None
     scan = coarse_scan(volume, _FINER_MM)
-    bone = scan.grey > sight.between
-    for depth, markers, labels, found in separations(scan.grey, bone, scan.spacing_mm):
+    grey = calmed(scan.grey, scan.noise / (sight.bone - sight.air))
+    bone = grey > sight.between
+    for depth, markers, labels, found in separations(grey, bone, scan.spacing_mm):
         pieces = _whole([p for p in found if p.volume_mm3 > _LEAST_PART_MM3], scan, volume)
         if not pieces:
             continue

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Bodies
+from ct_inertia.coarse import calmed
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import volume_matched
@@ -67,8 +68,9 @@ def assembled(
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
-    stapes, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
-    smooth = _smoothed(measured.share)
+    share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
+    stapes, level = volume_matched(share, moments.volume_mm3, cut.scan_from_box(volume))
+    smooth = _smoothed(share)
     frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(volume), level)
     plate_mesh = None if plate is None else plate_surface(volume, sight, plate)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
@@ -76,7 +78,7 @@ def assembled(
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
     return Bodies(
         volume=volume,
-        labels=label_box(volume, sight, plate, replace(cut, stapes=measured.share > level)),
+        labels=label_box(volume, sight, plate, replace(cut, stapes=share > level)),
         stapes=stapes,
         frame_surface=frame_surface,
         plate=plate_mesh,
