@@ -18,6 +18,8 @@ from fitting.symmetric import entry_names, join, split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Multiplications of a matrix product up to which common BLAS libraries start no threads.
+_SMALL_PRODUCT = 200_000
 
 
 @dataclass(frozen=True)
@@ -213,12 +215,23 @@ def _stiffness_times(matrices: Array, right: ComplexArray, factor: ComplexArray)
     """Return (K + s D) X line by line for K, D stacked (2n, n) and X (n, k, lines), as one real product."""
     n, columns, lines = right.shape
     flat = np.ascontiguousarray(right).view(np.float64).reshape(n, -1)
-    product = (matrices @ flat).view(np.complex128).reshape(2 * n, columns, lines)
+    product = _product(matrices, flat).view(np.complex128).reshape(2 * n, columns, lines)
     upper = product[:n]
     lower = product[n:]
     lower *= factor
     lower += upper
     return np.asarray(lower)
+
+
+def _product(left: Array, right: Array) -> Array:
+    """Return a matrix product in pieces too small for threads."""
+    width = max(1, _SMALL_PRODUCT // left.size)
+    if right.shape[1] <= width:
+        return np.asarray(left @ right)
+    product = np.empty((len(left), right.shape[1]))
+    for at in range(0, right.shape[1], width):
+        np.matmul(left, right[:, at : at + width], out=product[:, at : at + width])
+    return product
 
 
 def cholesky(noise: ComplexArray) -> ComplexArray:

@@ -20,6 +20,7 @@ from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.lines import Lines, real_rows, regressor
+from fitting.model import state_matrix
 from fitting.symmetric import entry_names, pairs, split
 
 Array = NDArray[np.float64]
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 _STABLE = -1e-6
 _GAP = 1e-10
 _EXTRA_STARTS = 4
+# Rows of a piece of QR: at this size common BLAS libraries start no threads.
+_PIECE = 128
 # Distance to a bound, in scaled units, that counts as leaning on it.
 _NEAR = 1e-5
 
@@ -75,11 +78,32 @@ def reduce(lines: Lines, options: EstimatorOptions) -> Quadratic:
     """Write the constrained problem of some lines."""
     rows = real_rows(regressor(lines.dq, lines.factor))
     right = real_rows(lines.force)
-    size = float(np.linalg.norm(right)) or 1.0
-    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, right]) / size, mode="r"))
     p = rows.shape[1]
-    padded = np.zeros((p + 1, p + 1))
-    padded[: len(triangle)] = triangle[: p + 1]
+    triangle = _triangle(np.column_stack([rows, right]) / _size(lines))
+    lower, upper = _limits(lines, options)
+    return Quadratic(triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2), lines.mass, lower, upper)
+
+
+def _triangle(rows: Array) -> Array:
+    """Return the triangle of QR, by pieces too small for threads."""
+    columns = rows.shape[1]
+    pieces = -(-len(rows) // _PIECE)
+    padded = np.zeros((max(pieces, 1) * _PIECE, columns))
+    padded[: len(rows)] = rows
+    while len(padded) > _PIECE:
+        parts = np.asarray(np.linalg.qr(padded.reshape(-1, _PIECE, columns), mode="r")).reshape(-1, columns)
+        padded = np.zeros((-(-len(parts) // _PIECE) * _PIECE, columns))
+        padded[: len(parts)] = parts
+    return np.asarray(np.linalg.qr(padded, mode="r"))
+
+
+def _size(lines: Lines) -> float:
+    return float(np.linalg.norm(real_rows(lines.force))) or 1.0
+
+
+def _limits(lines: Lines, options: EstimatorOptions) -> tuple[Array, Array]:
+    """Return the bounds (p,), diagonals not negative."""
+    p = lines.parameters
     half = p // 2
     lower = np.full(p, -np.inf) if options.lower is None else options.lower.copy()
     upper = np.full(p, np.inf) if options.upper is None else options.upper.copy()
@@ -87,11 +111,20 @@ def reduce(lines: Lines, options: EstimatorOptions) -> Quadratic:
         if row == column:
             for entry in (place, place + half):
                 lower[entry] = max(lower[entry], 0.0)
-    return Quadratic(padded[:p, :p], padded[:p, p], float(padded[p, p] ** 2), lines.mass, lower, upper)
+    return lower, upper
 
 
 def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
     """Return the constrained least squares solution and the constraints that hold it."""
+    free = pinv.weighted(lines, np.ones(lines.n))
+    lower, upper = _limits(lines, options)
+    if np.all(free.parameters >= lower) and np.all(free.parameters <= upper):
+        held = not _is_stable(free.parameters, lines.mass)
+        if options.constraint == "psd":
+            held = not inside(free.parameters, lines.n)
+        if not held:
+            value = free.objective / _size(lines) ** 2
+            return Estimate(free.parameters, value, 1, True, certificate=0.0)
     problem = reduce(lines, options)
     if options.constraint == "psd":
         return _psd(lines, problem)
@@ -105,6 +138,13 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     )
     names = (*_at_bounds(parameters, problem), "stability")
     return Estimate(parameters, problem.value(parameters), steps, converged, names)
+
+
+def _is_stable(parameters: Array, mass: Array) -> bool:
+    """Return whether all eigenvalues lie in the left half plane."""
+    if inside(parameters, len(mass)):
+        return True
+    return bool(np.linalg.eigvals(state_matrix(mass, *split(parameters, len(mass)))).real.max() < 0.0)
 
 
 def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
