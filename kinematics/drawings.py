@@ -51,7 +51,8 @@ def placement_figure(result: Points2Dof, surface_mm: Array | None = None) -> Fig
             for channel in range(len(body.points)):
                 start = body.positions_mm[channel]
                 end = start + 0.16 * span * body.directions[channel]
-                key = (body.body, body.points[channel], tuple(np.round(body.directions[channel], 6)))
+                reported = tuple(np.round(body.reported_directions[channel], 6))
+                key = (body.body, body.points[channel], reported)
                 faulty = key in bad
                 view.plot(
                     [start[i], end[i]],
@@ -67,6 +68,7 @@ def placement_figure(result: Points2Dof, surface_mm: Array | None = None) -> Fig
             if len(set(body.points)) <= 40:
                 _label_points(view, body.points, body.positions_mm[:, [i, j]], colour)
         _draw_axes(view, i, j, 0.22 * span, (across, up))
+        view.plot([0.0, 0.26 * span, 0.0], [0.0, 0.0, 0.26 * span], alpha=0.0)
         view.set_aspect("equal", adjustable="datalim")
         view.set_xlabel(f"{across} (mm)")
         view.set_ylabel(f"{up} (mm)")

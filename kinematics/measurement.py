@@ -39,6 +39,8 @@ class BodyChannels:
         ``sd`` is known up to one factor per body, which the residuals give.
     position_sd_mm : ndarray, (channel,)
         Standard deviation per coordinate of the point's position; NaN when not stated.
+    reported_directions : ndarray, (channel, 3)
+        Directions as they stood in the file, by which a channel is named; ``directions`` without them.
 
     Raises
     ------
@@ -54,9 +56,12 @@ class BodyChannels:
     sd: Array | None = None
     relative: bool = False
     position_sd_mm: Array = field(default_factory=lambda: np.empty(0))
+    reported_directions: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         count = len(self.points)
+        if self.reported_directions.size == 0:
+            object.__setattr__(self, "reported_directions", self.directions)
         if self.position_sd_mm.size == 0:
             object.__setattr__(self, "position_sd_mm", np.full(count, np.nan))
         shapes = {
@@ -79,7 +84,7 @@ class BodyChannels:
 
     def channel_name(self, channel: int) -> str:
         """Return ``body point (direction)`` for messages."""
-        return f"{self.body} {self.points[channel]} ({direction_name(self.directions[channel])})"
+        return f"{self.body} {self.points[channel]} ({direction_name(self.reported_directions[channel])})"
 
 
 def direction_name(direction: Array) -> str:

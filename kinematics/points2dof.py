@@ -138,6 +138,7 @@ def points2dof(
     notices = [*measurement.notices, *placement.notices]
     for screen in screens:
         notices += screen.notices
+    notices += _uncommon_lines(placed)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
@@ -157,6 +158,21 @@ def points2dof(
     motion = replace(motion, notices=unique(notices))
     unseen = {body.body: tuple(unseen_motions(body.positions_mm, body.directions)) for body in placed.bodies}
     return Points2Dof(motion, tuple(verdicts), placed, placement, fits, diagnoses, options, unseen)
+
+
+def _uncommon_lines(placed: Measurement) -> list[Notice]:
+    """Tell which bodies were not measured at all lines of the others."""
+    measured = [np.any(np.isfinite(body.displacement.real), axis=(0, 1)) for body in placed.bodies]
+    counts = [int(np.sum(lines)) for lines in measured]
+    if all(count == len(placed.freq_hz) for count in counts):
+        return []
+    said = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
+    common = int(np.sum(np.all(measured, axis=0)))
+    text = (
+        f"of {len(placed.freq_hz)} frequencies, {said} were measured, {common} of them on all bodies; "
+        "lines are matched within 1e-6."
+    )
+    return [Notice("frequencies_differ", text)]
 
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:

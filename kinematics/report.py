@@ -148,10 +148,14 @@ def _verdict_rows(channels: Sequence[ChannelVerdict]) -> list[tuple[str, ...]]:
     return [
         (
             v.run, v.body, v.point, ", ".join(f"{value:.3f}" for value in v.direction),
-            f"{v.residual_rms_m * 1e9:.3g}", f"{v.weight:.3g}", v.verdict, v.estimate, f"{v.p_value:.2g}",
+            f"{v.residual_rms_m * 1e9:.3g}", f"{v.weight:.3g}", v.verdict, v.estimate, _chance(v.p_value),
         )
         for v in channels
     ]  # fmt: skip
+
+
+def _chance(p: float) -> str:
+    return "< 1e-300" if p < 1e-300 else f"{p:.2g}"
 
 
 def _residuals(result: Points2Dof) -> Section:

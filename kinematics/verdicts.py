@@ -25,7 +25,7 @@ class ChannelVerdict:
     ----------
     run, body, point : str
     direction : ndarray, (3,)
-        Beam in the footplate frame.
+        Beam as it stood in the file, in the coordinates of the measurement.
     residual_rms_m : float
         Root mean square of |measured - fitted| over the lines, m; NaN when unused.
     weight : float
@@ -121,7 +121,7 @@ def channel_verdicts(
                 run,
                 body.body,
                 point,
-                body.directions[channel],
+                body.reported_directions[channel],
                 float(residual_rms_m[channel]),
                 float(weight[channel]),
                 verdict,

@@ -171,6 +171,15 @@ def test_conjugated_data_are_told():
     assert points2dof(alone).notices == ()
 
 
+def test_bodies_at_other_frequencies_are_told():
+    one, two = scene(15, lines=10), scene(16, lines=10)
+    two.value[:, 7:] = np.nan
+    data = measurement(body("a", one), body("b", two), freq_hz=one.freq_hz)
+    result = points2dof(data)
+    assert [notice.code for notice in result.notices] == ["frequencies_differ"]
+    assert "a at 10, b at 7 were measured, 7 of them on all bodies" in result.notices[0].text
+
+
 def test_runs_are_judged_apart():
     clean, faulty = scene(14), scene(14, "sign")
     both = BodyChannels(

@@ -130,6 +130,11 @@ def test_four_files_named_after_out(tmp_path):
     assert len(rows) == 3 * 17
     bad = [row for row in rows if row["verdict"] != "ok"]
     assert [(row["body"], row["point"], row["verdict"]) for row in bad] == [("stapes", "3", "sign")]
+    with (tmp_path / "ldv.csv").open() as stream:
+        given = [row for row in csv.DictReader(stream) if (row["body"], row["point"]) == ("stapes", "3")]
+    beams = list(dict.fromkeys((row["dir_x"], row["dir_y"], row["dir_z"]) for row in given))
+    found = [float(bad[0][name]) for name in ("dir_x", "dir_y", "dir_z")]
+    assert found == pytest.approx([float(part) for part in beams[1]], abs=1e-8)
     page = (tmp_path / "out" / "dof.html").read_text(encoding="utf-8")
     for words in (
         "Points and beams",
