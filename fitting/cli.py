@@ -6,11 +6,18 @@ import argparse
 from pathlib import Path
 from typing import NoReturn
 
+from fitting.plan_example import PLAN_EXAMPLE as _PLAN_EXAMPLE
 from kinematics.command import Outcome, Parser, numbers, run
+from kinematics.errors import StapeskitError
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of --dof.
 Writes kd.json and kd.html (named after --out). Example:
-  dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55"""
+  dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
+
+Before measuring: dof2kd --plan plan.toml tells the standard deviations to expect of K, D and the modes, and
+what another direction, a wider band, more lines or less noise would bring (plan.json, named after --out).
+Every key has a default; plan.toml, e.g.:
+"""
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -36,10 +43,15 @@ def _bound(text: str) -> tuple[str, float]:
 
 def parser() -> Parser:
     """Return the parser of the command."""
-    made = Parser("dof2kd", "Stiffness and damping from rigid-body motion and mass matrix.", _EPILOG)
-    made.add_argument("motion", type=Path, metavar="DOF", help="dof.csv or dof.h5")
+    made = Parser(
+        "dof2kd",
+        "Stiffness and damping from rigid-body motion and mass matrix.",
+        _EPILOG + _PLAN_EXAMPLE,
+    )
+    made.add_argument("motion", type=Path, nargs="?", metavar="DOF", help="dof.csv or dof.h5")
+    made.add_argument("--mass", type=Path, metavar="FILE", help="mass.json of ct2mass, or M.csv")
     made.add_argument(
-        "--mass", type=Path, required=True, metavar="FILE", help="mass.json of ct2mass, or M.csv"
+        "--plan", type=Path, metavar="FILE.toml", help="a measurement to be made: tell what it can reach"
     )
     made.add_argument("--structure", default="stapes", metavar="BODY", help="the moving body (stapes)")
     made.add_argument("--base", default="base", metavar="BODY", help="the excited body (base)")
@@ -88,13 +100,21 @@ def parser() -> Parser:
     made.add_argument(
         "--exclude", type=_range, action="append", default=None, metavar="F1-F2", help="leave out, Hz"
     )
-    made.add_argument("--out", type=Path, default=Path("kd.json"), metavar="FILE.json")
+    made.add_argument(
+        "--out", type=Path, default=None, metavar="FILE.json", help="kd.json; plan.json with --plan"
+    )
     made.add_config()
     return made
 
 
 def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
-    options = parser().parse(arguments)
+    made = parser()
+    options = made.parse(arguments)
+    if options.plan is not None:
+        return options, _plan(options)
+    if options.motion is None or options.mass is None:
+        missing = "DOF" if options.motion is None else "--mass"
+        made.error(f"the following arguments are required: {missing}")
     from fitting.dof2kd import dof2kd
     from fitting.kd import KDOptions
     from fitting.report import summary_rows
@@ -114,10 +134,24 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         lower=dict(options.lower or ()),
         upper=dict(options.upper or ()),
     )
-    done = dof2kd(options.motion, options.mass, chosen, options.out)
+    done = dof2kd(options.motion, options.mass, chosen, options.out or Path("kd.json"))
     return options, Outcome(
         "stiffness and damping", summary_rows(done.fit), done.fit.notices, done.files, dict(done.content)
     )
+
+
+def _plan(options: argparse.Namespace) -> Outcome:
+    """Tell what a planned measurement can reach."""
+    if options.motion is not None or options.mass is not None:
+        raise StapeskitError(
+            "--plan must be given without DOF and --mass; got both. The plan names its mass itself "
+            '(mass = "mass.json").'
+        )
+    from fitting.dof2kd import plan2kd
+    from fitting.plan import summary_rows
+
+    found, content, file = plan2kd(options.plan, options.out or Path("plan.json"))
+    return Outcome("what the plan can reach", summary_rows(found), found.notices, [file], content)
 
 
 def main() -> NoReturn:

@@ -15,6 +15,8 @@ from fitting.errors import FittingError
 from fitting.kd import KDFit, KDOptions, fit_kd
 from fitting.kd_json import kd_json
 from fitting.mass_file import read_mass
+from fitting.plan import Expectation, expect, plan_json
+from fitting.plan_file import read_plan
 from fitting.report import kd_page
 from kinematics.errors import sentence
 from kinematics.mass_record import MassRecord
@@ -62,6 +64,24 @@ def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path) ->
         html = Path(out.name).with_suffix(".html").name
         kd_page(fit, provenance, footplate_outline(mass_record)).write(folder / html)
     return KDResult(fit, content, (out, out.with_name(html)))
+
+
+def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], Path]:
+    """Read a plan, tell what it can reach and write ``out`` (plan.json).
+
+    Raises
+    ------
+    FittingError, KinematicsError
+        The plan is at fault.
+    """
+    if Path(out).suffix.lower() != ".json":
+        raise FittingError(sentence("--out", "a file name that ends with .json", Path(out).name))
+    plan, mass_file = read_plan(path)
+    found = expect(plan)
+    content = plan_json(found, record({"plan": path, "mass": mass_file}, {}))
+    with staged(Path(out).parent) as folder:
+        (folder / Path(out).name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return found, content, Path(out)
 
 
 def parameters(options: KDOptions) -> dict[str, Any]:

@@ -70,6 +70,14 @@ class Layout:
         """Return the root mean square over channels and lines of what a rigid motion q (lines, n) makes."""
         return float(np.sqrt(np.mean(np.abs(q @ self._rows(dof).T) ** 2)))
 
+    def determines(self, dof: tuple[str, ...]) -> bool:
+        """Return whether the points tell these degrees of freedom apart."""
+        rows = self._rows(dof)
+        norms = np.linalg.norm(rows, axis=0)
+        if len(rows) < len(dof) or np.any(norms == 0.0):
+            return False
+        return bool(np.linalg.svd(rows / norms, compute_uv=False)[-1] > 1e-6)
+
     def _rows(self, dof: tuple[str, ...]) -> Array:
         """Return the observation rows (channels, n) of the channels that see any of the motion."""
         arms = np.repeat(self.points_mm * 1e-3, 3, axis=0)
