@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.moments import Moments
 
 Array = NDArray[np.float64]
+_PIECE = 50_000
 
 
 @dataclass(frozen=True)
@@ -71,29 +72,43 @@ def partial_volume_moments(share: Share, scan_from_index: Array) -> Moments:
     dw/d(air) = -(1 - w) / (bone - air) and dw/d(bone) = -w / (bone - air) in all voxels at once.
     """
     voxel = abs(float(np.linalg.det(scan_from_index[:3, :3])))
+    axes = scan_from_index[:3, :3]
     middle = share.index.mean(axis=0)
-    points = (share.index - middle) @ scan_from_index[:3, :3].T
     contrast = share.bone - share.air
-    w = (share.grey - share.air) / contrast
-    volume = voxel * float(w.sum())
-    centroid = voxel * (w @ points) / volume
-    away = points - centroid
-    spread = share.sigma_mm**2 * np.eye(3)
-    second = voxel * (away * w[:, None]).T @ away - volume * spread
-    origin = scan_from_index[:3, :3] @ middle + scan_from_index[:3, 3]
+    raw = np.zeros((4, 4))
+    for part in _pieces(len(share.grey)):
+        points = np.empty((part.stop - part.start, 4))
+        points[:, 0] = 1.0
+        points[:, 1:] = (share.index[part] - middle) @ axes.T
+        w = (share.grey[part] - share.air) / contrast
+        raw += voxel * (points * w[:, None]).T @ points
+    volume = float(raw[0, 0])
+    centroid = raw[0, 1:] / volume
+    second = raw[1:, 1:] - volume * (np.outer(centroid, centroid) + share.sigma_mm**2 * np.eye(3))
 
-    f = sensitivity(away, volume, share.sigma_mm) * voxel
-    noisy = f * (share.noise / contrast)[:, None]
-    to_air = f.T @ (1.0 - w) / contrast * share.air_sd
-    to_bone = f.T @ w / contrast * share.bone_sd
+    noise, to_air, to_bone = np.zeros((10, 10)), np.zeros(10), np.zeros(10)
+    for part in _pieces(len(share.grey)):
+        away = (share.index[part] - middle) @ axes.T - centroid
+        f = sensitivity(away, volume, share.sigma_mm) * (voxel / contrast)
+        w = (share.grey[part] - share.air) / contrast
+        to_air += f.T @ (1.0 - w) * share.air_sd
+        to_bone += f.T @ w * share.bone_sd
+        f *= share.noise[part][:, None]
+        noise += f.T @ f
     to_sigma = np.zeros(10)
     to_sigma[4:7] = 2.0 * volume * share.sigma_mm * share.sigma_sd_mm
     contributions = {
-        "noise": share.correlation * (noisy.T @ noisy),
+        "noise": share.correlation * noise,
         "levels": np.outer(to_air, to_air) + np.outer(to_bone, to_bone),
         "psf": np.outer(to_sigma, to_sigma),
     }
-    return Moments(volume, origin + centroid, 0.5 * (second + second.T), contributions)
+    place = axes @ middle + scan_from_index[:3, 3] + centroid
+    return Moments(volume, place, 0.5 * (second + second.T), contributions)
+
+
+def _pieces(count: int) -> list[slice]:
+    """Return slices that fit the processor's cache."""
+    return [slice(k, min(k + _PIECE, count)) for k in range(0, count, _PIECE)]
 
 
 def sensitivity(away_mm: Array, volume_mm3: float, sigma_mm: float) -> Array:
