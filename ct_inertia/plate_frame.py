@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _LEAST_EDGE_MM = 0.5
 _STEEP = 0.2
-_BORDER_STEEP = 0.95
+_BORDER_STEEP = 0.995
 _RIM_MM = 0.15
 _COVERED = 0.9
 _CURVED_1_MM = 0.15

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.plate_fiducials import plate_frame_from_fiducials, read_plate_fiducials
@@ -97,6 +98,24 @@ def test_a_cropped_plate_is_told_and_keeps_its_axes():
     assert frame.cropped
     assert "plate_cropped" in codes(frame)
     assert np.allclose(frame.scan_from_plate.rotation, np.eye(3), atol=1e-6)
+
+
+def test_a_border_that_cuts_at_a_shallow_angle_crops_all_the_same():
+    slope = 0.25
+    lower = np.array([[x, -0.5, z] for x in (-2.0, 2.0) for z in (-1.5, 1.5)])
+    cut = np.array([[1.0, z] for z in (-1.5, 1.5)])
+    upper = np.column_stack([np.r_[-2.0, -2.0, cut[:, 0]], np.full(4, 0.5), np.r_[-1.5, 1.5, cut[:, 1]]])
+    end = np.array([[2.0, 0.5 - slope, z] for z in (-1.5, 1.5)])
+    corners = np.vstack([lower, upper, end])
+    hull = ConvexHull(corners)
+    sides = np.cross(*(corners[hull.simplices[:, k]] - corners[hull.simplices[:, 0]] for k in (1, 2)))
+    inward = np.einsum("ij,ij->i", sides, hull.equations[:, :3]) < 0.0
+    surface = fine(Surface(corners, np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)))
+    points = surface.vertices_mm
+    border = np.abs(points[:, 1] - 0.5 + slope * (points[:, 0] - 1.0)) < 1e-6
+    frame = plate_frame(surface, stapes_above(np.eye(3), 0), border)
+    assert frame.cropped
+    np.testing.assert_allclose(frame.scan_from_plate.translation_mm, [-0.5, 0.5, 0.0], atol=1e-5)
 
 
 def test_a_plate_without_an_edge_in_view_is_told():
