@@ -23,7 +23,7 @@ ACCENT = "#c2571a"
 SYMBOLS = {"alpha": "α", "beta": "β", "gamma": "γ"}
 
 
-def response_figure(responses: Responses, run: int) -> Figure:
+def response_figure(responses: Responses, run: int, body: str = "stapes") -> Figure:
     """Draw amplitude and phase of every degree of freedom of one run, measured and simulated."""
     chosen = responses.run == run
     freq = responses.freq_hz[chosen]
@@ -37,7 +37,7 @@ def response_figure(responses: Responses, run: int) -> Figure:
         scale, unit = _unit(name, responses.measured[chosen, place])
         upper, lower = axes[2 * block, column], axes[2 * block + 1, column]
         _amplitude(upper, freq, responses, chosen, place, scale)
-        upper.set_title(f"{SYMBOLS.get(name, name)} of the stapes", fontsize=11)
+        upper.set_title(f"{SYMBOLS.get(name, name)} of the {body}", fontsize=11)
         upper.set_ylabel(f"amplitude ({unit})")
         _phase(lower, freq, responses, chosen, place)
         lower.set_xlabel("frequency (Hz)")
