@@ -25,7 +25,7 @@ def read_volume(
     mirror: str | None = None,
     nan_as_air: bool = False,
 ) -> Volume:
-    """Open a scan: TIFF stack, folder of slices, NRRD, MetaImage, NIfTI or DICOM folder.
+    """Open a scan: TIFF stack, folder of slices, NRRD, MetaImage, NIfTI, Scanco ISQ and AIM, DICOM.
 
     Parameters
     ----------
@@ -81,6 +81,10 @@ def _dispatch(path: Path, spacing: list[float] | None) -> Volume:
         from ct_inertia.readers.tiff import read_tiff
 
         return read_tiff(path, spacing)
+    from ct_inertia.readers.scanco import SCANCO_SUFFIXES, read_scanco
+
+    if name.split(";")[0].endswith(SCANCO_SUFFIXES):
+        return read_scanco(path, spacing)
     from ct_inertia.readers.itk import ITK_SUFFIXES, read_itk
 
     if name.endswith(ITK_SUFFIXES):
@@ -88,7 +92,7 @@ def _dispatch(path: Path, spacing: list[float] | None) -> Volume:
     raise CtInertiaError(
         sentence(
             "the scan",
-            "a TIFF, NRRD, MHA, MHD or NIfTI file, or a folder of slices or DICOM files",
+            "a TIFF, NRRD, MHA, MHD, NIfTI, ISQ or AIM file, or a folder of slices or DICOM files",
             path.name,
             next_step="Export it in one of these formats",
         )

@@ -1,4 +1,4 @@
-"""A folder of slice images in natural order of their numbers."""
+"""A folder of slice images in natural order of their numbers, with the SkyScan log beside them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,29 @@ def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volu
         No slices, slices of different size or type, a damaged slice, or no spacing given.
     """
     files, notices = slice_files(folder)
-    spacing, settled = settle_spacing(None, spacing_mm, folder.name, "slice images do not tell it")
+    found = log_spacing(folder)
+    spacing, settled = settle_spacing(found, spacing_mm, folder.name, "slice images do not tell it")
     array = stacked_slices(files)
     return Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
+
+
+def log_spacing(folder: Path) -> NDArray[np.float64] | None:
+    """Return the voxel spacing that a Bruker/SkyScan reconstruction log in the folder tells, mm.
+
+    The pixel size of the reconstruction, in um, times the step from section to section along z.
+    """
+    found: set[tuple[float, float]] = set()
+    for path in sorted(folder.glob("*.log")):
+        text = path.read_text(encoding="latin-1")
+        part = text.partition("[Reconstruction]")[2]
+        pixel = re.search(r"^Pixel Size \(um\)\s*=\s*([0-9.]+)", part, re.M)
+        step = re.search(r"^Section to Section Step\s*=\s*([0-9.]+)", part, re.M)
+        if pixel and float(pixel[1]) > 0.0:
+            found.add((float(pixel[1]) * 1e-3, float(step[1]) if step else 1.0))
+    if len(found) != 1:
+        return None
+    ((size, ratio),) = found
+    return np.array([size, size, size * ratio])
 
 
 def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:

@@ -87,6 +87,34 @@ def dicom(path, array):
         writer.Execute(slice_)
 
 
+def skyscan(path, array):
+    slices(path, array)
+    size = SPACING[0] * 1e3
+    (path / "rec_.log").write_text(
+        f"[Acquisition]\nImage Pixel Size (um)=9.9\n[Reconstruction]\nPixel Size (um)={size}\n"
+    )
+
+
+def isq(path, array):
+    head = bytearray(1024)
+    head[:16] = b"CTDATA-HEADER_V1"
+    head[44:68] = np.array([5, 6, 7, 100, 150, 210], "<i4").tobytes()
+    head[508:512] = np.array([1], "<i4").tobytes()
+    path.write_bytes(bytes(head) + array.astype("<i2").tobytes())
+
+
+def aim(path, array):
+    """Version 020: voxel size as VAX F floats, a log between header and data."""
+    log = b"! Processing Log\n"
+    image = np.zeros(35, "<i4")
+    image[[0, 5]] = 16, 0x20002
+    image[9:12] = 5, 6, 7
+    halves = (SPACING * 4).astype("<f4").view("<u2").reshape(3, 2)[:, ::-1]
+    image[27:30] = np.ascontiguousarray(halves).view("<i4").ravel()
+    head = np.array([20, 140, len(log), array.size * 2, 0], "<i4").tobytes()
+    path.write_bytes(head + image.tobytes() + log + array.astype("<i2").tobytes())
+
+
 FORMATS = {
     "imagej.tif": (imagej, {}, False, False),
     "imagej_um.tif": (imagej, {"unit": "um"}, False, False),
@@ -107,6 +135,8 @@ FORMATS = {
     "a.nii": (itk, {}, False, True),
     "a.nii.gz": (itk, {}, False, True),
     "folder": (slices, {}, True, False),
+    "a.isq": (isq, {}, False, False),
+    "a.AIM": (aim, {}, False, False),
     "dicom": (dicom, {}, False, True),
 }
 
@@ -225,6 +255,37 @@ def test_dicom_with_a_missing_slice_is_refused(tmp_path):
         read_volume(tmp_path / "d")
 
 
+def test_a_skyscan_log_tells_the_pixel_size(tmp_path):
+    skyscan(tmp_path / "f", picture())
+    assert read_volume(tmp_path / "f").spacing_mm == pytest.approx([SPACING[0]] * 3)
+
+
+def test_bad_scanco_files(tmp_path):
+    isq(tmp_path / "a.isq", picture())
+    data = (tmp_path / "a.isq").read_bytes()
+    (tmp_path / "short.isq").write_bytes(data[:-10])
+    with pytest.raises(CtInertiaError, match="as large as its header says"):
+        read_volume(tmp_path / "short.isq")
+    (tmp_path / "head.isq").write_bytes(data[:100])
+    with pytest.raises(CtInertiaError, match="at least 512 bytes"):
+        read_volume(tmp_path / "head.isq")
+    (tmp_path / "zero.isq").write_bytes(data[:44] + bytes(12) + data[56:])
+    with pytest.raises(CtInertiaError, match="size in the header must be positive"):
+        read_volume(tmp_path / "zero.isq")
+    (tmp_path / "other.isq").write_bytes(b"something else")
+    with pytest.raises(CtInertiaError, match="a Scanco ISQ or AIM file"):
+        read_volume(tmp_path / "other.isq")
+    (tmp_path / "new.aim").write_bytes(b"AIMDATA_V030   " + bytes(300))
+    with pytest.raises(CtInertiaError, match="of version 020; got version 030"):
+        read_volume(tmp_path / "new.aim")
+    aim(tmp_path / "a.aim", picture())
+    packed = bytearray((tmp_path / "a.aim").read_bytes())
+    packed[40:44] = np.array([0x00080002], "<i4").tobytes()
+    (tmp_path / "packed.aim").write_bytes(bytes(packed))
+    with pytest.raises(CtInertiaError, match="not packed; got type 0x80002"):
+        read_volume(tmp_path / "packed.aim")
+
+
 BAD_TIFF = {
     "flat.tif": (picture()[0], {}, "three-dimensional; got an image of shape 5 x 6"),
     "rgb.tif": (np.zeros((4, 6, 5, 3), np.uint8), {"photometric": "rgb"}, "colour"),
@@ -320,7 +381,7 @@ def test_files_that_are_no_scans(tmp_path):
     with pytest.raises(CtInertiaError, match="readable TIFF"):
         read_volume(tmp_path / "junk.tif")
     (tmp_path / "a.doc").write_bytes(b"hello world")
-    with pytest.raises(CtInertiaError, match="a TIFF, NRRD, MHA, MHD or NIfTI"):
+    with pytest.raises(CtInertiaError, match="a TIFF, NRRD, MHA, MHD, NIfTI, ISQ or AIM"):
         read_volume(tmp_path / "a.doc")
     (tmp_path / "junk.nrrd").write_bytes(b"NRRD0004\nhello world")
     with pytest.raises(CtInertiaError, match="readable volume"):
@@ -331,8 +392,11 @@ def test_files_that_are_no_scans(tmp_path):
 def test_real_files_of_one_scan_agree():
     arrays = [read_volume(SHARED / "scanco" / f"test_{n}.{n}") for n in ("mha", "nrrd")]
     arrays.append(read_volume(SHARED / "scanco" / "test_nii.nii"))
+    arrays.append(read_volume(SHARED / "scanco" / "test_aim.AIM"))
+    arrays.append(read_volume(SHARED / "scanco" / "test_isq.ISQ"))
     for volume in arrays:
-        assert volume.spacing_mm == pytest.approx([0.0607] * 3, rel=1e-6)
+        # An ISQ rounds the extent of its 25 voxels to whole micrometres.
+        assert volume.spacing_mm == pytest.approx([0.0607] * 3, abs=0.5e-3 / 25)
         assert np.array_equal(np.asarray(volume.array, float), np.asarray(arrays[0].array, float))
 
 
