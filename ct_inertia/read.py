@@ -16,6 +16,7 @@ from ct_inertia.volume import Volume, reversed_axis
 from kinematics.errors import sentence
 from kinematics.notices import Notice
 
+ITK_SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 _TIFF = (".tif", ".tiff", ".btf", ".tf8")
 
 
@@ -66,6 +67,10 @@ def read_volume(
 def _opened(path: Path, spacing: list[float] | None, mirror: str | None) -> Volume:
     if mirror is not None:
         reversed_axis(np.zeros((1, 1, 1)), mirror)
+    if path.is_file() and path.name.lower().endswith(ITK_SUFFIXES):
+        from ct_inertia.readers.itk import read_itk
+
+        return read_itk(path, spacing, mirror)
     volume = _dispatch(path, spacing)
     return volume if mirror is None else volume.mirrored(mirror)
 
@@ -85,10 +90,6 @@ def _dispatch(path: Path, spacing: list[float] | None) -> Volume:
 
     if name.split(";")[0].endswith(SCANCO_SUFFIXES):
         return read_scanco(path, spacing)
-    from ct_inertia.readers.itk import ITK_SUFFIXES, read_itk
-
-    if name.endswith(ITK_SUFFIXES):
-        return read_itk(path, spacing)
     raise CtInertiaError(
         sentence(
             "the scan",

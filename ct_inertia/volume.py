@@ -146,6 +146,28 @@ class Volume:
         return replace(self, array=reversed_axis(self.array, axis))
 
 
+def unmirrored_frame(
+    origin_mm: Array, direction: Array, size: Array, spacing_mm: Array, axis: str
+) -> tuple[Array, Array]:
+    """Return origin and direction that make a left-handed grid right-handed by turning one axis round.
+
+    The array stays as it is, so that its content is reflected inside the same box: what reversing the
+    slices does to a right-handed grid.
+
+    Parameters
+    ----------
+    origin_mm, size, spacing_mm : ndarray, (3,)
+        Of the left-handed grid; x, y, z.
+    direction : ndarray, (3, 3)
+    axis : str
+        ``x``, ``y`` or ``z``.
+    """
+    k = _AXES.index(axis)
+    turned = np.array(direction, dtype=float)
+    turned[:, k] = -turned[:, k]
+    return origin_mm + direction[:, k] * (size[k] - 1) * spacing_mm[k], turned
+
+
 def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     """Return a view of an array [z, y, x] with its x, y or z axis reversed."""
     if axis not in tuple(_AXES):

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
-from ct_inertia.volume import Volume
+from ct_inertia.volume import Volume, unmirrored_frame
 from kinematics.errors import sentence
 
-ITK_SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".hdr", ".gipl", ".vtk")
 _BYTES = {
     "8-bit": np.uint8,
     "16-bit": np.uint16,
@@ -25,14 +24,16 @@ _BYTES = {
 }
 
 
-def read_itk(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+def read_itk(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
     """Read a volume whose header tells spacing, origin and direction.
+
+    ``mirror`` reverses the slices along one axis; on a left-handed grid that makes it right-handed.
 
     Raises
     ------
     CtInertiaError
         Not readable, truncated, not three-dimensional, several values per voxel, complex, no spacing, or
-        a left-handed direction matrix.
+        a left-handed direction matrix without ``mirror``.
     """
     import SimpleITK as sitk
 
@@ -49,8 +50,13 @@ def read_itk(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
     if reader.GetDimension() == 3:
         origin = np.array(reader.GetOrigin())
         direction = np.array(reader.GetDirection()).reshape(3, 3)
+    if mirror is not None and np.linalg.det(direction) < 0.0:
+        size = np.array(reader.GetSize()[:3])
+        origin, direction = unmirrored_frame(origin, direction, size, spacing, mirror)
+        mirror = None
     array = _array(reader, path, header)
-    return Volume(array, spacing, origin, direction, _anatomical(path, header), path, notices=notices)
+    volume = Volume(array, spacing, origin, direction, _anatomical(path, header), path, notices=notices)
+    return volume if mirror is None else volume.mirrored(mirror)
 
 
 def _check_kind(reader: Any, path: Path) -> None:
@@ -133,8 +139,6 @@ def _stored(path: Path, header: str) -> tuple[list[Path], bool]:
         return [data], packed
     if named and named[1].upper() != "LOCAL":
         return [p for p in path.parent.iterdir() if p.is_file()], True
-    if path.suffix.lower() == ".hdr" and path.with_suffix(".img").is_file():
-        return [path.with_suffix(".img")], False
     return [path], packed
 
 

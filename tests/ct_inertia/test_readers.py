@@ -195,13 +195,29 @@ def test_direction_and_origin_are_honoured(tmp_path):
         assert volume.direction == pytest.approx(turn, abs=1e-6)
 
 
-def test_a_left_handed_direction_is_refused_and_mirror_does_not_hide_it(tmp_path):
+def test_a_left_handed_direction_is_refused_and_mirror_undoes_it(tmp_path):
     image = sitk.GetImageFromArray(picture())
     image.SetSpacing(SPACING.tolist())
+    image.SetOrigin([1.0, 2.0, 3.0])
     image.SetDirection([1.0, 0, 0, 0, 1, 0, 0, 0, -1])
     sitk.WriteImage(image, str(tmp_path / "a.nrrd"))
-    with pytest.raises(CtInertiaError, match=r"right-handed .determinant .1.; got the left-handed.*--mirror"):
+    with pytest.raises(
+        CtInertiaError, match=r"right-handed \(determinant \+1\); got the left-handed.*--mirror"
+    ):
         read_volume(tmp_path / "a.nrrd")
+    volume = read_volume(tmp_path / "a.nrrd", mirror="z")
+    assert volume.direction == pytest.approx(np.eye(3))
+    # The box stays where it was: it reached from z = 3 down; its lowest slice is now the first.
+    assert volume.scan_points([0, 0, 0]) == pytest.approx([1.0, 2.0, 3.0 - 6 * SPACING[2]])
+    check_corners(volume, origin=volume.origin_mm)
+    other = read_volume(tmp_path / "a.nrrd", mirror="x")
+    assert np.linalg.det(other.direction) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_mirror_works_alike_in_every_format(tmp_path, axis):
+    itk(tmp_path / "a.mha", picture())
+    check_corners(read_volume(tmp_path / "a.mha", mirror=axis), mirrored=axis)
 
 
 def test_a_given_spacing_overrides_with_a_notice(tmp_path):
