@@ -54,9 +54,12 @@ def draw(axis, shown, place: int) -> None:
     scale, unit = (1e9, "nm") if name in "xyz" else (1e6, "µrad")
     here = shown.run == 0
     khz = shown.freq_hz[here] * 1e-3
-    axis.semilogy(khz, np.abs(shown.measured[here, place]) * scale, ".", color="#8a94a0", ms=3.5, label="measured")
-    axis.semilogy(khz, np.abs(shown.simulated[here, place]) * scale, color="#0b6e99", lw=1.6, label="simulated (Eq. 8)")
-    axis.semilogy(khz, np.abs(shown.base[here, place]) * scale, color="#c4562a", lw=0.8, label="bone")
+    measured, simulated, base = (
+        np.abs(part[here, place]) * scale for part in (shown.measured, shown.simulated, shown.base)
+    )
+    axis.semilogy(khz, measured, ".", color="#8a94a0", ms=3.5, label="measured")
+    axis.semilogy(khz, simulated, color="#0b6e99", lw=1.6, label="simulated (Eq. 8)")
+    axis.semilogy(khz, base, color="#c4562a", lw=0.8, label="bone")
     axis.set_title(f"{name} of the stapes", fontsize=10)
     axis.set_xlabel("frequency (kHz)")
     axis.set_ylabel(f"amplitude ({unit})")
