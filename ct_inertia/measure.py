@@ -13,8 +13,8 @@ from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import fit_bodies
 from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone, unclipped
 from ct_inertia.moments import Moments
-from ct_inertia.neighbours import Parted, part_from_neighbours
-from ct_inertia.partial_volume import Share, partial_volume_moments
+from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
+from ct_inertia.partial_volume import Share, partial_volume_moments, with_contribution
 from ct_inertia.plate_face import face_near, plate_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
@@ -28,6 +28,7 @@ _DEFAULT_SIGMA_VOXELS = 1.0
 _GOOD_INSIDE = 4e-4
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
+_LEAST_CUT_MM2 = 0.003
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     parted = part_from_neighbours(cut, distance, reach, spacing, levels, sigma)
     share = _share(cut, parted, air, bone, (sigma, sigma_sd))
     moments = partial_volume_moments(share, volume.scan_from_index)
+    area, covariance = cut_through_bone(cut, parted, 0.5 * (air.level + bone.level), volume, moments)
+    if area > 0.0:
+        moments = with_contribution(moments, "separation", covariance)
     return Measured(
         moments,
         as_levels(air, bone, guess.plastic),
@@ -102,7 +106,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         face,
         air.correlation,
         air.clipped,
-        (*bone.notices, *_air_notices(air, bone)),
+        (*bone.notices, *_air_notices(air, bone), *_cut_notices(area)),
     )
 
 
@@ -215,6 +219,16 @@ def _air_notices(air: Air, bone: Bone) -> list[Notice]:
         f"that keeps air above 0."
     )
     return [Notice("air_clipped", text)]
+
+
+def _cut_notices(area_mm2: float) -> list[Notice]:
+    if area_mm2 < _LEAST_CUT_MM2:
+        return []
+    text = (
+        f"The stapes was cut off other bone that it touches, over {area_mm2:.3f} mm2. Check the cut in the "
+        f"report; labels drawn by hand (--labels) correct it."
+    )
+    return [Notice("cut_through_bone", text)]
 
 
 def border_notices(volume: Volume, cut: Cut) -> list[Notice]:

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import blurred, fit_bodies
+from ct_inertia.moments import Moments
+from ct_inertia.partial_volume import sensitivity
 from ct_inertia.separate import flooded
+from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
 
@@ -108,3 +111,30 @@ def _modelled(
     foreign[box] = np.where(own[box], blurred(fit.body - mine, sigma_mm, spacing), np.float32(0.0))
     behind[box] = np.where(reach[box] & ~own[box], blurred(mine, sigma_mm, spacing), np.float32(0.0))
     return Parted(own, foreign, behind)
+
+
+def cut_through_bone(
+    cut: Cut, parted: Parted, middle: float, volume: Volume, moments: Moments
+) -> tuple[float, Array]:
+    """Return the area, mm2, where the border runs through bone, and the covariance (10, 10) it brings.
+
+    The true end of the stapes inside a bridge is not in the grey values: each connected patch of the
+    border is taken to be known to one voxel (standard deviation), independent of the others.
+    """
+    from scipy import ndimage
+
+    bone = cut.grey > middle
+    outside = cut.others & bone & ~parted.own
+    edge = parted.own & bone & cut.stapes & ndimage.binary_dilation(outside)
+    covariance = np.zeros((10, 10))
+    patches, count = ndimage.label(edge, structure=np.ones((3, 3, 3)))
+    if count == 0:
+        return 0.0, covariance
+    index = np.argwhere(edge)
+    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+    steps = sensitivity(away, moments.volume_mm3, 0.0) * volume.voxel_mm3
+    owner = patches[edge]
+    for patch in range(1, count + 1):
+        step = steps[owner == patch].sum(axis=0)
+        covariance += np.outer(step, step)
+    return len(index) * volume.voxel_mm3 ** (2.0 / 3.0), covariance

@@ -251,3 +251,17 @@ def test_anything_with_a_border_reports_what_it_saw():
     assert evidence["separation"] == "connected component"
     assert evidence["psf_from"]
     assert evidence["material_levels"] == sorted(evidence["material_levels"])
+
+
+def test_bridges_to_the_bone_are_cut_and_told():
+    from sample_volumes.phantom import Ear, render, scene, truth
+
+    placed = scene(Ear(voxel_mm=(0.03,) * 3, gap_mm=0.08, bridges=2, bridge_radius_mm=0.06, plate=False))
+    volume = Volume(render(placed), np.full(3, 0.03), np.zeros(3), np.eye(3))
+    bodies = find_bodies(volume)
+    known = truth(placed)
+    assert bodies.moments.volume_mm3 * 1e-9 == pytest.approx(known["volume_m3"], rel=2e-3)
+    assert bodies.moments.centroid_mm == pytest.approx(known["center_of_mass_in_scan_mm"], abs=2e-3)
+    assert "cut_through_bone" in codes(bodies)
+    assert bodies.moments.contributions["separation"][0, 0] > 0.0
+    assert "parted at necks" in bodies.evidence["separation"]
