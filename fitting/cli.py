@@ -31,6 +31,18 @@ def _range(text: str) -> tuple[float, float]:
     return low, high
 
 
+def _refits(text: str) -> int:
+    try:
+        count = int(text)
+    except ValueError:
+        count = -1
+    if count != 0 and not 20 <= count <= 1_000_000:
+        raise argparse.ArgumentTypeError(
+            f"the number of refits must be a whole number from 20 to 1000000, or 0; got {text}"
+        )
+    return count
+
+
 def _bound(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     try:
@@ -101,6 +113,13 @@ def parser() -> Parser:
         "--exclude", type=_range, action="append", default=None, metavar="F1-F2", help="leave out, Hz"
     )
     made.add_argument(
+        "--monte-carlo",
+        type=_refits,
+        default=0,
+        metavar="N",
+        help="check the intervals by N refits of simulated repetitions, e.g. 10000 (about 20 s)",
+    )
+    made.add_argument(
         "--out", type=Path, default=None, metavar="FILE.json", help="kd.json; plan.json with --plan"
     )
     made.add_config()
@@ -134,7 +153,7 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         lower=dict(options.lower or ()),
         upper=dict(options.upper or ()),
     )
-    done = dof2kd(options.motion, options.mass, chosen, options.out or Path("kd.json"))
+    done = dof2kd(options.motion, options.mass, chosen, options.out or Path("kd.json"), options.monte_carlo)
     return options, Outcome(
         "stiffness and damping", summary_rows(done.fit), done.fit.notices, done.files, dict(done.content)
     )

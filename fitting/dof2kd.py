@@ -15,6 +15,7 @@ from fitting.errors import FittingError
 from fitting.kd import KDFit, KDOptions, fit_kd
 from fitting.kd_json import kd_json
 from fitting.mass_file import read_mass
+from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
 from fitting.plan import Expectation, expect, plan_json
 from fitting.plan_file import read_plan
 from fitting.report import kd_page
@@ -44,8 +45,10 @@ class KDResult:
     files: tuple[Path, ...]
 
 
-def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path) -> KDResult:
+def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path, refits: int = 0) -> KDResult:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
+
+    With ``refits`` above 0, that many simulated repetitions are fitted and their scatter is in both files.
 
     Raises
     ------
@@ -57,12 +60,19 @@ def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path) ->
         raise FittingError(sentence("--out", "a file name that ends with .json", out.name))
     mass, mass_record = read_mass(mass_path, options.dof)
     fit = fit_kd(read_motion(motion_path), mass, options)
-    provenance = record({"motion": motion_path, "mass": mass_path}, parameters(options))
+    provenance = record(
+        {"motion": motion_path, "mass": mass_path}, {**parameters(options), "monte_carlo": refits}
+    )
     content = kd_json(fit, provenance)
+    made = kd_page(fit, provenance, footplate_outline(mass_record))
+    if refits:
+        scatter = monte_carlo(fit, refits)
+        content["monte_carlo"] = monte_carlo_json(fit, scatter)
+        made.sections.insert(-1, monte_carlo_section(fit, scatter))
     with staged(out.parent) as folder:
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         html = Path(out.name).with_suffix(".html").name
-        kd_page(fit, provenance, footplate_outline(mass_record)).write(folder / html)
+        made.write(folder / html)
     return KDResult(fit, content, (out, out.with_name(html)))
 
 

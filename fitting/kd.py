@@ -20,8 +20,9 @@ from fitting.lines import Lines, Scale
 from fitting.model import Modes, modes, passive
 from fitting.observation import Observation, observe
 from fitting.problem import Problem
+from fitting.profile import profile_intervals
 from fitting.starts import improve
-from fitting.symmetric import entry_names, split
+from fitting.symmetric import entry_names, join, split
 from fitting.uncertainty import chi2, degrees
 from fitting.verdicts import verdicts
 from kinematics.errors import raise_all, sentence
@@ -144,6 +145,8 @@ class KDFit:
         The lines that were fitted.
     problem : Problem
     notices : tuple of Notice
+    profile : ndarray, (p, 2), or None
+        95 % profile likelihood intervals of the parameters, channel noise alone, SI; where the data are weak.
     """
 
     options: KDOptions
@@ -166,6 +169,7 @@ class KDFit:
     observation: Observation
     problem: Problem
     notices: tuple[Notice, ...]
+    profile: Array | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -181,6 +185,23 @@ class KDFit:
     def noise_standard_deviation(self) -> tuple[Array, Array]:
         """The same from channel noise alone."""
         return split(np.sqrt(np.diag(self.noise_covariance)), len(self.dof))
+
+    @property
+    def intervals(self) -> Array:
+        """95 % intervals of the parameters from all sources, (p, 2), SI.
+
+        1.96 standard deviations to either side; with a profile, its ends take the place of the channel
+        noise's and the other sources are added in quadrature.
+        """
+        values = join(self.stiffness, self.damping)
+        variance = np.diag(self.covariance)
+        if self.profile is None:
+            reach = 1.96 * np.sqrt(variance)
+            return np.column_stack([values - reach, values + reach])
+        others = 1.96**2 * np.maximum(variance - np.diag(self.noise_covariance), 0.0)
+        below = np.hypot(np.maximum(values - self.profile[:, 0], 0.0), np.sqrt(others))
+        above = np.hypot(np.maximum(self.profile[:, 1] - values, 0.0), np.sqrt(others))
+        return np.column_stack([values - below, values + above])
 
     @property
     def passive(self) -> tuple[bool, bool]:
@@ -296,4 +317,7 @@ def _result(
         problem,
         (),
     )
+    if known.weak and budget.method == "fisher":
+        ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)
+        fit = replace(fit, profile=ends * problem.units[:, None])
     return replace(fit, notices=unique([*motion.notices, *verdicts(fit)]))

@@ -41,6 +41,8 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "noise_only_sd_si": {"stiffness": _numbers(noise[0]), "damping": _numbers(noise[1])},
         "parameters": list(fit.parameters),
         "covariance_si": _numbers(fit.covariance),
+        "intervals_95_si": dict(zip(fit.parameters, _numbers(fit.intervals), strict=True)),
+        "intervals_method": "profile likelihood" if fit.profile is not None else "standard deviation",
         "budget": fit.budget.deviations(),
         "budget_share_of_variance": fit.budget.shares(),
         "stable": fit.modes.stable,

@@ -13,7 +13,7 @@ from fitting.kd import KDFit
 from fitting.kd_json import principal_axes_json
 from fitting.model import NORMALISATION
 from fitting.responses import responses
-from fitting.symmetric import entry_units
+from fitting.symmetric import entry_units, join
 from fitting.uncertainty import ATTENUATION, NOISE
 from kinematics import page
 from kinematics.page import Page, Section
@@ -305,7 +305,7 @@ def _identifiability(fit: KDFit) -> Section:
         (name, f"{value:.2g}", f"{100.0 * relative:.2g} %")
         for name, value, relative in zip(known.names, known.bound_si, known.relative, strict=True)
     ]
-    return Section("What the data can tell").add(
+    section = Section("What the data can tell").add(
         page.text(
             f"Column-scaled condition number of the equations: {known.condition:.3g}. Relative means "
             "relative to "
@@ -315,3 +315,17 @@ def _identifiability(fit: KDFit) -> Section:
         page.text("Smallest sd that any unbiased estimator can reach (Cramér-Rao, channel noise only):"),
         page.table(("entry", "sd (SI)", "relative"), bounds),
     )
+    if fit.profile is not None:
+        values = join(fit.stiffness, fit.damping)
+        rows = [
+            (name, f"{value:.4g}", f"{low:.3g}", f"{high:.3g}")
+            for name, value, (low, high) in zip(fit.parameters, values, fit.intervals, strict=True)
+        ]
+        section.add(
+            page.text(
+                "The data are weak, so that standard deviations mislead; 95 % intervals by profile "
+                "likelihood, with all sources:"
+            ),
+            page.table(("entry", "value (SI)", "from", "to"), rows),
+        )
+    return section

@@ -1,0 +1,69 @@
+"""Monte Carlo against the linear propagation of every source at once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting.cli import _work
+from fitting.kd import KDOptions, fit_kd
+from fitting.montecarlo import monte_carlo
+from kinematics.errors import StapeskitError
+from kinematics.mass_record import frame_derivative
+from kinematics.motion_files import write_motion
+from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
+from tests.fitting.test_uncertainty import with_frame_errors
+
+
+def test_scatter_of_refits_is_the_stated_sd() -> None:
+    """Noise, mass and a frame that moves motion and mass together, in one draw."""
+    pose = np.diag([1e-9, 4e-10, 1e-9, 1e-4, 1e-4, 1e-4])
+    parameters = six_dof_parameters()
+    slope = frame_derivative(parameters)
+    contributions = {
+        "frame": slope @ pose @ slope.T,
+        "density": 0.02**2 * np.outer(parameters, parameters),
+    }
+    motion = with_frame_errors(six_dof_motion(0.02, 0, lines=60), pose)
+    fit = fit_kd(motion, six_dof_mass(contributions))
+    assert {"footplate_frame", "mass.density", "channel_noise"} <= set(fit.budget.sources)
+    found = monte_carlo(fit, 800)
+    assert found.failed == 0
+    stated = np.sqrt(np.diag(fit.covariance))
+    assert found.standard_deviation == pytest.approx(stated, rel=0.10)
+    assert found.frequencies_hz.std(axis=0) == pytest.approx(fit.derived.frequency_sd_hz, rel=0.10)
+    width = np.diff(found.intervals)[:, 0]
+    assert width == pytest.approx(2.0 * 1.96 * stated, rel=0.15)
+
+
+@pytest.mark.parametrize(("estimator", "tolerance"), [("ml", 0.15), ("irls", 0.4)])
+def test_noise_alone(estimator: str, tolerance: float) -> None:
+    fit = fit_kd(paper_motion(0.05, 0, 60), M, KDOptions(estimator=estimator))
+    found = monte_carlo(fit, 400)
+    assert found.standard_deviation == pytest.approx(np.sqrt(np.diag(fit.noise_covariance)), rel=tolerance)
+
+
+def test_same_seed_same_result() -> None:
+    fit = fit_kd(paper_motion(0.05, 0, 40), M)
+    assert np.array_equal(monte_carlo(fit, 5, 3).estimates, monte_carlo(fit, 5, 3).estimates)
+    assert not np.array_equal(monte_carlo(fit, 5, 3).estimates, monte_carlo(fit, 5, 4).estimates)
+
+
+def test_command_writes_the_scatter(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("M.csv", M, delimiter=",")
+    from dataclasses import replace
+
+    motion = paper_motion(0.05, 0, 40)
+    ones = np.ones_like(motion.chi2)
+    write_motion(tmp_path, "dof", replace(motion, chi2=42.0 * ones, n_dof=42.0 * ones))
+    _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "30"])
+    content = json.loads(Path("kd.json").read_text())["monte_carlo"]
+    assert content["refits"] == 30
+    assert set(content["sd_over_linear_propagation"]) == set(content["sd_si"])
+    assert "Monte Carlo" in Path("kd.html").read_text()
+    with pytest.raises(StapeskitError, match="whole number from 20"):
+        _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "3"])
