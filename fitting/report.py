@@ -318,7 +318,7 @@ def _identifiability(fit: KDFit) -> Section:
     if fit.profile is not None:
         values = join(fit.stiffness, fit.damping)
         rows = [
-            (name, f"{value:.4g}", f"{low:.3g}", f"{high:.3g}")
+            (name, f"{value:.4g}", f"{low:.4g}", f"{high:.4g}")
             for name, value, (low, high) in zip(fit.parameters, values, fit.intervals, strict=True)
         ]
         section.add(
