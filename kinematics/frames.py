@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, raise_all, sentence
 
 Array = NDArray[np.float64]
 _ROTATION_TOLERANCE = 1e-6
@@ -53,6 +53,33 @@ def vector_from_rotation(rotation: ArrayLike) -> Array:
     return np.asarray(direction * angle)
 
 
+def transform_faults(matrix: Array, name: str, where: str = "") -> list[str]:
+    """List what keeps a matrix from being a proper rigid transform; empty when it is one.
+
+    Parameters
+    ----------
+    matrix : ndarray, (4, 4)
+    name : str
+        What it is called in the message.
+    where : str
+        The file it stands in.
+    """
+    if matrix.shape != (4, 4):
+        return [sentence(name, "a finite 4x4 matrix", f"shape {matrix.shape}", where)]
+    if not np.all(np.isfinite(matrix)):
+        return [sentence(name, "a finite 4x4 matrix", "NaN or infinity", where)]
+    if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
+        return [sentence(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist(), where)]
+    rotation = matrix[:3, :3]
+    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
+        step = "Give a rigid transform without scale or shear"
+        return [sentence(f"the rotation of {name}", "orthonormal", rotation.tolist(), where, step)]
+    if np.linalg.det(rotation) < 0.0:
+        step = "Undo the mirrored axis with --mirror x, y or z"
+        return [sentence(name, "right-handed (determinant +1)", "a reflection", where, step)]
+    return []
+
+
 @dataclass(frozen=True)
 class RigidTransform:
     """A proper rigid transform ``to_from_source``.
@@ -75,31 +102,8 @@ class RigidTransform:
     source: str
 
     def __post_init__(self) -> None:
-        name = f"{self.to}_from_{self.source}"
         matrix = np.array(self.matrix, dtype=float)
-        if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
-            raise KinematicsError(sentence(name, "a finite 4x4 matrix", f"shape {matrix.shape}"))
-        if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
-            raise KinematicsError(sentence(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist()))
-        rotation = matrix[:3, :3]
-        if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
-            raise KinematicsError(
-                sentence(
-                    f"the rotation of {name}",
-                    "orthonormal",
-                    rotation.tolist(),
-                    next_step="Give a rigid transform without scale or shear",
-                )
-            )
-        if np.linalg.det(rotation) < 0.0:
-            raise KinematicsError(
-                sentence(
-                    name,
-                    "right-handed (determinant +1)",
-                    "a reflection",
-                    next_step="Undo the mirrored axis with --mirror x, y or z",
-                )
-            )
+        raise_all(KinematicsError, transform_faults(matrix, f"{self.to}_from_{self.source}"))
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.frames import RigidTransform, rotation_from_vector
+from kinematics.mass_checks import MADE_BY, check
 from kinematics.notices import Notice, from_json
 from kinematics.spatial import (
-    DOF_NAMES,
-    PARAMETER_NAMES,
     check_inertia,
-    inertia_faults,
     matrix_from_parameters,
     parameter_basis,
     parameters_from_matrix,
@@ -183,15 +181,8 @@ def read_mass_record(path: Path) -> MassRecord:
     raw = _load(path)
     schema = raw.get("schema")
     if schema != SCHEMA:
-        raise KinematicsError(
-            sentence("schema", f'"{SCHEMA}"', schema, path.name, "Make the file with ct2mass")
-        )
-    try:
-        return _record(raw, path.name)
-    except (KeyError, TypeError, IndexError) as fault:
-        raise KinematicsError(
-            sentence("a mass.json", "complete", f"no usable {fault}", path.name, "Make the file with ct2mass")
-        ) from fault
+        raise KinematicsError(sentence("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY))
+    return _record(raw, path.name)
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -202,90 +193,32 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
-        raise KinematicsError(sentence("the mass file", "JSON", f"{fault}", path.name)) from fault
+        raise KinematicsError(sentence("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
     if not isinstance(raw, dict):
-        raise KinematicsError(sentence("the mass file", "a JSON object", type(raw).__name__, path.name))
+        raise KinematicsError(
+            sentence("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY)
+        )
     return raw
 
 
 def _record(raw: dict[str, Any], name: str) -> MassRecord:
-    block = raw["inertial_parameters"]
-    matrix_block = raw["mass_matrix"]
-    faults = []
-    for where, part in (("inertial_parameters", block), ("mass_matrix", matrix_block)):
-        for key, wanted in (("about", "footplate_centre"), ("axes", "footplate")):
-            if part[key] != wanted:
-                faults.append(sentence(f"{where}.{key}", f'"{wanted}"', f'"{part[key]}"', name))
-    if tuple(block["names"]) != PARAMETER_NAMES:
-        faults.append(sentence("inertial_parameters.names", ", ".join(PARAMETER_NAMES), block["names"], name))
-    if tuple(matrix_block["dof"]) != DOF_NAMES:
-        faults.append(sentence("mass_matrix.dof", ", ".join(DOF_NAMES), matrix_block["dof"], name))
-    parameters = _numbers(block["values_si"], (10,), "inertial_parameters.values_si", name, faults)
-    covariance = _numbers(block["covariance_si"], (10, 10), "inertial_parameters.covariance_si", name, faults)
-    matrix = _numbers(matrix_block["matrix_si"], (6, 6), "mass_matrix.matrix_si", name, faults)
-    raise_all(KinematicsError, faults)
-    faults += [f"{text} ({name})" for text in inertia_faults(matrix, "mass_matrix.matrix_si")]
-    faults += _consistency(raw, parameters, matrix, name)
-    raise_all(KinematicsError, faults)
-    contributions = {
-        key: np.asarray(value, dtype=float) for key, value in block.get("contributions_si", {}).items()
-    } or {"unspecified": covariance}
-    frames = raw["frames"]
-    poses = frames.get("pose_covariance") or {}
-    plate = frames.get("plate_from_footplate")
+    made = check(raw, name)
+    raise_all(KinematicsError, made.faults)
+    if made.parameters is None or made.covariance is None:
+        raise KinematicsError(sentence("a mass.json", "complete", "a part of it", name, MADE_BY))
     return MassRecord(
-        MassMatrix("footplate_centre", "footplate", parameters, contributions),
-        RigidTransform(np.array(frames["scan_from_footplate"], dtype=float), "scan", "footplate"),
-        None if plate is None else RigidTransform(np.array(plate, dtype=float), "plate", "footplate"),
-        _pose(poses.get("scan_from_footplate"), np.zeros((6, 6))),
-        None if plate is None else _pose(poses.get("scan_from_plate"), np.zeros((6, 6))),
+        MassMatrix(
+            "footplate_centre",
+            "footplate",
+            made.parameters,
+            made.contributions or {"unspecified": made.covariance},
+        ),
+        made.transforms["scan_from_footplate"],
+        made.transforms.get("plate_from_footplate"),
+        made.poses.get("scan_from_footplate", np.zeros((6, 6))),
+        made.poses.get("scan_from_plate", np.zeros((6, 6)))
+        if "plate_from_footplate" in made.transforms
+        else None,
         from_json(raw.get("warnings", [])),
         raw,
     )
-
-
-def _pose(block: Mapping[str, Any] | None, default: Array) -> Array:
-    return default if block is None else np.asarray(block["matrix_si"], dtype=float)
-
-
-def _numbers(value: object, shape: tuple[int, ...], key: str, name: str, faults: list[str]) -> Array:
-    try:
-        numbers = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.full((1,), np.nan)
-    if numbers.shape != shape or not np.all(np.isfinite(numbers)):
-        faults.append(sentence(key, f"finite numbers of shape {shape}", f"shape {numbers.shape}", name))
-        return np.zeros(shape)
-    return numbers
-
-
-def _consistency(raw: Mapping[str, Any], parameters: Array, matrix: Array, name: str) -> list[str]:
-    """List where the blocks of one file contradict each other."""
-    faults = []
-    root = np.sqrt(np.abs(np.diag(matrix)))
-    scale = np.outer(root, root)
-    if np.max(np.abs(matrix_from_parameters(parameters) - matrix) / scale) > 1e-6:
-        faults.append(sentence("mass_matrix", "the matrix of inertial_parameters", "another one", name))
-    if abs(float(raw["mass_kg"]) / parameters[0] - 1.0) > 1e-6:
-        faults.append(
-            sentence("mass_kg", f"{parameters[0]:g} as in inertial_parameters", raw["mass_kg"], name)
-        )
-    frame = RigidTransform(np.array(raw["frames"]["scan_from_footplate"], dtype=float), "scan", "footplate")
-    com_mm = frame.points(parameters[1:4] / parameters[0] * 1e3)
-    if np.max(np.abs(com_mm - np.array(raw["center_of_mass_in_scan_mm"], dtype=float))) > 1e-4:
-        faults.append(
-            sentence(
-                "center_of_mass_in_scan_mm",
-                "where inertial_parameters and frames put it",
-                raw["center_of_mass_in_scan_mm"],
-                name,
-            )
-        )
-    reduced = raw.get("mass_matrix_reduced")
-    if reduced is not None:
-        places = [DOF_NAMES.index(dof) for dof in reduced["dof"]]
-        part = matrix[np.ix_(places, places)]
-        given = np.array(reduced["matrix_si"], dtype=float)
-        if given.shape != part.shape or np.max(np.abs(given - part) / scale[np.ix_(places, places)]) > 1e-6:
-            faults.append(sentence("mass_matrix_reduced", "the same entries as mass_matrix", "others", name))
-    return faults

@@ -124,27 +124,28 @@ def parameter_basis() -> Array:
     return np.stack([matrix_from_parameters(row) for row in np.eye(10)])
 
 
-def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix") -> list[str]:
+def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str = "") -> list[str]:
     """List what makes a 6x6 spatial inertia physically impossible; empty when it is possible.
 
     Checks symmetry, the rigid-body pattern, a positive mass, a positive definite tensor about the centre
     of mass, and the triangle inequality of its principal moments (Wensing, Kim and Slotine 2018,
-    doi:10.1109/LRA.2017.2729659).
+    doi:10.1109/LRA.2017.2729659). ``where`` is the file it stands in, for the messages.
     """
     m = np.asarray(matrix, dtype=float)
     if m.shape != (6, 6) or not np.all(np.isfinite(m)):
-        return [sentence(name, "a finite 6x6 matrix", f"shape {m.shape}")]
+        return [sentence(name, "a finite 6x6 matrix", f"shape {m.shape}", where)]
     diagonal = np.sqrt(np.abs(np.diag(m)))
     scale = np.outer(diagonal, diagonal)
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.max(np.abs(m - m.T) / scale) > 1e-9:
-        return [sentence(name, "symmetric", "an asymmetric matrix")]
+        return [sentence(name, "symmetric", "an asymmetric matrix", where)]
     parameters = parameters_from_matrix(m)
     if np.max(np.abs(m - matrix_from_parameters(parameters)) / scale) > 1e-9:
-        return [sentence(name, "the matrix of a rigid body ([[m 1, -m c x], [m c x, J]])", "another pattern")]
+        pattern = "the matrix of a rigid body ([[m 1, -m c x], [m c x, J]])"
+        return [sentence(name, pattern, "another pattern", where)]
     mass, tensor_about_com = central_tensor(parameters)
     if not mass > 0.0:
-        return [sentence(f"the mass in {name}", "positive", f"{mass:g} kg")]
+        return [sentence(f"the mass in {name}", "positive", f"{mass:g} kg", where)]
     moments = np.linalg.eigvalsh(tensor_about_com)
     if moments[0] <= 0.0:
         return [
@@ -152,13 +153,13 @@ def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix") -> list[str
                 f"the inertia in {name}",
                 "positive definite about the centre of mass",
                 f"a smallest principal moment of {moments[0]:g} kg m2",
+                where,
             )
         ]
     if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
         listed = ", ".join(f"{value:g}" for value in moments)
-        return [
-            sentence(f"the principal moments in {name}", "within the triangle inequality", f"{listed} kg m2")
-        ]
+        thing = f"the principal moments in {name}"
+        return [sentence(thing, "within the triangle inequality", f"{listed} kg m2", where)]
     return []
 
 

@@ -8,7 +8,7 @@ import json
 import numpy as np
 
 from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.spatial import DOF_NAMES, PARAMETER_NAMES, matrix_from_parameters
+from kinematics.spatial import DOF_NAMES, PARAMETER_NAMES, matrix_from_parameters, parameter_basis
 
 SCAN_FROM_FOOTPLATE = RigidTransform.from_parts(
     rotation_from_vector([0.4, -0.7, 1.1]), [3.0, -2.0, 5.0], "scan", "footplate"
@@ -36,11 +36,20 @@ def mass_record():
     covariance = np.diag((0.01 * np.abs(PARAMETERS)) ** 2)
     places = [1, 3, 5]
     plate = SCAN_FROM_PLATE.inverse() @ SCAN_FROM_FOOTPLATE
+    deviation = np.sqrt(sum(v * b**2 for v, b in zip(np.diag(covariance), parameter_basis(), strict=True)))
+    arm = PARAMETERS[1:4] / PARAMETERS[0]
+    central = matrix[3:, 3:] - PARAMETERS[0] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    turn = np.kron(np.eye(2), plate.rotation)
     return copy.deepcopy(
         {
             "schema": "stapeskit.mass/1",
+            "density_kg_m3": 1600.0,
+            "volume_m3": float(PARAMETERS[0]) / 1600.0,
             "mass_kg": float(PARAMETERS[0]),
             "center_of_mass_in_scan_mm": com.tolist(),
+            "inertia_about_center_of_mass_in_scan_axes_kg_m2": (
+                SCAN_FROM_FOOTPLATE.rotation @ central @ SCAN_FROM_FOOTPLATE.rotation.T
+            ).tolist(),
             "frames": {
                 "scan_from_footplate": SCAN_FROM_FOOTPLATE.matrix.tolist(),
                 "scan_from_plate": SCAN_FROM_PLATE.matrix.tolist(),
@@ -66,11 +75,21 @@ def mass_record():
                 "axes": "footplate",
                 "dof": list(DOF_NAMES),
                 "matrix_si": matrix.tolist(),
+                "standard_deviation_si": deviation.tolist(),
+            },
+            "mass_matrix_plate_axes": {
+                "about": "footplate_centre",
+                "axes": "plate",
+                "dof": list(DOF_NAMES),
+                "matrix_si": (turn @ matrix @ turn.T).tolist(),
+                "standard_deviation_si": deviation.tolist(),
             },
             "mass_matrix_reduced": {
                 "dof": ["y", "alpha", "gamma"],
                 "matrix_si": matrix[np.ix_(places, places)].tolist(),
+                "standard_deviation_si": deviation[np.ix_(places, places)].tolist(),
             },
+            "found": {"added_masses": []},
             "warnings": [{"code": "anterior_not_given", "text": "No hint."}],
         }
     )
