@@ -5,6 +5,9 @@ Minimise |A p - b|^2 (balanced rows) subject to bounds of every entry (diagonals
 * ``eigenvalues``: every eigenvalue of the model has a negative real part (the paper's criterion), or
 * ``psd``: K and D positive semidefinite, which is sufficient for it and makes the problem convex.
 
+The stable models form a set that is not convex: the best of several paths is taken (fitting.estimators.
+stability), and of the ``psd`` solution, which is stable too. Every answer is stable.
+
 The bounded problem without stability is a convex relaxation; where its solution satisfies the constraint it
 is the global optimum, and the certificate is zero. For ``psd`` the certificate is the barrier's duality gap.
 """
@@ -19,15 +22,14 @@ from numpy.typing import NDArray
 from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
+from fitting.estimators.stability import best_stable, height, stable_start
 from fitting.lines import Lines, real_rows, regressor
 from fitting.model import state_matrix
 from fitting.symmetric import entry_names, pairs, split
 
 Array = NDArray[np.float64]
-# Scaled entries are of order one; an eigenvalue counts as stable from this far left of the imaginary axis.
-_STABLE = -1e-6
 _GAP = 1e-10
-_EXTRA_STARTS = 4
+_EXTRA_STARTS = 2
 # Rows of a piece of QR: at this size common BLAS libraries start no threads.
 _PIECE = 128
 # Distance to a bound, in scaled units, that counts as leaning on it.
@@ -131,13 +133,23 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
     relaxed, active = _bounded(lines, problem)
     if largest_real(relaxed, problem) < 0.0:
         return Estimate(relaxed, problem.value(relaxed), 1, True, active, certificate=0.0)
-    starts = [start] if start is not None else _starts(lines, problem, relaxed)
-    found = [_stable(problem, begin) for begin in starts]
-    parameters, converged, steps = min(
-        found, key=lambda one: (not _feasible(one[0], problem), problem.value(one[0]))
-    )
+    convex = _psd(lines, problem)
+    inner = _stable_starts(lines, problem, convex.parameters)
+    begin = inner[0] if start is None else _interior_start(problem, pull_inside(start, lines.n))
+    parameters, steps, converged = best_stable(problem, stable_start(problem, begin), inner)
+    value = problem.value(parameters)
+    if convex.objective <= value and largest_real(convex.parameters, problem) < 0.0:
+        return Estimate(convex.parameters, convex.objective, steps, converged, convex.active)
     names = (*_at_bounds(parameters, problem), "stability")
-    return Estimate(parameters, problem.value(parameters), steps, converged, names)
+    return Estimate(parameters, value, steps, converged, names)
+
+
+def _stable_starts(lines: Lines, problem: Quadratic, convex: Array) -> list[Array]:
+    """Return stable starts: the convex solution with K, D >= 0, and others around it, moved inside."""
+    generator = np.random.default_rng(0)
+    spread = [convex * generator.uniform(0.5, 1.5, len(convex)) for _ in range(_EXTRA_STARTS)]
+    starts = [_interior_start(problem, pull_inside(one, lines.n, 0.1)) for one in (convex, *spread)]
+    return [one for one in starts if np.isfinite(height(one, problem))] or [stable_start(problem, starts[0])]
 
 
 def _is_stable(parameters: Array, mass: Array) -> bool:
@@ -197,82 +209,10 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
     )
 
 
-def _starts(lines: Lines, problem: Quadratic, relaxed: Array) -> list[Array]:
-    """Return starts: the convex solution, the relaxation pulled inside, and random ones around them."""
-    generator = np.random.default_rng(0)
-    pulled = pull_inside(relaxed, lines.n, 0.1)
-    starts = [_psd(lines, problem).parameters, pulled]
-    for _ in range(_EXTRA_STARTS):
-        starts.append(pull_inside(pulled * generator.uniform(0.5, 1.5, len(pulled)), lines.n, 0.1))
-    return starts
-
-
-def _stable(problem: Quadratic, start: Array) -> tuple[Array, bool, int]:
-    """Minimise under stability by sequential quadratic programming, repeated from its end until it stays."""
-    from scipy.optimize import Bounds, minimize
-
-    constraint = {
-        "type": "ineq",
-        "fun": lambda parameters: _STABLE - _spectrum(parameters, problem)[0],
-        "jac": lambda parameters: -_spectrum(parameters, problem)[1],
-    }
-    unit = max(problem.value(start), problem.rest, 1e-300)
-    now, steps, converged = np.clip(start, problem.lower, problem.upper), 0, False
-    for _ in range(6):
-        found = minimize(
-            lambda parameters: problem.value(parameters) / unit,
-            now,
-            jac=lambda parameters: problem.expansion(parameters)[1] / unit,
-            method="SLSQP",
-            bounds=Bounds(problem.lower, problem.upper),
-            constraints=[constraint],
-            options={"maxiter": 500, "ftol": 1e-14},
-        )
-        steps += int(found.nit)
-        change = float(np.max(np.abs(found.x - now)))
-        now = found.x
-        converged = bool(found.success)
-        if change < 1e-9:
-            break
-    return np.asarray(now), converged, steps
-
-
-def _spectrum(parameters: Array, problem: Quadratic) -> tuple[Array, Array]:
-    """Return the real parts of the eigenvalues (2n,), descending, and their derivatives (2n, p)."""
-    from scipy.linalg import eig
-
-    n = problem.n
-    stiffness, damping = split(parameters, n)
-    inverse = np.linalg.inv(problem.mass)
-    state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
-    values, _, right = eig(state, left=True)
-    order = np.argsort(-values.real)
-    half = len(parameters) // 2
-    derivatives = np.zeros((2 * n, 2 * half))
-    for place, index in enumerate(order):
-        value, shape = values[index], right[:n, index]
-        norm = shape @ (2.0 * value * problem.mass + damping) @ shape
-        if abs(norm) < 1e-12:
-            continue
-        for entry, (row, column) in enumerate(pairs(n)):
-            product = shape[row] * shape[column] * (1.0 if row == column else 2.0)
-            derivatives[place, entry] = float((-product / norm).real)
-            derivatives[place, entry + half] = float((-value * product / norm).real)
-    return values.real[order], derivatives
-
-
 def largest_real(parameters: Array, problem: Quadratic) -> float:
     """Return the largest real part of the eigenvalues, in units of the reference frequency."""
-    return float(_spectrum(parameters, problem)[0][0])
-
-
-def _feasible(parameters: Array, problem: Quadratic) -> bool:
-    slack = 1e-9
-    return (
-        largest_real(parameters, problem) < 0.0
-        and bool(np.all(parameters >= problem.lower - slack))
-        and bool(np.all(parameters <= problem.upper + slack))
-    )
+    state = state_matrix(problem.mass, *split(parameters, problem.n))
+    return float(np.linalg.eigvals(state).real.max())
 
 
 def _at_bounds(parameters: Array, problem: Quadratic) -> tuple[str, ...]:

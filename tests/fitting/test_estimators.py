@@ -10,6 +10,7 @@ from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, EstimatorOptions, constrained, estimator, ml, pinv
 from fitting.estimators.base import least_squares, solve_symmetric
 from fitting.estimators.interior import inside, pull_inside, smallest_eigenvalues
+from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
 from fitting.lines import Lines, Scale, assemble, backward, cholesky, evaluate, forward, real_rows, regressor
 from fitting.model import modes, passive
 from fitting.observation import observe
@@ -262,6 +263,66 @@ def test_constrained_finds_one_optimum_with_stability_active() -> None:
         if seen == 2:
             return
     pytest.fail("no case with the stability constraint active")
+
+
+def printed_damping_lines(noise: float, seed: int | None, dof: tuple[str, ...] = DOF) -> Lines:
+    """Data of a truth that is unstable and not passive: the paper's M and K with D as printed."""
+    from fitting.experiment import driven_base, simulated_motion
+    from fitting.paper import PAPER_DAMPING_PRINTED
+
+    freq = np.linspace(400.0, 5000.0, 60)
+    rng = None if seed is None else np.random.default_rng(seed)
+    places = [DOF.index(name) for name in dof]
+    mass, stiffness, damping = (part[np.ix_(places, places)] for part in (M, K, PAPER_DAMPING_PRINTED))
+    motion = simulated_motion(mass, stiffness, damping, dof, freq, driven_base(freq, dof), noise, rng)
+    return lines_of(motion, mass, dof)[0]
+
+
+@pytest.mark.parametrize(("noise", "seed", "dof"), [(1e-4, None, DOF), (0.05, 0, DOF), (0.05, 1, DOF[:2])])
+def test_constrained_is_stable_even_where_the_truth_is_not(noise, seed, dof) -> None:
+    lines = printed_damping_lines(noise, seed, dof)
+    n = len(dof)
+    free = pinv.weighted(lines, np.ones(n)).parameters
+    assert not modes(lines.mass, *split(free, n)).stable
+    convex = constrained.estimate(lines, EstimatorOptions(constraint="psd"))
+    best = constrained.estimate(lines, OPTIONS)
+    assert modes(lines.mass, *split(best.parameters, n)).max_real_1_s <= -MARGIN
+    assert best.converged
+    assert "stability" in best.active
+    assert best.objective < convex.objective
+    rng = np.random.default_rng(3)
+    for _ in range(1 if n == 3 else 4):
+        start = pull_inside(2.0 * rng.standard_normal(n * (n + 1)), n, 0.2)
+        found = constrained.estimate(lines, OPTIONS, start)
+        assert found.objective == pytest.approx(best.objective, rel=1e-3)
+        assert modes(lines.mass, *split(found.parameters, n)).max_real_1_s <= -MARGIN
+
+
+def test_constrained_is_stable_within_bounds_too() -> None:
+    lines = printed_damping_lines(0.05, 0)
+    lower, upper = np.full(12, -np.inf), np.full(12, np.inf)
+    lower[0], upper[6] = 2.5, 8.0
+    found = constrained.estimate(lines, EstimatorOptions(lower=lower, upper=upper))
+    assert np.all(found.parameters > lower)
+    assert np.all(found.parameters < upper)
+    assert modes(lines.mass, *split(found.parameters, 3)).max_real_1_s <= -MARGIN
+    assert found.parameters[6] == pytest.approx(8.0, abs=0.05)
+
+
+def test_wall_of_stability_has_the_slopes_it_says() -> None:
+    problem = constrained.reduce(printed_damping_lines(0.05, 0), OPTIONS)
+    at = pull_inside(np.random.default_rng(5).standard_normal(12), 3, 0.2)
+    at = np.maximum(at, np.where(np.isfinite(problem.lower), 0.05, -np.inf))
+    derivatives = state_derivatives(problem.mass)
+    now = wall(at, problem, derivatives)
+    assert now.value == pytest.approx(height(at, problem))
+    for place in range(12):
+        step = np.zeros(12)
+        step[place] = 1e-5
+        ahead, behind = wall(at + step, problem, derivatives), wall(at - step, problem, derivatives)
+        assert (ahead.value - behind.value) / 2e-5 == pytest.approx(now.gradient[place], rel=1e-4, abs=1e-4)
+        slope = (ahead.gradient - behind.gradient) / 2e-5
+        assert np.allclose(slope, now.hessian[place], rtol=1e-3, atol=1e-3 * np.abs(now.hessian).max())
 
 
 def test_psd_constraint_is_certified() -> None:
