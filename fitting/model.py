@@ -20,6 +20,8 @@ NORMALISATION = (
     "largest kinetic energy is real and positive"
 )
 _MOST_ITERATIONS = 200
+# Of the largest eigenvalue: a real part that rounding can bring about.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class Modes:
     overdamped_roots_1_s : tuple of float
         Real eigenvalues, ascending, 1/s.
     max_real_1_s : float
-        Largest real part of all eigenvalues, 1/s; negative when the model is stable.
+        Largest real part of all eigenvalues, 1/s; not above 0 when K and D are positive semidefinite, where
+        rounding alone could make it so.
     """
 
     pairs: tuple[Mode, ...]
@@ -73,8 +76,10 @@ class Modes:
 
     @property
     def stable(self) -> bool:
-        """True when every eigenvalue has a negative real part."""
-        return self.max_real_1_s < 0.0
+        """True when no motion grows: no real part is positive beyond rounding of the largest eigenvalue."""
+        sizes = [abs(mode.eigenvalue) for mode in self.pairs]
+        sizes += [abs(root) for root in self.overdamped_roots_1_s]
+        return self.max_real_1_s <= _ROUNDING * max(sizes, default=0.0)
 
 
 def dynamic_stiffness(
@@ -190,6 +195,11 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Dampin
     law : DampingLaw
         For the viscous law the state matrix is solved; for the others the eigenvalues lambda of
         lambda^2 M + s(lambda) D + K are iterated from the undamped ones.
+
+    Notes
+    -----
+    With M > 0, K >= 0 and D >= 0 no real part is positive: the energy of a motion cannot grow. Where one is
+    zero, for instance with a singular K, rounding decides its computed sign; it is set to zero then.
     """
     m = np.asarray(mass, dtype=float)
     k = np.asarray(stiffness, dtype=float)
@@ -210,7 +220,11 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Dampin
     ]
     real = sorted(float(value.real) for value in values if abs(value.imag) <= tiny)
     pairs.sort(key=lambda mode: mode.frequency_hz)
-    return Modes(tuple(pairs), tuple(real), float(np.max(values.real)))
+    largest = float(np.max(values.real))
+    if largest > 0.0 and passive(k) and passive(d):
+        largest = 0.0
+        real = [min(root, 0.0) for root in real]
+    return Modes(tuple(pairs), tuple(real), largest)
 
 
 def passive(matrix: ArrayLike) -> bool:

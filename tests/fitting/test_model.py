@@ -145,3 +145,25 @@ def test_units_of_damping() -> None:
     assert VISCOUS.unit("N m") == "N m s"
     assert DampingLaw("hysteretic").unit("N") == "N"
     assert DampingLaw("fractional", 0.5).unit("N/m") == "N s^0.5/m"
+
+
+def test_a_passive_model_is_never_called_unstable() -> None:
+    """K and D of lower rank put eigenvalues onto the imaginary axis, where rounding decides their sign."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        n = int(rng.integers(1, 7))
+        units = np.diag(10.0 ** rng.uniform(-4.0, 1.0, n))
+        root = rng.standard_normal((n, n))
+        mass = units @ (root @ root.T + np.eye(n)) @ units
+        parts = [rng.standard_normal((n, int(rng.integers(1, n + 1)))) for _ in range(2)]
+        stiffness, damping = (units @ part @ part.T @ units for part in parts)
+        found = modes(mass, 1e6 * stiffness, damping)
+        if passive(stiffness) and passive(damping):
+            assert found.stable
+            assert found.max_real_1_s <= 0.0
+            assert all(root <= 0.0 for root in found.overdamped_roots_1_s)
+
+
+def test_slow_growth_is_still_called_unstable() -> None:
+    assert not modes([[1.0]], [[1.0]], [[-1e-8]]).stable
+    assert not modes(np.eye(2), np.diag([1.0, -1e-9]), np.eye(2)).stable
