@@ -18,6 +18,7 @@ _MOST_VOXELS = 24_000_000
 _FLAT = 1.7
 _LEAST_INTERIOR = 25
 _LOUD = 0.09
+_NEAR = 2.5
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,9 @@ def material_levels(scan: CoarseScan) -> Array:
 
     A global threshold moves with the field of view, for bone may be 0.15 % of it; here only voxels whose
     six neighbours agree with them are counted, so that blurred edges do not count at all, and each
-    material stands out however little of it there is.
+    material stands out however little of it there is. A level between the lowest and the highest must fill
+    cubes of three voxels somewhere: in a gap one or two voxels wide between two bones the blur has a level
+    of its own, which is no material's.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def material_levels(scan: CoarseScan) -> Array:
     mean, flat = _interior(scan)
     values = mean[flat].astype(float)
     top = _bright_rest(scan, values)
-    levels = _modes(values, scan.noise, float(np.ptp(scan.grey)))
+    levels = _solid(_modes(values, scan.noise, float(np.ptp(scan.grey))), mean, scan.noise)
     if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * scan.noise):
         levels = np.append(levels, top)
     if levels.size < 2:
@@ -182,6 +185,20 @@ def _modes(values: Array, noise: float, reach: float) -> Array:
         near = slice(max(0, peak - 6), peak + 7)
         levels.append(float(histogram[near] @ centres[near] / histogram[near].sum()))
     return np.array(levels)
+
+
+def _solid(levels: Array, mean: NDArray[np.float32], noise: float) -> Array:
+    """Leave out what lies between two materials and nowhere fills a cube of three voxels."""
+    from scipy.ndimage import binary_erosion
+
+    cube = np.ones((3, 3, 3), dtype=bool)
+    kept = [
+        level
+        for k, level in enumerate(levels)
+        if k in (0, len(levels) - 1)
+        or np.count_nonzero(binary_erosion(np.abs(mean - level) < _NEAR * noise, cube)) >= _LEAST_INTERIOR
+    ]
+    return np.array(kept)
 
 
 def _bright_rest(scan: CoarseScan, values: Array) -> float | None:

@@ -23,6 +23,7 @@ from ct_inertia.mass_properties import (
     with_added,
 )
 from ct_inertia.moments import Moments
+from ct_inertia.plausibility import implausible, size_notice, unsuitable
 from ct_inertia.surface import SURFACE_SUFFIXES, Surface, read_surface
 from kinematics.errors import sentence
 from kinematics.mass_record import MassMatrix
@@ -293,9 +294,9 @@ def _result(
     plate: Surface | None,
     notices: Sequence[Notice],
 ) -> MassResult:
-    footplate = footplate_frame(frame_surface, known.hints)
     mesh_moments = stapes.moments() if bodies is None else bodies.mesh_moments
     moments = mesh_moments if bodies is None else bodies.moments
+    footplate, doubts = _footplate(options, known, frame_surface, moments, notices)
     frame = _plate_frame(known, bodies, stapes, plate)
     bare = _mass_properties(options, known, bodies, moments, mesh_moments)
     body = with_added(bare, options.added)
@@ -307,7 +308,13 @@ def _result(
         plate_matrix = plate_axes_mass_matrix(
             matrix, plate_from_footplate, footplate.covariance, frame.covariance
         )
-    found = [*notices, *footplate.notices, *(() if frame is None else frame.notices), *_gaps(options, matrix)]
+    found = [
+        *notices,
+        *doubts,
+        *footplate.notices,
+        *(() if frame is None else frame.notices),
+        *_gaps(options, matrix),
+    ]
     return MassResult(
         options,
         stapes,
@@ -323,6 +330,25 @@ def _result(
         bodies,
         unique(found),
     )
+
+
+def _footplate(
+    options: MassOptions, known: _Known, surface: Surface, moments: Moments, notices: Sequence[Notice]
+) -> tuple[FootplateFrame, list[Notice]]:
+    """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
+    named = options.is_mesh or options.seed_mm is not None or options.labels is not None
+    try:
+        footplate = footplate_frame(surface, known.hints)
+    except CtInertiaError:
+        # Landmarks that do not fit a wrong body are not at fault: tell of the body first.
+        found = [] if named else implausible(footplate_frame(surface), moments.volume_mm3)
+        if found:
+            raise unsuitable(found, notices) from None
+        raise
+    found = implausible(footplate, moments.volume_mm3)
+    if found and not named:
+        raise unsuitable(found, notices)
+    return footplate, [size_notice(found)] if found else []
 
 
 def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFrame) -> MassMatrix:

@@ -1,0 +1,87 @@
+"""What cannot be a stapes is refused when nobody named it, and told when somebody did."""
+
+import numpy as np
+import pytest
+
+from ct_inertia.coarse import coarse_scan, material_levels
+from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.footplate import footplate_frame
+from ct_inertia.plausibility import implausible
+from ct_inertia.surface import Surface, write_surface
+from ct_inertia.volume import Volume
+from tests.ct_inertia.shapes import box, stapes
+
+GREY = (1394.0, 14.0)
+
+
+def scene_volume(**ear):
+    from sample_volumes.phantom import Ear, render, scene
+
+    h = ear["voxel_mm"][0]
+    return Volume(render(scene(Ear(**ear))), np.full(3, h), np.zeros(3), np.eye(3))
+
+
+def written(volume, path):
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(volume.array)
+    image.SetSpacing(volume.spacing_mm.tolist())
+    sitk.WriteImage(image, str(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def narrow(tmp_path_factory):
+    """An ear whose footplate is parted from the bone of its window by less than a voxel."""
+    volume = scene_volume(voxel_mm=(0.05,) * 3, gap_mm=0.04, bridges=2)
+    return written(volume, tmp_path_factory.mktemp("narrow") / "ear.nrrd")
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory):
+    """An ear whose scan ends within the stapes."""
+    volume = scene_volume(voxel_mm=(0.05,) * 3, shift_mm=(3.0, 0.0, 0.0))
+    return written(volume, tmp_path_factory.mktemp("cut") / "ear.nrrd")
+
+
+def test_real_sizes_pass_and_others_are_named():
+    surface = stapes(0.06)
+    assert implausible(footplate_frame(surface), surface.volume_mm3) == []
+    big = Surface(surface.vertices_mm * 1.6, surface.faces)
+    told = implausible(footplate_frame(big), big.volume_mm3)
+    assert [text.split(" of ")[0] for text in told] == ["a height", "a footplate length", "a volume"]
+
+
+def test_the_bone_around_the_window_is_no_stapes(narrow):
+    with pytest.raises(
+        CtInertiaError, match=r"no object that can be a stapes: .*a height of 1\.4.*--seed.*--labels"
+    ):
+        ct2mass(MassOptions(narrow, density=GREY))
+
+
+def test_a_body_that_was_named_is_measured_with_a_warning(narrow):
+    result = ct2mass(MassOptions(narrow, density=GREY, seed_mm=(3.0, 3.0, 3.0)))
+    assert "size_implausible" in {notice.code for notice in result.notices}
+
+
+@pytest.mark.parametrize("anterior", [None, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
+def test_the_border_is_named_before_any_hint(cut, anterior):
+    with pytest.raises(
+        CtInertiaError, match=r"no object that can be a stapes: .*touches the border of the scan"
+    ):
+        ct2mass(MassOptions(cut, density=GREY, anterior=anterior))
+
+
+def test_the_blur_in_a_narrow_gap_is_no_material():
+    volume = scene_volume(voxel_mm=(0.05,) * 3, gap_mm=0.06, bridges=2)
+    levels = material_levels(coarse_scan(volume))
+    assert len(levels) == 3
+    assert levels[1] == pytest.approx(14700.0, abs=300.0)
+
+
+def test_a_plate_like_mesh_is_told(tmp_path):
+    write_surface(tmp_path / "box.ply", box((3.0, 0.4, 1.4), (7.0, 1.0, 2.0)))
+    result = ct2mass(MassOptions(tmp_path / "box.ply", density=GREY))
+    text = next(notice.text for notice in result.notices if notice.code == "size_implausible")
+    assert "a height of 0.4 mm" in text
