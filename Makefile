@@ -25,9 +25,12 @@ demo: $(READY)
 	$(BIN)/python -m fitting.paper_page demo/paper.html
 	@echo "Open demo/report.html"
 
+# one thread of linear algebra per process: two processes share two cores
+test: export OPENBLAS_NUM_THREADS = 1
 test: $(READY)
 	$(BIN)/python -m pytest -n 2
 
+test-shared: export OPENBLAS_NUM_THREADS = 1
 test-shared: $(READY)
 	$(BIN)/python -m pytest -n 2 -m "shared or not shared"
 
