@@ -182,11 +182,14 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
     for number, name in enumerate(motion.bodies[:6]):
         chi2, n_dof = float(np.nansum(motion.chi2[:, number])), int(np.sum(motion.n_dof[:, number]))
         size = np.nanmax(np.abs(motion.q[:, number]), axis=(0, 1))
-        noise = np.sqrt(np.nanmean(sd[:, number] ** 2, axis=(0, 1)))
-        signal = float(np.nanmax(size / np.maximum(noise, 1e-300)))
+        known = np.isfinite(sd[:, number])
+        power = np.sum(np.where(known, sd[:, number], 0.0) ** 2, axis=(0, 1))
+        noise = np.sqrt(power / np.maximum(np.sum(known, axis=(0, 1)), 1))
         channels = len(result.measurement.bodies[number].points)
-        ratio = f"chi2/dof {chi2 / n_dof:.3g}" if n_dof else "no redundancy"
-        rows.append((name, f"{channels} channels, {ratio}, best peak/noise {signal:.3g}"))
+        text = f"{channels} channels, " + (f"chi2/dof {chi2 / n_dof:.3g}" if n_dof else "no redundancy")
+        if np.any(noise > 0.0):
+            text += f", best peak/noise {float(np.max(size[noise > 0.0] / noise[noise > 0.0])):.3g}"
+        rows.append((name, text))
         bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof}
     counts = Counter(v.verdict for v in result.channels)
     rows.append(("channels", ", ".join(f"{number} {name}" for name, number in counts.most_common())))

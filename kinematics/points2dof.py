@@ -22,13 +22,14 @@ from kinematics.phase import phase_notice
 from kinematics.placement import Placement, place
 from kinematics.ratio import parse_reference, per_reference
 from kinematics.rigid_fit import LineFit
-from kinematics.screening import Screened, screened
+from kinematics.screening import Screened, empty_faults, screened
 from kinematics.shared_errors import pose_derivatives, position_derivatives, position_parameters
 from kinematics.spatial import DOF_NAMES
 from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
+_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -122,12 +123,14 @@ def points2dof(
     Raises
     ------
     KinematicsError
-        The beams of a body cannot observe the degrees of freedom, or the reference is no fitted motion.
+        The beams of a body cannot observe the degrees of freedom, the reference is no fitted motion, or a
+        body has no usable value, or too few channels at every line.
     """
     options = options or Options()
     placement = placement or place()
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
+    raise_all(KinematicsError, empty_faults(measurement))
     placed = measurement.mapped(placement.transform)
     beams = _beam_sets(placed, options.dof)
     screens = [screened(body, placed.runs, options.dof) for body in placed.bodies]
@@ -148,6 +151,7 @@ def points2dof(
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
     motion = _motion(placed, fits, options.dof)
+    _check_determined(motion)
     motion = replace(
         motion, shared=_shared(placed, fits, placement, motion), provenance=dict(provenance or {})
     )
@@ -194,9 +198,26 @@ def _diagnosed(screen: Screened, run: int, fit: LineFit, dof: tuple[str, ...], k
     data = line_data(
         wide, body.positions_mm * 1e-3, body.directions, body.points, body.displacement[run], fit.sd
     )
-    if data.y.shape[1] < 3:
+    if data.y.shape[1] < 3 or _is_rounding(fit, body.displacement[run]):
         return nothing_found(data)
     return diagnose(data, body.position_sd_mm * 1e-3, known)
+
+
+def _is_rounding(fit: LineFit, value: NDArray[np.complex128]) -> bool:
+    """Tell whether the rigid fit leaves nothing but the rounding of numbers, which is no noise to judge."""
+    used = np.isfinite(fit.sd) & np.isfinite(value.real)
+    size = float(np.sum(np.abs(value[used]) ** 2))
+    return float(np.sum(np.abs(fit.residual[used]) ** 2)) <= _ROUNDING**2 * size
+
+
+def _check_determined(motion: RigidMotion) -> None:
+    faults = []
+    for number, body in enumerate(motion.bodies):
+        if not np.any(np.isfinite(motion.q[:, number].real)):
+            step = "Measure more channels at the same frequencies, or fit fewer with --dof"
+            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
+            faults.append(sentence(f"body {body}", expected, "too few channels at every line", "", step))
+    raise_all(KinematicsError, faults)
 
 
 def _body_notices(

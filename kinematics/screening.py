@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.beams import observability
-from kinematics.measurement import BodyChannels
+from kinematics.errors import sentence
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
 from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
 
 Array = NDArray[np.float64]
 _FLOOR = 1e-12
+_LEAST = 1e-100
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,30 @@ class Screened:
     body: BodyChannels
     unused: tuple[dict[int, str], ...]
     notices: tuple[Notice, ...]
+
+
+def empty_faults(measurement: Measurement) -> list[str]:
+    """List the bodies that hold nothing to fit: no usable value, or zeros throughout and no sd."""
+    faults = []
+    for body in measurement.bodies:
+        usable = np.isfinite(body.displacement)
+        if body.sd is not None:
+            usable &= np.isfinite(body.sd)
+        thing = f"the values of body {body.body}"
+        if not np.any(usable):
+            step = "Check the export, or leave the rows of this body out"
+            got = "empty or NaN cells throughout"
+            faults.append(sentence(thing, "numbers in some rows at least", got, next_step=step))
+            continue
+        if body.sd is not None and not body.relative:
+            continue
+        for run, name in enumerate(measurement.runs):
+            if np.any(usable[run]) and not np.any(np.abs(body.displacement[run][usable[run]])):
+                where = f"run {name}" if len(measurement.runs) > 1 else ""
+                step = "Give an sd column if the body stood still, or leave its rows out"
+                expected = "other than zero in some rows, or given with their sd"
+                faults.append(sentence(thing, expected, "zeros throughout", where, step))
+    return faults
 
 
 def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
@@ -109,4 +135,4 @@ def with_floor(sd: Array, value: NDArray[np.complex128], freq_hz: Array, order: 
     rate = (2.0 * np.pi * freq_hz) ** order
     measured = np.abs(value) * rate
     largest = float(np.nanmax(measured)) if np.any(np.isfinite(measured)) else 0.0
-    return np.maximum(sd, (_FLOOR * largest or 1e-300) / rate)
+    return np.maximum(sd, (_FLOOR * largest or _LEAST) / rate)

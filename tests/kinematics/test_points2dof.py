@@ -257,3 +257,51 @@ def test_help_imports_nothing_heavy(tmp_path):
     )
     for name in ("'numpy'", "'scipy'", "'pandas'", "'matplotlib'", "'h5py'", "'jinja2'"):
         assert name not in done.stdout
+
+
+def recording_of(made, spread=True):
+    """Return the rows of two bodies of one scene with all values replaced by a text."""
+
+    def text(value):
+        head = HEADER if spread else HEADER.rsplit(",", 1)[0]
+        rows = [row.split(",") for body in ("stapes", "base") for row in csv_rows(body, made)]
+        lines = [",".join([*row[:9], value, value, *(row[11:] if spread else [])]) for row in rows]
+        return "\n".join([head, *lines]) + "\n"
+
+    return text
+
+
+def test_bodies_that_hold_nothing_are_refused(tmp_path):
+    path = tmp_path / "ldv.csv"
+    made = scene(3, lines=6)
+    for spread, value, match in (
+        (False, "nan", "values of body base must be numbers in some rows.*NaN cells throughout"),
+        (True, "", "values of body stapes must be numbers in some rows"),
+        (False, "0", "values of body stapes must be other than zero.*zeros throughout.*Give an sd column"),
+    ):
+        path.write_text(recording_of(made, spread)(value))
+        with pytest.raises(KinematicsError, match=match) as caught:
+            work([str(path), "--out", str(tmp_path / "dof.csv")])
+        assert len(str(caught.value).splitlines()) == 2
+    path.write_text(recording_of(made)("0"))
+    _, outcome = work([str(path), "--out", str(tmp_path / "dof.csv")])
+    assert {notice.code for notice in outcome.notices} == {"zero_rows"}
+
+
+def test_a_body_with_too_few_channels_at_every_line_is_refused(tmp_path):
+    made = scene(3, lines=12)
+    rows = csv_rows("stapes", made)
+    kept = [row for place, row in enumerate(rows) if (place // 12) % 12 == place % 12]
+    (tmp_path / "ldv.csv").write_text("\n".join([HEADER, *kept]) + "\n")
+    with pytest.raises(KinematicsError, match=r"body stapes must be measured by channels.*--dof"):
+        work([str(tmp_path / "ldv.csv"), "--out", str(tmp_path / "dof.csv")])
+
+
+@pytest.mark.parametrize("digits", [9, 12, 16])
+def test_rounded_exact_data_are_rigid(tmp_path, digits):
+    made = scene(5, lines=60, snr=1e15)
+    rows = [row.rsplit(",", 1)[0] for row in csv_rows("stapes", made, digits)]
+    (tmp_path / "ldv.csv").write_text("\n".join([HEADER.rsplit(",", 1)[0], *rows]) + "\n")
+    _, outcome = work([str(tmp_path / "ldv.csv"), "--out", str(tmp_path / "dof.csv")])
+    assert {notice.code for notice in outcome.notices} == {"noise_estimated"}
+    assert outcome.result["verdicts"] == []
