@@ -23,7 +23,7 @@ from ct_inertia.mass_properties import (
     with_added,
 )
 from ct_inertia.moments import Moments
-from ct_inertia.plausibility import implausible, size_notice, unsuitable
+from ct_inertia.plausibility import check_mesh, implausible, size_notice, unsuitable
 from ct_inertia.surface import SURFACE_SUFFIXES, Surface, read_surface
 from kinematics.errors import sentence
 from kinematics.mass_record import MassMatrix
@@ -118,6 +118,8 @@ class MassOptions:
                     "the scan", "given as the first argument", "none", next_step="Or give --labels alone"
                 )
             )
+        if self.labels is not None and not self.is_mesh:
+            self._check_labels()
         if self.is_mesh:
             unused = [name for name, value in self._volume_options() if value]
             if unused:
@@ -128,6 +130,23 @@ class MassOptions:
                         "it",
                         str(self.scan),
                         "It speaks of grey values or voxels",
+                    )
+                )
+
+    def _check_labels(self) -> None:
+        """Refuse what would be left unused when labels say where the stapes is."""
+        for name, value in (
+            ("--seed", self.seed_mm),
+            ("--threshold", self.threshold),
+            ("--box", self.box_mm),
+        ):
+            if value is not None:
+                raise CtInertiaError(
+                    sentence(
+                        name,
+                        "left out when --labels says where the stapes is",
+                        "both",
+                        next_step=f"Leave out {name} or --labels",
                     )
                 )
 
@@ -232,6 +251,7 @@ def ct2mass(options: MassOptions) -> MassResult:
     known = _known(options)
     if options.is_mesh:
         surface = read_surface(Path(str(options.scan)))
+        check_mesh(surface, Path(str(options.scan)).name)
         exact = Notice(
             "surface_taken_as_exact",
             "The input is a surface: it is taken as exact, and the budget holds density or mass and the "
@@ -273,6 +293,10 @@ def _bodies(options: MassOptions) -> Bodies:
         volume = read_volume(options.scan, options.spacing_mm, options.mirror, options.nan_as_air)
     labels = None
     if options.labels is not None:
+        if not Path(options.labels).exists():
+            raise CtInertiaError(
+                sentence("--labels", "an existing label volume", options.labels, next_step="Check the path")
+            )
         labels = read_volume(options.labels, options.spacing_mm, options.mirror)
     search = SearchOptions(
         threshold=options.threshold,

@@ -43,6 +43,8 @@ _BLUR_SHIFT_1_MM = 2.9
 _BLUR_TILT_RAD_MM2 = 0.84
 _BLUR_MOST_MM = 0.04
 _ROUNDS = 100
+_HEAD_MM = 1.0
+_LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
 
 
 class SurfaceLike(Protocol):
@@ -111,6 +113,7 @@ def footplate_frame(surface: SurfaceLike, hints: AnatomyHints | None = None) -> 
         No near-planar face at an extremity, hints that contradict each other or the surface.
     """
     hints = hints or AnatomyHints()
+    _check_head(surface, hints)
     mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
     candidates = face_candidates(mesh, _extent(mesh))
     solved, notices = _chosen(mesh, candidates, hints)
@@ -213,9 +216,29 @@ def _chosen(mesh: Mesh, candidates: list[FaceCandidate], hints: AnatomyHints) ->
     raise CtInertiaError(fault)
 
 
+def _check_head(surface: SurfaceLike, hints: AnatomyHints) -> None:
+    """Refuse a landmark head that lies on no bone of this body."""
+    head = hints.landmarks.get("head")
+    if head is None:
+        return
+    from trimesh.triangles import closest_point
+
+    corners = np.asarray(surface.vertices_mm, dtype=float)[np.asarray(surface.faces)]
+    nearest = closest_point(corners, np.broadcast_to(head, (len(corners), 3)))
+    distance = float(np.min(np.linalg.norm(nearest - head, axis=1)))
+    if distance > _HEAD_MM:
+        raise CtInertiaError(
+            sentence(
+                "landmark head",
+                f"within {_HEAD_MM:g} mm of the surface of the stapes",
+                f"{distance:.2f} mm",
+                next_step=_LANDMARK_STEP,
+            )
+        )
+
+
 def _contradiction(solved: _Solved, hints: AnatomyHints) -> str | None:
     head = hints.landmarks.get("head")
-    step = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
     if head is not None:
         height = float((head - solved.origin) @ solved.axes[:, 1])
         if height < 0.3:
@@ -223,7 +246,7 @@ def _contradiction(solved: _Solved, hints: AnatomyHints) -> str | None:
                 "landmark head",
                 "on the lateral side of the footplate, at least 0.3 mm above its centre",
                 f"{height:.2f} mm along the found lateral direction",
-                next_step=step,
+                next_step=_LANDMARK_STEP,
             )
     centre = hints.landmarks.get("footplate_centre")
     if centre is not None:
@@ -233,7 +256,7 @@ def _contradiction(solved: _Solved, hints: AnatomyHints) -> str | None:
                 "landmark footplate_centre",
                 "within 1 mm of the found footplate centre",
                 f"{distance:.2f} mm",
-                next_step=step,
+                next_step=_LANDMARK_STEP,
             )
     return None
 
@@ -254,18 +277,22 @@ def _region(mesh: Mesh, outward: Array) -> _Region:
 def _face(region: _Region, y_axis: Array, cosine: float, normals: Array) -> _Face:
     patch = positive_patch(region.mesh, -(normals @ y_axis) - cosine, region.diffusion.mass)
     if patch is None:
-        raise CtInertiaError(
-            sentence(
-                "the surface",
-                "a stapes with a footplate: a near-planar face at one end",
-                "a body without such a face",
-                next_step="Check the segmentation in the report, or correct it with --seed or --labels",
-            )
-        )
+        raise _no_face("a body without such a face")
     a, b, c = (patch.triangles[:, k] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     centres = (a + b + c) / 3.0
     return _Face(patch, centres, areas, areas @ centres / areas.sum())
+
+
+def _no_face(found: str) -> CtInertiaError:
+    return CtInertiaError(
+        sentence(
+            "the surface",
+            "a stapes with a footplate: a near-planar face at one end",
+            f"no object that can be a stapes: {found}",
+            next_step="Check the segmentation or the mesh, or correct it with --seed or --labels",
+        )
+    )
 
 
 def plane_weights(distance_mm: Array) -> Array:
@@ -316,6 +343,8 @@ def _outline_moments(face: _Face, y_axis: Array) -> tuple[Array, Array, Array]:
     helper = helper / np.linalg.norm(helper)
     across = np.cross(helper, y_axis)
     loop = outer_loop(face.patch) - face.centroid
+    if len(loop) < 3:
+        raise _no_face("no footplate face found, for the face at its end bends away without an edge")
     u, v = loop @ helper, loop @ across
     u2, v2 = np.roll(u, -1), np.roll(v, -1)
     cross = u * v2 - u2 * v

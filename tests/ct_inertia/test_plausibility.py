@@ -7,7 +7,7 @@ from ct_inertia.coarse import coarse_scan, material_levels
 from ct_inertia.ct2mass import MassOptions, ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate import footplate_frame
-from ct_inertia.plausibility import implausible
+from ct_inertia.plausibility import body_volumes, check_mesh, implausible
 from ct_inertia.surface import Surface, write_surface
 from ct_inertia.volume import Volume
 from tests.ct_inertia.shapes import box, stapes
@@ -85,3 +85,79 @@ def test_a_plate_like_mesh_is_told(tmp_path):
     result = ct2mass(MassOptions(tmp_path / "box.ply", density=GREY))
     text = next(notice.text for notice in result.notices if notice.code == "size_implausible")
     assert "a height of 0.4 mm" in text
+
+
+def joined(*surfaces):
+    starts = np.cumsum([0, *(len(s.vertices_mm) for s in surfaces)])
+    return Surface(
+        np.vstack([s.vertices_mm for s in surfaces]),
+        np.vstack([s.faces + k for s, k in zip(surfaces, starts[:-1], strict=True)]),
+    )
+
+
+def test_two_bodies_in_a_mesh_are_refused_and_a_cavity_is_not(tmp_path):
+    body = stapes(0.06)
+    write_surface(tmp_path / "two.stl", joined(body, box((5.0, 0.8, 4.0), (0.0, -3.0, 0.0))))
+    with pytest.raises(
+        CtInertiaError, match=r"one closed body, the stapes; got 2 bodies \(of 16, 1\.54 mm3\)"
+    ):
+        ct2mass(MassOptions(tmp_path / "two.stl", density=GREY))
+    big, small = box((2.0, 2.0, 2.0), (0.0, 0.0, 0.0)), box((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    hollow = Surface(
+        np.vstack([big.vertices_mm, small.vertices_mm]),
+        np.vstack([big.faces, small.faces[:, ::-1] + len(big.vertices_mm)]),
+    )
+    assert sorted(body_volumes(hollow)) == pytest.approx([-1.0, 8.0])
+    check_mesh(hollow, "hollow.ply")
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [
+        (1e-3, r"it is probably in metres .*multiply it by 1000\)"),
+        (0.1, "it is probably in centimetres"),
+        (1e3, "it is probably in micrometres"),
+        (60.0, "its unit may be that of the voxels"),
+    ],
+)
+def test_a_mesh_in_another_unit_is_refused(tmp_path, factor, told):
+    surface = stapes(0.06)
+    write_surface(tmp_path / "m.ply", Surface(surface.vertices_mm * factor, surface.faces))
+    with pytest.raises(CtInertiaError, match=f"the mesh must be in mm: .*{told}"):
+        ct2mass(MassOptions(tmp_path / "m.ply", density=GREY))
+
+
+def test_a_ball_has_no_footplate(tmp_path):
+    import trimesh
+
+    ball = trimesh.creation.icosphere(4, radius=1.7)
+    write_surface(tmp_path / "ball.ply", Surface(ball.vertices, ball.faces))
+    with pytest.raises(CtInertiaError, match="no object that can be a stapes: no footplate face found"):
+        ct2mass(MassOptions(tmp_path / "ball.ply", density=GREY))
+
+
+def test_a_head_landmark_off_the_bone_is_refused(tmp_path):
+    write_surface(tmp_path / "s.ply", stapes(0.06))
+    marks = tmp_path / "m.csv"
+    marks.write_text("name,x_mm,y_mm,z_mm\nhead,0,-3,0\n")
+    with pytest.raises(CtInertiaError, match=r"landmark head must be within 1 mm .*got 3\.00 mm"):
+        ct2mass(MassOptions(tmp_path / "s.ply", density=GREY, landmarks=marks))
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("--seed", {"seed_mm": (1.0, 1.0, 1.0)}),
+        ("--threshold", {"threshold": 5.0}),
+        ("--box", {"box_mm": (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)}),
+    ],
+)
+def test_what_labels_would_leave_unused_is_refused(name, given):
+    for scan in (None, "scan.nrrd"):
+        with pytest.raises(CtInertiaError, match=f"{name} must be left out when --labels .*Leave out"):
+            MassOptions(scan, density=GREY, labels="labels.nrrd", **given)
+
+
+def test_missing_labels_are_named(tmp_path):
+    with pytest.raises(CtInertiaError, match=r"--labels must be an existing label volume; got .*none\.nrrd"):
+        ct2mass(MassOptions(None, density=GREY, labels=tmp_path / "none.nrrd"))
