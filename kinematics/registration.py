@@ -14,6 +14,7 @@ from kinematics.notices import Notice
 Array = NDArray[np.float64]
 _THIN = 0.02
 _INCONSISTENT = 1e-3
+_NOTICEABLE_MM = 0.05
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,8 @@ def fit_rigid(
     -----
     With the model R (s + u + theta x s) + t the information matrix of (u, theta) is the sum of
     w J^T J, J = [1, -[s]x], w = 1/sd^2; it is inverted about the centroid and shifted to the origin.
-    With given sd and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof.
+    With given sd and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof;
+    without, one fiducial far off the others (p < 0.001 and 0.05 mm) is told.
     """
     a, b = np.asarray(source_mm, dtype=float), np.asarray(target_mm, dtype=float)
     _check_pairs(a, b)
@@ -146,13 +148,14 @@ def fit_rigid(
     if mirrored and not coplanar:
         _refuse_mirror(a, b, weights, residuals, source)
     chi2 = float("nan")
+    notices = [_coplanar_notice(len(a), flat)] if coplanar else []
     if sd is None:
         sd = np.full(len(a), np.sqrt(np.sum(residuals**2) / n_dof))
         scale = float(sd[0] ** 2)
+        notices += _outlier_notice(a, b, names, float(np.sum(residuals**2)))
     else:
         chi2 = float(np.sum((residuals / sd[:, None]) ** 2))
         scale = 1.0
-    notices = [_coplanar_notice(len(a), flat)] if coplanar else []
     if chi2 > _chi2_limit(n_dof):
         scale = chi2 / n_dof
         notices.append(_inconsistent_notice(a, b, weights, residuals, names, scale))
@@ -237,18 +240,48 @@ def _chi2_limit(n_dof: int) -> float:
     return float(chdtri(n_dof, _INCONSISTENT))
 
 
+def _left_out(a: Array, b: Array, weights: Array) -> tuple[Array, Array]:
+    """Return, without each point in turn, the weighted sum of squares and how far that point lies, mm."""
+    energies, distances = np.zeros(len(a)), np.zeros(len(a))
+    for out in range(len(a)):
+        keep = np.arange(len(a)) != out
+        rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
+        rest = a @ rotation.T + shift - b
+        energies[out] = np.sum(weights[keep, None] * rest[keep] ** 2)
+        distances[out] = np.linalg.norm(rest[out])
+    return energies, distances
+
+
+def _outlier_notice(a: Array, b: Array, names: tuple[str, ...], energy: float) -> list[Notice]:
+    """Judge the worst fiducial against the others, whose scatter is the only scale when no sd is stated.
+
+    Notes
+    -----
+    F test of the three coordinates of one fiducial that its removal takes out of the residual, corrected for
+    the number of fiducials (Cook and Weisberg 1982, Residuals and Influence in Regression, section 2.2).
+    """
+    from scipy.special import fdtrc
+
+    freedom = 3 * len(a) - 9
+    if len(a) < 4:
+        return []
+    energies, distances = _left_out(a, b, np.ones(len(a)))
+    worst = int(np.argmin(energies))
+    others = max(float(energies[worst]), 1e-24) / freedom
+    p = len(a) * float(fdtrc(3, freedom, max(energy - energies[worst], 0.0) / 3.0 / others))
+    if p > _INCONSISTENT or distances[worst] < _NOTICEABLE_MM:
+        return []
+    name = names[worst] if names else str(worst + 1)
+    text = f"fiducial {name} lies {distances[worst]:.3g} mm from where the others put it, which scatter by {np.sqrt(others) * 1e3:.2g} um; check its coordinates or leave it out."
+    return [Notice("fiducials_inconsistent", text)]
+
+
 def _inconsistent_notice(
     a: Array, b: Array, weights: Array, residuals: Array, names: tuple[str, ...], scale: float
 ) -> Notice:
     worst = int(np.argmax(np.sum(residuals**2, axis=1) * weights))
     if len(a) > 4:
-        left = []
-        for out in range(len(a)):
-            keep = np.arange(len(a)) != out
-            rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
-            rest = a[keep] @ rotation.T + shift - b[keep]
-            left.append(float(np.sum(weights[keep, None] * rest**2)))
-        worst = int(np.argmin(left))
+        worst = int(np.argmin(_left_out(a, b, weights)[0]))
     name = names[worst] if names else str(worst + 1)
     return Notice(
         "fiducials_inconsistent",

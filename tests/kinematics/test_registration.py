@@ -71,6 +71,26 @@ def test_residuals_too_large_for_their_sd_are_told():
     assert found.covariance_si[0, 0] > 10 * fit(sd=0.02).covariance_si[0, 0]
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_blunder_is_told_without_stated_sd(noise):
+    names = ("a", "b", "c", "d", "e", "f")
+    for worst in range(len(MARKS)):
+        wrong = MARKS + noise * np.random.default_rng(worst).normal(size=MARKS.shape)
+        wrong[worst, 1] += 2.0
+        (notice,) = fit(SEEN, wrong, names=names).notices
+        assert notice.code == "fiducials_inconsistent"
+        assert f"fiducial {names[worst]} lies " in notice.text
+
+
+def test_honest_scatter_raises_no_alarm_without_stated_sd():
+    rng = np.random.default_rng(7)
+    alarms = sum(len(fit(SEEN, MARKS + 0.1 * rng.normal(size=MARKS.shape)).notices) for _ in range(1000))
+    assert alarms <= 4
+    small = MARKS.copy()
+    small[2, 0] += 0.04
+    assert not fit(SEEN, small).notices
+
+
 def test_never_a_reflection():
     flat = MARKS[:4]
     found = fit(SEEN[:4] * [1, 1, 1], flat)
@@ -246,6 +266,7 @@ def test_frames_need_their_mass_record(tmp_path, mass):
     with pytest.raises(KinematicsError, match=r"--frame must be footplate, plate or scan"):
         place(frame="moon", mass=mass)
     raw = mass_record()
-    raw["frames"]["plate_from_footplate"] = None
+    raw["frames"]["plate_from_footplate"] = raw["frames"]["scan_from_plate"] = None
+    raw["mass_matrix_plate_axes"] = None
     with pytest.raises(KinematicsError, match=r"a mass\.json without a plate"):
         place(marks, mass=read_mass_record(write_record(tmp_path, raw)))
