@@ -14,6 +14,8 @@ from kinematics.motion import RigidMotion
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# A difference of two motions this small beside them is rounding.
+_AS_ONE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,8 @@ def observe(
     ------
     FittingError
         A body or a degree of freedom is missing, structure and base are one body, the band is empty,
-        variances are zero, negative or missing, or the equations are fewer than the unknowns.
+        variances are zero, negative or missing, the equations are fewer than the unknowns, or structure and
+        base move as one in a chosen degree of freedom.
     KinematicsError
         There is no body of that name.
     """
@@ -218,6 +221,7 @@ def _check_lines(
                 next_step="Measure more lines or fit fewer degrees of freedom with --dof",
             )
         )
+    _check_deflection(observation)
     variance = np.einsum("lii->li", observation.covariance).real
     names = [
         *(f"structure {name}" for name in (*observation.dof, *observation.load_dof)),
@@ -242,3 +246,26 @@ def _check_lines(
             )
         )
     raise_all(FittingError, faults)
+
+
+def _check_deflection(observation: Observation) -> None:
+    """Refuse degrees of freedom in which structure and base move, but as one: nothing is deflected."""
+    moved = np.sqrt(np.mean(np.abs(observation.structure) ** 2, axis=0))
+    deflected = np.sqrt(np.mean(np.abs(observation.structure - observation.base) ** 2, axis=0))
+    still = [
+        name
+        for name, size, part in zip(observation.dof, moved, deflected, strict=True)
+        if size > 0.0 and part <= _AS_ONE * size
+    ]
+    if not still:
+        return
+    rest = ",".join(name for name in observation.dof if name not in still)
+    step = f"Give --dof {rest}, or excite" if rest else "Excite"
+    raise FittingError(
+        sentence(
+            "the motion of structure and base",
+            "different in every degree of freedom of --dof",
+            f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable",
+            next_step=f"{step} the base so that the suspension is deflected there",
+        )
+    )

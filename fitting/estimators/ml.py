@@ -12,10 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.errors import FittingError
 from fitting.estimators import irls, pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, gram, solve_symmetric, transposed_times
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
+from fitting.symmetric import join
+from kinematics.errors import sentence
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -210,7 +213,18 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
 
     balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
     starts = [balanced] if np.max(np.abs(free.parameters)) > _WILD else [free.parameters, balanced]
-    reached = [minimise(expansion, value, pull_inside(start, lines.n), lines.n, 1e-5) for start in starts]
+    pulled = [pull_inside(start, lines.n) for start in (*starts, join(np.eye(lines.n), np.eye(lines.n)))]
+    usable = [start for start in pulled if np.isfinite(value(start))]
+    if not usable:
+        raise FittingError(
+            sentence(
+                "the motions",
+                "such that K and D have a likelihood",
+                "none, for any start",
+                next_step="Check the noise variances, or give fewer degrees of freedom with --dof",
+            )
+        )
+    reached = [minimise(expansion, value, start, lines.n, 1e-5) for start in usable[: len(starts)]]
     best = min((parameters for parameters, _, _ in reached), key=value)
     steps = free.iterations + sum(count for _, _, count in reached)
     return Estimate(best, value(best), steps, True), active_names(best, lines.n)

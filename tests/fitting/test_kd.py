@@ -189,6 +189,27 @@ def test_entries_that_the_data_do_not_see_get_enormous_intervals() -> None:
     assert fit.stiffness[0, 0] == pytest.approx(K[0, 0], rel=1e-6)
 
 
+@pytest.mark.parametrize("rounding", [0.0, 1e-11])
+@pytest.mark.parametrize("estimator", ["ml", "irls", "pinv", "constrained"])
+def test_motion_as_one_body_is_refused_by_name(estimator: str, rounding: float) -> None:
+    motion = paper_motion(seed=None)
+    q = motion.q.copy()
+    q[:, 0, :, 1:] = q[:, 1, :, 1:] * (1.0 + rounding)
+    with pytest.raises(FittingError, match=r"got the same one in alpha, gamma.*Give --dof y, or excite"):
+        fit_kd(replace(motion, q=q), M, KDOptions(estimator=estimator))
+
+
+def test_deflection_that_is_mere_noise_is_told_as_weak() -> None:
+    """Stapes and base move as one but for noise: K there could be anything."""
+    motion = paper_motion(0.02, seed=1)
+    q = motion.q.copy()
+    rng = np.random.default_rng(4)
+    sd = np.sqrt(np.einsum("lii->li", motion.covariance[0, 0]).real / 2.0)[:, 1:]
+    noise = rng.standard_normal((2, *sd.shape))
+    q[0, 0, :, 1:] = q[0, 1, :, 1:] + sd * (noise[0] + 1j * noise[1])
+    assert "weak_identifiability" in codes(fit_kd(replace(motion, q=q), M))
+
+
 def test_identifiability_tells_the_bound_that_fisher_gives() -> None:
     fit = fit_kd(paper_motion(0.05, 2), M)
     widened = np.sqrt(fit.budget.widened)
