@@ -28,7 +28,8 @@ def sentence(thing: str, expected: str, got: object, where: str = "", next_step:
         What the user can do; left out when empty.
     """
     place = f" ({where})" if where else ""
-    step = f" {next_step.rstrip('.')}." if next_step else ""
+    stop = "" if next_step.endswith("?") else "."
+    step = f" {next_step.rstrip('.')}{stop}" if next_step else ""
     return f"{thing} must be {expected}; got {got}{place}.{step}"
 
 

@@ -105,6 +105,7 @@ band_hz = [5000, 400]
     for key in ("scan.box_mm", "scan.nan_as_air", "ldv.file", "ldv.points", "fit.dof", "fit.band_hz"):
         assert f"{key} must be" in text
     assert "Did you mean file" in text
+    assert "?." not in text
     assert "Did you mean estimator" in text
     assert all("(study.toml)" in line for line in text.splitlines())
 
