@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Published stiffness of the human annular ligament in piston direction, N/m.
 PISTON_RANGE = (120.0, 3200.0)
+# Human stapedes weigh 2 to 4.5 mg; outside this range a mass is one in another unit, or of something else.
+_MASS_RANGE_MG = (0.5, 10.0)
 # Half length and half width of a human footplate, mm: radii of gyration about x, z lie below its size.
 _GYRATION_RANGE_MM = (0.2, 4.0)
 _MISFIT = 1e-4
@@ -135,8 +137,8 @@ def _inputs(fit: KDFit) -> list[Notice]:
 
 
 def plausibility(fit: KDFit) -> list[Notice]:
-    """Compare with the literature: piston stiffness, radii of gyration."""
-    found = []
+    """Compare with the literature: mass, piston stiffness, radii of gyration."""
+    found = [*_mass(fit)]
     if "y" in fit.dof:
         place = fit.dof.index("y")
         value = float(fit.stiffness[place, place])
@@ -162,3 +164,21 @@ def plausibility(fit: KDFit) -> list[Notice]:
                         )
                     )
     return found
+
+
+def _mass(fit: KDFit) -> list[Notice]:
+    """Compare the mass of a body that is called stapes with that of human ones."""
+    moving = [place for place, name in enumerate(fit.dof) if name in "xyz"]
+    if not moving or "stapes" not in fit.options.structure.lower():
+        return []
+    mass_mg = 1e6 * float(fit.mass[moving[0], moving[0]])
+    if _MASS_RANGE_MG[0] <= mass_mg <= _MASS_RANGE_MG[1]:
+        return []
+    return [
+        Notice(
+            "implausible_mass",
+            f"The mass matrix gives the {fit.options.structure} {mass_mg:.3g} mg; human ones weigh 2 to 4.5 "
+            "mg. K and D grow in proportion to it: check that M is in SI units (kg, kg m, kg m2), or name "
+            "the body by --structure if it is no stapes.",
+        )
+    ]

@@ -253,6 +253,18 @@ def test_implausible_numbers_are_told() -> None:
     assert "implausible_inertia" in codes(fit_kd(big, change @ M @ change))
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1e6, True), (0.1, True), (3.0, False)])
+def test_masses_that_no_stapes_has_are_told(factor: float, told: bool) -> None:
+    fit = fit_kd(paper_motion(), factor * M)
+    assert ("implausible_mass" in codes(fit)) == told
+
+
+def test_other_bodies_than_stapes_may_weigh_anything() -> None:
+    motion = paper_motion()
+    fit = fit_kd(replace(motion, bodies=("cube", "base")), 1e6 * M, KDOptions(structure="cube"))
+    assert "implausible_mass" not in codes(fit)
+
+
 def test_mass_without_uncertainty_is_told() -> None:
     assert "mass_uncertainty_not_given" in codes(fit_kd(paper_motion(), M))
     contributions = {"levels": 1e-30 * np.eye(10)}
