@@ -26,7 +26,7 @@ def _range(text: str) -> tuple[float, float]:
         low, high = (float(part) for part in parts)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"the range must be two frequencies in Hz as F1-F2; got {text}"
+            f"the range must be two frequencies in Hz as F1-F2; got {text}. Write for example --exclude 45-55"
         ) from None
     return low, high
 
@@ -38,7 +38,8 @@ def _refits(text: str) -> int:
         count = -1
     if count != 0 and not 20 <= count <= 1_000_000:
         raise argparse.ArgumentTypeError(
-            f"the number of refits must be a whole number from 20 to 1000000, or 0; got {text}"
+            f"the number of refits must be a whole number from 20 to 1000000, or 0; got {text}. "
+            "Write for example --monte-carlo 1000"
         )
     return count
 
@@ -49,7 +50,8 @@ def _bound(text: str) -> tuple[str, float]:
         return name.strip(), float(value)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"the bound must be an entry and a number in SI, as K11=100; got {text}"
+            f"the bound must be an entry and a number in SI, as K11=100; got {text}. "
+            "Write for example --lower K11=100 --upper D22=5e-8"
         ) from None
 
 

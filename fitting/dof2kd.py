@@ -55,9 +55,7 @@ def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path, re
     FittingError, KinematicsError
         A file or an option is at fault.
     """
-    out = Path(out)
-    if out.suffix.lower() != ".json":
-        raise FittingError(sentence("--out", "a file name that ends with .json", out.name))
+    out = _json_name(out)
     mass, mass_record = read_mass(mass_path, options.dof)
     fit = fit_kd(read_motion(motion_path), mass, options)
     provenance = record(
@@ -84,14 +82,22 @@ def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], Path]:
     FittingError, KinematicsError
         The plan is at fault.
     """
-    if Path(out).suffix.lower() != ".json":
-        raise FittingError(sentence("--out", "a file name that ends with .json", Path(out).name))
+    out = _json_name(out)
     plan, mass_file = read_plan(path)
     found = expect(plan)
     content = plan_json(found, record({"plan": path, "mass": mass_file}, {}))
-    with staged(Path(out).parent) as folder:
-        (folder / Path(out).name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return found, content, Path(out)
+    with staged(out.parent) as folder:
+        (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return found, content, out
+
+
+def _json_name(out: Path) -> Path:
+    """Refuse a result file that is not named .json."""
+    out = Path(out)
+    if out.suffix.lower() != ".json":
+        step = f"Give --out {out.with_suffix('.json').name}" if out.name else "Give --out kd.json"
+        raise FittingError(sentence("--out", "a file name that ends with .json", out.name or out, "", step))
+    return out
 
 
 def parameters(options: KDOptions) -> dict[str, Any]:

@@ -90,29 +90,65 @@ class KDOptions:
             if value not in known:
                 faults.append(sentence(option, f"one of {', '.join(known)}", value))
         if self.robust != "none" and self.estimator != "ml":
-            faults.append(sentence("--robust t4", "given with --estimator ml", self.estimator))
+            faults.append(
+                sentence(
+                    "--robust t4",
+                    "given with --estimator ml",
+                    self.estimator,
+                    next_step="Leave one of the two out",
+                )
+            )
         if (self.lower or self.upper) and self.estimator != "constrained":
             faults.append(
-                sentence("--lower and --upper", "given with --estimator constrained", self.estimator)
+                sentence(
+                    "--lower and --upper",
+                    "given with --estimator constrained",
+                    self.estimator,
+                    next_step="Give --estimator constrained, or leave the bounds out",
+                )
             )
         ranges = [("--exclude", one) for one in self.exclude_hz]
         ranges += [("--band", self.band_hz)] if self.band_hz is not None else []
         for option, (low, high) in ranges:
             if not 0.0 <= low < high:
                 faults.append(
-                    sentence(option, "a range of frequencies, low before high", f"{low:g} to {high:g} Hz")
+                    sentence(
+                        option,
+                        "a range of frequencies, low before high",
+                        f"{low:g} to {high:g} Hz",
+                        next_step=_range_step(option, low, high),
+                    )
                 )
         names = entry_names(len(self.dof))
         for option, bounds in (("--lower", self.lower), ("--upper", self.upper)):
             for name in bounds:
                 if name not in names:
-                    faults.append(sentence(option, f"an entry out of {', '.join(names)}", name))
+                    faults.append(
+                        sentence(
+                            option,
+                            f"an entry out of {', '.join(names)}",
+                            name,
+                            next_step="Count rows and columns in the order of --dof; K and D are symmetric",
+                        )
+                    )
         for name in set(self.lower) & set(self.upper):
             if self.lower[name] >= self.upper[name]:
                 faults.append(
-                    sentence(f"--lower {name}", f"below {self.upper[name]:g}", f"{self.lower[name]:g}")
+                    sentence(
+                        f"--lower {name}",
+                        f"below {self.upper[name]:g}",
+                        f"{self.lower[name]:g}",
+                        next_step=f"Swap --lower and --upper of {name}, or leave one out",
+                    )
                 )
         raise_all(FittingError, faults)
+
+
+def _range_step(option: str, low: float, high: float) -> str:
+    """Return what to write instead of a range that is none."""
+    if 0.0 <= high < low:
+        return f"Write {option} {high:g}{',' if option == '--band' else '-'}{low:g}"
+    return "Give two different frequencies in Hz that are not negative"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.inertia import check_mass
-from kinematics.errors import sentence
+from kinematics.errors import raise_all, sentence
 from kinematics.mass_record import MassMatrix, MassRecord, read_mass_record
 
 Array = NDArray[np.float64]
@@ -59,21 +59,21 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
         raise FittingError(
-            sentence("--mass", "a text file of numbers or a mass.json", "a binary file", path.name)
-        ) from fault
-    rows = [line.split(",") for line in text.splitlines() if line.strip()]
-    try:
-        values = [[float(cell) for cell in row] for row in rows]
-    except ValueError as fault:
-        raise FittingError(
             sentence(
-                "M.csv",
-                "numbers separated by commas, without a header",
-                f"{fault}",
+                "--mass",
+                "a text file of numbers or a mass.json",
+                "a binary file",
                 path.name,
-                "Write SI numbers with decimal points",
+                "Give the mass.json of ct2mass, or write M as comma separated text",
             )
         ) from fault
+    values, faults = [], []
+    for line, words in enumerate(text.splitlines(), 1):
+        if words.strip():
+            numbers, wrong = _row(words, line, path.name)
+            values.append(numbers)
+            faults += wrong
+    raise_all(FittingError, faults, most=5)
     n = len(dof)
     if len(values) != n or any(len(row) != n for row in values):
         widths = sorted({len(row) for row in values}) or [0]
@@ -87,3 +87,23 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
             )
         )
     return np.array(values)
+
+
+def _row(words: str, line: int, name: str) -> tuple[list[float], list[str]]:
+    """Return the numbers of a row and the faults of its cells."""
+    numbers, faults = [], []
+    for column, cell in enumerate(words.split(","), 1):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            shown = cell.strip() if len(cell) <= 40 else f"{cell.strip()[:37]}..."
+            faults.append(
+                sentence(
+                    "M.csv",
+                    "numbers separated by commas, without a header",
+                    f'"{shown}"' if shown else "an empty cell",
+                    f"{name}, row {line}, column {column}",
+                    "Write SI numbers with decimal points and commas between them",
+                )
+            )
+    return numbers, faults

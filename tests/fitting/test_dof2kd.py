@@ -161,24 +161,45 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
         ("dof.csv --mass M.csv --structure incus", "the body must be one of stapes, base; got incus"),
         ("dof.csv --mass M.csv --base plate", "the body must be one of stapes, base; got plate"),
         ("dof.csv --mass M.csv --band 1,2", "the band must be one with measured lines of both bodies"),
-        ("dof.csv --mass M.csv --band 5000,400", "--band must be a range of frequencies"),
+        (
+            "dof.csv --mass M.csv --band 5000,400",
+            "--band must be a range of frequencies, low before high; got 5000 to 400 Hz. "
+            "Write --band 400,5000.",
+        ),
+        ("dof.csv --mass M.csv --exclude 60-50", "Write --exclude 50-60."),
+        ("dof.csv --mass M.csv --exclude 50-50", "Give two different frequencies in Hz"),
+        ("dof.csv --mass M.csv --lower K11=5", "Give --estimator constrained, or leave the bounds out."),
+        (
+            "dof.csv --mass M.csv --estimator constrained --lower Q9=3",
+            "D33; got Q9. Count rows and columns in the order of --dof",
+        ),
+        (
+            "dof.csv --mass M.csv --estimator constrained --lower K11=9 --upper K11=2",
+            "--lower K11 must be below 2; got 9. Swap --lower and --upper of K11",
+        ),
         ("dof.csv --mass M.csv --exclude 5", "the range must be two frequencies in Hz as F1-F2; got 5"),
         (
             "dof.csv --mass M.csv --lower K11",
             "the bound must be an entry and a number in SI, as K11=100; got K11",
         ),
         ("dof.csv --mass M.csv --inplane load", "--inplane load must be given with measured motion"),
-        ("dof.csv --mass M.csv --out kd.txt", "--out must be a file name that ends with .json; got kd.txt"),
+        ("dof.csv --mass M.csv --out kd.txt", "ends with .json; got kd.txt. Give --out kd.json."),
         ("dof.csv", "--mass"),
         ("dof.csv --mass M.csv --estimater ml", "Did you mean --estimator?"),
-        ("dof.csv --mass text.csv", "M.csv must be numbers separated by commas, without a header"),
+        (
+            "dof.csv --mass text.csv",
+            'M.csv must be numbers separated by commas, without a header; got "gamma" '
+            "(text.csv, row 2, column 3). Write SI numbers with decimal points",
+        ),
+        ("dof.csv --mass empty.csv", "got an empty cell (empty.csv, row 3, column 2)"),
         ("dof.csv --mass binary.csv", "--mass must be a text file of numbers or a mass.json"),
         ("dof.csv --mass negative.csv", "the diagonal of the mass matrix must be positive"),
     ],
 )
 def test_faults_are_one_sentence_and_leave_nothing(files: Path, monkeypatch, line: str, message: str) -> None:
     monkeypatch.chdir(files)
-    (files / "text.csv").write_text("y,alpha,gamma\n1,0,0\n")
+    (files / "text.csv").write_text("1,0,0\n0,1,gamma\n0,0,1\n")
+    (files / "empty.csv").write_text("1,0,0\n\n0,,0\n0,0,1\n")
     (files / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
     np.savetxt(files / "negative.csv", -M, delimiter=",")
     before = sorted(path.name for path in files.iterdir())
@@ -284,3 +305,11 @@ def test_sources_have_words() -> None:
 def test_out_must_be_json(files: Path) -> None:
     with pytest.raises(FittingError, match=r"ends with \.json"):
         dof2kd(files / "dof.csv", files / "M.csv", KDOptions(), files / "kd.csv")
+
+
+def test_every_header_cell_of_m_csv_is_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "M.csv").write_text("y,alpha,gamma\n" + "1,0,0\n" * 3)
+    with pytest.raises(FittingError) as fault:
+        read_mass(tmp_path / "M.csv", DOF)
+    assert len(str(fault.value).splitlines()) == 3
+    assert "could not convert" not in str(fault.value)
