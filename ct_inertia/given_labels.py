@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _SAME_GRID = 0.05
 _LEAST_VOXELS = 50
 _SURFACE_BLUR = 0.8
+_BEYOND = 2
+_LEAST_END = 10
 
 
 def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
@@ -53,7 +55,13 @@ def _check_labels(labels: Volume, options: SearchOptions) -> None:
     name = "the label volume" if labels.source is None else Path(labels.source).name
     if array.dtype.kind == "f" and any(np.any(piece != np.rint(piece)) for piece in array):
         raise CtInertiaError(
-            sentence("the label volume", "whole numbers, one for each body", "grey values", name)
+            sentence(
+                "the label volume",
+                "whole numbers, one for each body",
+                "grey values",
+                name,
+                "Give the scan as the first argument and its segmentation with --labels",
+            )
         )
     count = sum(int(np.count_nonzero(piece == options.stapes_label)) for piece in array)
     if count < _LEAST_VOXELS:
@@ -167,6 +175,34 @@ def _cut_by_border(stapes: NDArray[np.bool_]) -> list[Notice]:
     return []
 
 
+def _cut_by_labels(
+    volume: Volume, labels: Volume, offset: NDArray[np.int64], options: SearchOptions, middle: float
+) -> list[Notice]:
+    """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
+    from ct_inertia.coarse import finite
+
+    for axis in range(3):
+        start, count = int(offset[2 - axis]), labels.array.shape[axis]
+        for layer, beyond in ((0, start - _BEYOND), (count - 1, start + count - 1 + _BEYOND)):
+            if not 0 <= beyond < volume.array.shape[axis]:
+                continue
+            end = np.take(labels.array, layer, axis=axis) == options.stapes_label
+            rest = [
+                slice(int(offset[2 - k]), int(offset[2 - k]) + labels.array.shape[k])
+                for k in range(3)
+                if k != axis
+            ]
+            rest.insert(axis, slice(beyond, beyond + 1))
+            further = finite(np.asarray(volume.array[tuple(rest)]), volume).squeeze(axis) > middle
+            if np.count_nonzero(end & further) > max(_LEAST_END, 0.5 * np.count_nonzero(end)):
+                text = (
+                    "The stapes touches the border of the label volume while its bone goes on in the scan: "
+                    "what lies beyond is missing from volume and mass. Draw the labels to its end."
+                )
+                return [Notice("touches_border", text)]
+    return []
+
+
 def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
     """Return the index x, y, z of the labels' first voxel in the scan."""
     spacing = np.max(np.abs(labels.spacing_mm / volume.spacing_mm - 1.0))
@@ -218,6 +254,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
     stapes, plate = local == options.stapes_label, local == options.plate_label
     rest = (local != 0) & ~stapes & ~plate
     guess = _guess(grey, stapes, local, volume.spacing_mm)
+    ends = _cut_by_labels(volume, labels, offset, options, 0.5 * (guess.air + guess.bone))
     cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
     measured = measure(volume, cut, guess)
     moments = measured.moments
@@ -252,7 +289,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         psf_sigma_mm=measured.sigma_mm,
         plate_face=measured.plate_face,
         evidence=evidence,
-        notices=(*volume.notices, *measured.notices, *border_notices(volume, cut)),
+        notices=(*volume.notices, *measured.notices, *border_notices(volume, cut), *ends),
     )
 
 

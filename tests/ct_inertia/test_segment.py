@@ -103,6 +103,22 @@ def test_given_labels_with_and_without_grey_values(tmp_path):
     assert grey.labels.origin_mm == pytest.approx(labels.origin_mm)
 
 
+def test_labels_that_end_on_the_stapes_are_told():
+    scan = ear(h=0.05, rays=4)
+    labels = replace(scan.volume, array=(scan.volume.array > 11000).astype(np.uint8))
+    index = np.argwhere(labels.array)
+    tight = tuple(slice(a, b + 1) for a, b in zip(index.min(axis=0), index.max(axis=0), strict=True))
+    for axis, sense in ((0, 1), (0, -1), (1, 1), (2, -1)):
+        box = list(tight)
+        middle = (box[axis].start + box[axis].stop) // 2
+        ended = slice(box[axis].start, middle) if sense > 0 else slice(middle, box[axis].stop)
+        for part, told in ((tight, False), ((*box[:axis], ended, *box[axis + 1 :]), True)):
+            origin = scan.volume.scan_points(np.array([s.start for s in part])[::-1])
+            short = replace(labels, array=labels.array[part], origin_mm=origin)
+            found = find_bodies(scan.volume, SearchOptions(labels=short))
+            assert ("touches_border" in codes(found)) == told
+
+
 def test_bad_labels():
     scan = ear(h=0.05, rays=4)
     labels = replace(scan.volume, array=(scan.volume.array > 11000).astype(np.uint8))
