@@ -56,7 +56,12 @@ def settle_spacing(
         values = np.asarray(given, dtype=float).ravel()
         if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise CtInertiaError(
-                sentence("--spacing", "one or three positive numbers in mm (H or DX,DY,DZ)", values.tolist())
+                sentence(
+                    "--spacing",
+                    "one or three positive numbers in mm (H or DX,DY,DZ)",
+                    values.tolist(),
+                    next_step="Give it in mm, for example --spacing 0.018",
+                )
             )
         spacing = np.broadcast_to(values, 3).copy()
         if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
@@ -128,18 +133,25 @@ def existing_file(path: Path) -> Path:
             sentence("the scan", "an existing file or folder", path, next_step="Check the path")
         )
     if path.is_file() and path.stat().st_size == 0:
-        raise CtInertiaError(sentence("the scan", "a file with content", "an empty file", path.name))
+        raise CtInertiaError(
+            sentence(
+                "the scan",
+                "a file with content",
+                "an empty file",
+                path.name,
+                next_step="Copy or export it again",
+            )
+        )
     return path
 
 
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
     """Make the error for a file that its library cannot read."""
-    told = str(fault).strip().splitlines()
     return CtInertiaError(
         sentence(
             "the scan",
             f"a readable {kind}",
-            f"{type(fault).__name__}{': ' + told[-1][:200] if told else ''}",
+            f"a file that {'ends too early' if isinstance(fault, EOFError) else 'cannot be read as one'}",
             path.name,
             "The file is truncated or damaged: copy or export it again",
         )

@@ -63,7 +63,12 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
     if image.GetNumberOfComponentsPerPixel() > 1 or image.GetDimension() != 3 or len(names) < 2:
         raise CtInertiaError(
-            sentence("the DICOM series", "a three-dimensional grey-value volume", f"{len(names)} slices")
+            sentence(
+                "the DICOM series",
+                "a three-dimensional grey-value volume",
+                f"{len(names)} slices",
+                next_step="Give the folder of the whole series",
+            )
         )
     _check_even(names, np.array(image.GetDirection()).reshape(3, 3)[:, 2], folder)
     spacing, notices = settle_spacing(np.array(image.GetSpacing()), spacing_mm, folder.name)

@@ -69,7 +69,13 @@ def _check_kind(reader: Any, path: Path) -> None:
     if len(size) != 3 or min(size) < 2:
         shape = " x ".join(map(str, reader.GetSize()))
         raise CtInertiaError(
-            sentence("the volume", "three-dimensional", f"an image of shape {shape}", path.name)
+            sentence(
+                "the volume",
+                "three-dimensional",
+                f"an image of shape {shape}",
+                path.name,
+                next_step="Give the whole stack",
+            )
         )
     if "complex" in kind:
         raise CtInertiaError(

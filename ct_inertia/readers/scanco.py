@@ -63,7 +63,11 @@ def read_scanco(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume
     else:
         raise CtInertiaError(
             sentence(
-                "the scan", "a Scanco ISQ or AIM file", f"a file that begins with {head[:8]!r}", path.name
+                "the scan",
+                "a Scanco ISQ or AIM file",
+                f"a file that begins with {head[:8]!r}",
+                path.name,
+                next_step="Export it again, or as TIFF with --spacing",
             )
         )
     shape = layout.size[::-1]
@@ -76,7 +80,15 @@ def read_scanco(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume
 
 def _isq(head: bytes, path: Path) -> _Layout:
     if len(head) < _BLOCK:
-        raise CtInertiaError(sentence("the ISQ file", "at least 512 bytes long", len(head), path.name))
+        raise CtInertiaError(
+            sentence(
+                "the ISQ file",
+                "at least 512 bytes long",
+                len(head),
+                path.name,
+                next_step="Copy or export it again",
+            )
+        )
     size = struct.unpack_from("<3i", head, 44)
     extent = np.array(struct.unpack_from("<3i", head, 56), dtype=float) * 1e-3
     (blocks,) = struct.unpack_from("<i", head, 508)
@@ -120,5 +132,11 @@ def _vax_float(four: bytes) -> float:
 def _check_positive(size: Sequence[int], path: Path) -> None:
     if min(size) <= 0:
         raise CtInertiaError(
-            sentence("the size in the header", "positive", " x ".join(map(str, size)), path.name)
+            sentence(
+                "the size in the header",
+                "positive",
+                " x ".join(map(str, size)),
+                path.name,
+                next_step="Copy or export it again",
+            )
         )

@@ -79,7 +79,13 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
         raise CtInertiaError(
-            sentence("the slice numbers", "unique", f"number {doubled[0]} twice", folder.name)
+            sentence(
+                "the slice numbers",
+                "unique",
+                f"number {doubled[0]} twice",
+                folder.name,
+                next_step="Leave one series of slices in the folder",
+            )
         )
     notices = []
     others = len(images) - len(chosen)
@@ -147,6 +153,11 @@ def _slice(path: Path) -> NDArray[Any]:
         )
     if image.ndim != 2:
         raise CtInertiaError(
-            sentence(f"slice {path.name}", "one two-dimensional image", f"shape {image.shape}")
+            sentence(
+                f"slice {path.name}",
+                "one two-dimensional image",
+                f"shape {image.shape}",
+                next_step="Give a stack as a file, not in a folder",
+            )
         )
     return image

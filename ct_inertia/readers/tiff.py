@@ -76,7 +76,13 @@ class _Listener(logging.Handler):
     def check(self, path: Path) -> None:
         if self.faults:
             raise CtInertiaError(
-                sentence("the TIFF", "complete", self.faults[0], path.name, "Copy or export it again")
+                sentence(
+                    "the TIFF",
+                    "complete",
+                    f"a truncated or damaged file of {path.stat().st_size} bytes",
+                    path.name,
+                    "Copy or export it again",
+                )
             ) from None
 
 
@@ -100,7 +106,13 @@ def _array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
     if extra and len(kept) > 3:
         raise CtInertiaError(
-            sentence("the volume", "one stack", f"{', '.join(extra)} (channels or times)", path.name)
+            sentence(
+                "the volume",
+                "one stack",
+                f"{', '.join(extra)} (channels or times)",
+                path.name,
+                "Export one channel and one time",
+            )
         )
     if len(kept) != 3:
         raise CtInertiaError(

@@ -330,8 +330,9 @@ def test_truncated_tiff(tmp_path, options, share):
     tifffile.imwrite(tmp_path / "a.tif", noise, **options)
     data = (tmp_path / "a.tif").read_bytes()
     (tmp_path / "b.tif").write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(CtInertiaError, match="must be"):
+    with pytest.raises(CtInertiaError, match=r"must be .*b\.tif\)\. .*[Cc]opy or export it again\.$") as told:
         read_volume(tmp_path / "b.tif", 0.02)
+    assert not any(word in str(told.value) for word in ("Error", "tifffile", "corrupt", "series", "TiffTag"))
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii", "a_zip.nrrd", "a.nii.gz"])
