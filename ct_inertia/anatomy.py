@@ -49,16 +49,28 @@ class AnatomyHints:
             direction = np.asarray(self.anterior, dtype=float)
             if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
                 raise CtInertiaError(
-                    sentence("--anterior", "a non-zero direction X,Y,Z in scan axes", direction.tolist())
+                    sentence(
+                        "--anterior",
+                        "a non-zero direction X,Y,Z in scan axes",
+                        direction.tolist(),
+                        next_step="Give the direction from posterior to anterior",
+                    )
                 )
             object.__setattr__(self, "anterior", direction / np.linalg.norm(direction))
         if self.side not in (None, "left", "right"):
-            raise CtInertiaError(sentence("--side", "left or right", self.side))
+            raise CtInertiaError(
+                sentence("--side", "left or right", self.side, next_step="Give --side left or --side right")
+            )
         points = {name: np.asarray(point, dtype=float) for name, point in self.landmarks.items()}
         for name, point in points.items():
             if point.shape != (3,) or not np.all(np.isfinite(point)):
                 raise CtInertiaError(
-                    sentence(f"landmark {name}", "three finite numbers in mm", point.tolist())
+                    sentence(
+                        f"landmark {name}",
+                        "three finite numbers in mm",
+                        point.tolist(),
+                        next_step="Set the point again in the program it was placed in",
+                    )
                 )
         object.__setattr__(self, "landmarks", points)
         sideways = {"superior", "inferior"} & points.keys()

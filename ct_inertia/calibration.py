@@ -62,15 +62,25 @@ def read_calibration(path: Path) -> Calibration:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(sentence("--calibration", "an existing TOML file", path))
+        raise CtInertiaError(
+            sentence("--calibration", "an existing TOML file", path, next_step="Check the path")
+        )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise CtInertiaError(sentence("--calibration", "valid TOML", fault, path.name)) from fault
+        raise CtInertiaError(
+            sentence("--calibration", "valid TOML", fault, path.name, next_step="Correct the file")
+        ) from fault
     unknown = sorted(set(table) - set(_KEYS))
     if unknown:
         raise CtInertiaError(
-            sentence("a key of --calibration", f"one of {', '.join(_KEYS)}", unknown[0], path.name)
+            sentence(
+                "a key of --calibration",
+                f"one of {', '.join(_KEYS)}",
+                unknown[0],
+                path.name,
+                next_step="Correct or remove that key",
+            )
         )
     mineral = "points_mg_ha_cm3" in table
     if mineral == ("points" in table):
@@ -80,6 +90,7 @@ def read_calibration(path: Path) -> Calibration:
                 "a file with either points or points_mg_ha_cm3",
                 "both" if mineral else "neither",
                 path.name,
+                next_step="Keep one of the two",
             )
         )
     points = _points(table["points_mg_ha_cm3" if mineral else "points"], path.name)
@@ -89,7 +100,13 @@ def read_calibration(path: Path) -> Calibration:
     slope, intercept = np.polyfit(points[:, 0], points[:, 1], 1)
     if not slope > 0.0:
         raise CtInertiaError(
-            sentence("the calibration line", "rising with the grey value", f"slope {slope:g}", path.name)
+            sentence(
+                "the calibration line",
+                "rising with the grey value",
+                f"slope {slope:g}",
+                path.name,
+                next_step="Check the order of grey value and density in each pair",
+            )
         )
     sd = _number(table, "sd_kg_m3", path.name) if "sd_kg_m3" in table else None
     return Calibration(float(slope), float(intercept), sd)
@@ -102,7 +119,13 @@ def _points(value: Any, file: str) -> Array:
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(np.unique(points[:, 0])) < 2:
         raise CtInertiaError(
-            sentence("the calibration points", "at least two pairs [grey, density]", value, file)
+            sentence(
+                "the calibration points",
+                "at least two pairs [grey, density]",
+                value,
+                file,
+                next_step="Give for example points = [[2000, 0], [20000, 1900]]",
+            )
         )
     return points
 
@@ -110,7 +133,7 @@ def _points(value: Any, file: str) -> Array:
 def _number(table: dict[str, Any], key: str, file: str) -> float:
     value = table.get(key)
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
-        raise CtInertiaError(sentence(key, "a number", value, file))
+        raise CtInertiaError(sentence(key, "a number", value, file, next_step="Correct it in the file"))
     return float(value)
 
 

@@ -128,11 +128,25 @@ def options_from(given: argparse.Namespace) -> MassOptions:
 
     percent = given.voxel_size_sd
     if percent is not None and not 0.0 <= percent < 50.0:
-        raise StapeskitError(sentence("--voxel-size-sd", "a percentage from 0 to 50", percent))
+        raise StapeskitError(
+            sentence(
+                "--voxel-size-sd",
+                "a percentage from 0 to 50",
+                percent,
+                next_step="Give it in percent, for example 0.2",
+            )
+        )
     if given.box is not None and any(
         low >= high for low, high in zip(given.box[:3], given.box[3:], strict=True)
     ):
-        raise StapeskitError(sentence("--box", "X0,Y0,Z0,X1,Y1,Z1 with X0 < X1, Y0 < Y1, Z0 < Z1", given.box))
+        raise StapeskitError(
+            sentence(
+                "--box",
+                "X0,Y0,Z0,X1,Y1,Z1 with X0 < X1, Y0 < Y1, Z0 < Z1",
+                given.box,
+                next_step="Give the lower corner first, then the upper one",
+            )
+        )
     return MassOptions(
         scan=given.scan,
         density=given.density,

@@ -32,7 +32,14 @@ def iso_surface(field: NDArray[np.float32], level: float, scan_from_index: Array
     """
     points, faces = _contour(np.pad(field, 1, constant_values=_below(field, level)), level)
     if len(faces) == 0:
-        raise CtInertiaError(sentence("the body", "visible above its grey level", f"nothing above {level:g}"))
+        raise CtInertiaError(
+            sentence(
+                "the body",
+                "visible above its grey level",
+                f"nothing above {level:g}",
+                next_step="Check the labels and the grey values there",
+            )
+        )
     points, faces = largest_part(points, faces)
     return _placed(points - 1.0, faces, scan_from_index)
 

@@ -49,7 +49,9 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(sentence("the landmark file", "an existing file", path))
+        raise CtInertiaError(
+            sentence("the landmark file", "an existing file", path, next_step="Check the path")
+        )
     name = path.name.lower()
     readers: dict[str, Callable[[Path], Named]] = {
         ".json": _slicer_json,
@@ -59,7 +61,14 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     }
     reader = next((read for ending, read in readers.items() if name.endswith(ending)), None)
     if reader is None:
-        raise CtInertiaError(sentence("the landmark file", "a .mrk.json, .fcsv, .pp or .csv file", path.name))
+        raise CtInertiaError(
+            sentence(
+                "the landmark file",
+                "a .mrk.json, .fcsv, .pp or .csv file",
+                path.name,
+                next_step="Save the landmarks in one of these formats",
+            )
+        )
     return _checked(reader(path), path.name)
 
 
@@ -75,9 +84,25 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
     for label, point in points:
         name = normal_name(label)
         if not np.all(np.isfinite(point)):
-            faults.append(sentence(f"landmark {label}", "three finite numbers", point.tolist(), file))
+            faults.append(
+                sentence(
+                    f"landmark {label}",
+                    "three finite numbers",
+                    point.tolist(),
+                    file,
+                    next_step="Set the point again, or correct the file",
+                )
+            )
         elif name in found:
-            faults.append(sentence(f"landmark {label}", "named once", "a second point of that name", file))
+            faults.append(
+                sentence(
+                    f"landmark {label}",
+                    "named once",
+                    "a second point of that name",
+                    file,
+                    next_step="Rename or remove one of the two",
+                )
+            )
         found[name] = point
     raise_all(CtInertiaError, faults)
     if not found.keys() & set(LANDMARK_NAMES):
@@ -98,7 +123,13 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
         raise CtInertiaError(
-            sentence("the landmark file", "text in UTF-8", "another encoding", path.name)
+            sentence(
+                "the landmark file",
+                "text in UTF-8",
+                "another encoding",
+                path.name,
+                next_step="Save the file again as UTF-8",
+            )
         ) from fault
 
 
@@ -106,7 +137,15 @@ def _signs(system: object, file: str) -> Array:
     """Return the signs (3,) that lead to LPS."""
     told = {"0": "RAS", "1": "LPS"}.get(str(system), str(system)).upper()
     if told not in _LPS_FROM:
-        raise CtInertiaError(sentence("the coordinate system", "LPS or RAS", system, file))
+        raise CtInertiaError(
+            sentence(
+                "the coordinate system",
+                "LPS or RAS",
+                system,
+                file,
+                next_step="Save the markups in one of the two",
+            )
+        )
     return _LPS_FROM[told]
 
 
@@ -129,7 +168,9 @@ def _slicer_json(path: Path) -> Named:
         signs = _signs(markups.get("coordinateSystem", "LPS"), path.name)
         unit = markups.get("coordinateUnits", "mm")
         if (unit[0] if isinstance(unit, list) else unit) != "mm":
-            raise CtInertiaError(sentence("coordinateUnits", "mm", unit, path.name))
+            raise CtInertiaError(
+                sentence("coordinateUnits", "mm", unit, path.name, next_step="Save the markups in mm")
+            )
         for control in markups.get("controlPoints", []):
             if control.get("positionStatus", "defined") != "defined":
                 continue
@@ -143,7 +184,15 @@ def _point(values: Any, file: str) -> Array:
     except (TypeError, ValueError):
         point = np.zeros(0)
     if point.shape != (3,):
-        raise CtInertiaError(sentence("a landmark's position", "three numbers", values, file))
+        raise CtInertiaError(
+            sentence(
+                "a landmark's position",
+                "three numbers",
+                values,
+                file,
+                next_step="Set the point again, or correct the file",
+            )
+        )
     return point
 
 
@@ -164,7 +213,13 @@ def _slicer_fcsv(path: Path) -> Named:
         cells = dict(zip(columns, line.split(","), strict=False))
         if "label" not in cells:
             raise CtInertiaError(
-                sentence("a row of an .fcsv file", "complete up to its label", line, path.name)
+                sentence(
+                    "a row of an .fcsv file",
+                    "complete up to its label",
+                    line,
+                    path.name,
+                    next_step="Save the list again in 3D Slicer",
+                )
             )
         position = _point([cells.get(axis) for axis in "xyz"], path.name)
         points.append((cells["label"], signs * position))
@@ -177,7 +232,15 @@ def _meshlab(path: Path) -> Named:
     try:
         root = ElementTree.fromstring(_text(path))
     except ElementTree.ParseError as fault:
-        raise CtInertiaError(sentence("the landmark file", "XML of MeshLab", fault, path.name)) from fault
+        raise CtInertiaError(
+            sentence(
+                "the landmark file",
+                "XML of MeshLab",
+                fault,
+                path.name,
+                next_step="Save the points again in MeshLab",
+            )
+        ) from fault
     return [
         (point.get("name", ""), _point([point.get(axis) for axis in "xyz"], path.name))
         for point in root.iter("point")
@@ -190,7 +253,13 @@ def _csv(path: Path) -> Named:
         missing = [column for column in ("name", *_COLUMNS) if column not in header]
         if missing:
             raise CtInertiaError(
-                sentence("the columns", "name, x_mm, y_mm, z_mm", f"no {', '.join(missing)}", file)
+                sentence(
+                    "the columns",
+                    "name, x_mm, y_mm, z_mm",
+                    f"no {', '.join(missing)}",
+                    file,
+                    next_step="Add the missing columns",
+                )
             )
         return set(_COLUMNS), {"name"}
 

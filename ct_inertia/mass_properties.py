@@ -41,7 +41,12 @@ class PointMass:
         object.__setattr__(self, "position_mm", np.asarray(self.position_mm, dtype=float))
         if not (np.isfinite(self.mass_kg) and self.mass_kg > 0.0):
             raise CtInertiaError(
-                sentence("--add-mass", "a positive mass in mg", f"{self.mass_kg * 1e6:g} mg")
+                sentence(
+                    "--add-mass",
+                    "a positive mass in mg",
+                    f"{self.mass_kg * 1e6:g} mg",
+                    next_step="Give X,Y,Z,MG with MG above 0",
+                )
             )
 
     def parameters(self, about_mm: Array) -> Array:

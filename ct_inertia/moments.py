@@ -42,9 +42,23 @@ class Moments:
 
     def __post_init__(self) -> None:
         if not self.volume_mm3 > 0.0:
-            raise CtInertiaError(sentence("the volume of the body", "positive", f"{self.volume_mm3:g} mm3"))
+            raise CtInertiaError(
+                sentence(
+                    "the volume of the body",
+                    "positive",
+                    f"{self.volume_mm3:g} mm3",
+                    next_step="Check labels and grey values of the body",
+                )
+            )
         if np.linalg.eigvalsh(self.second_mm5)[0] <= 0.0:
-            raise CtInertiaError(sentence("the second moments of the body", "positive definite", "others"))
+            raise CtInertiaError(
+                sentence(
+                    "the second moments of the body",
+                    "positive definite",
+                    "others",
+                    next_step="Check labels and grey values of the body",
+                )
+            )
 
     @property
     def inertia_mm5(self) -> Array:

@@ -64,6 +64,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
                     "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm",
                     f"no {', '.join(missing)}",
                     file,
+                    next_step="Add the missing columns",
                 )
             )
         return {*wanted, *(("sd_mm",) if "sd_mm" in header else ())}, {"name"}
@@ -72,7 +73,9 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     faults = list(table.faults)
     for column, values in table.numbers.items():
         faults += [
-            sentence(column, "a finite number", "nothing", table.where(int(row)))
+            sentence(
+                column, "a finite number", "nothing", table.where(int(row)), next_step="Fill in the cell"
+            )
             for row in np.flatnonzero(~np.isfinite(values))
         ]
     raise_all(CtInertiaError, faults)
@@ -80,15 +83,37 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
     if len(set(names)) != len(names):
         raise CtInertiaError(
-            sentence("the names of --plate-fiducials", "different", ", ".join(names), path.name)
+            sentence(
+                "the names of --plate-fiducials",
+                "different",
+                ", ".join(names),
+                path.name,
+                next_step="Rename one of them",
+            )
         )
     if len(names) < 3:
-        raise CtInertiaError(sentence("--plate-fiducials", "at least 3 points", len(names), path.name))
+        raise CtInertiaError(
+            sentence(
+                "--plate-fiducials",
+                "at least 3 points",
+                len(names),
+                path.name,
+                next_step="Add points that are not on one line",
+            )
+        )
     scan = np.column_stack([table.numbers[name] for name in _SCAN])
     plate = np.column_stack([table.numbers[name] for name in _PLATE]) if _PLATE[0] in columns else None
     sd = table.numbers.get("sd_mm")
     if sd is not None and np.any(sd <= 0.0):
-        raise CtInertiaError(sentence("sd_mm", "positive", float(sd.min()), path.name))
+        raise CtInertiaError(
+            sentence(
+                "sd_mm",
+                "positive",
+                float(sd.min()),
+                path.name,
+                next_step="Give the standard deviation of a point in mm, or leave the column out",
+            )
+        )
     return PlateFiducials(names, scan, plate, sd)
 
 
@@ -129,7 +154,12 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     _, size, axes = np.linalg.svd(points - centre)
     if size[1] < 1e-3 * size[0]:
         raise CtInertiaError(
-            sentence("the points of --plate-fiducials", "corners of a face", "points on a line")
+            sentence(
+                "the points of --plate-fiducials",
+                "corners of a face",
+                "points on a line",
+                next_step="Add a point off that line",
+            )
         )
     normal = axes[2] * (np.sign(axes[2] @ (stapes_mm - centre)) or 1.0)
     flat = (points - centre) @ axes[:2].T

@@ -117,7 +117,13 @@ def check_values(volume: Volume) -> None:
         _check_finite(array, where)
     if not settled and all(np.all(piece == first) for piece in array):
         raise CtInertiaError(
-            sentence("the volume", "a picture with differing grey values", f"{first} in every voxel", where)
+            sentence(
+                "the volume",
+                "a picture with differing grey values",
+                f"{first} in every voxel",
+                where,
+                next_step="Check that this is the reconstructed volume, and export it again",
+            )
         )
 
 

@@ -165,6 +165,7 @@ def _readings(levels: Array, threshold: float | None) -> list[tuple[float, float
                     "--threshold",
                     f"between the grey levels of air and bone ({levels[0]:.6g} and {levels[-1]:.6g})",
                     f"{threshold:g}",
+                    next_step="Read the two levels off the viewer, or leave --threshold out",
                 )
             )
         plastic = float(below[-1]) if below.size > 1 else None

@@ -150,13 +150,23 @@ def read_surface(path: Path | str) -> Surface:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(sentence("the surface", "an existing file", path))
+        raise CtInertiaError(sentence("the surface", "an existing file", path, next_step="Check the path"))
     if path.suffix.lower() not in SURFACE_SUFFIXES:
-        raise CtInertiaError(sentence("the surface", "a STL, PLY, OBJ or GLB file", path.name))
+        raise CtInertiaError(
+            sentence(
+                "the surface", "a STL, PLY, OBJ or GLB file", path.name, next_step="Use one of these formats"
+            )
+        )
     vertices, faces = _load(path)
     if len(faces) == 0:
         raise CtInertiaError(
-            sentence("the surface", "a mesh with triangles", f"{len(vertices)} points without any", path.name)
+            sentence(
+                "the surface",
+                "a mesh with triangles",
+                f"{len(vertices)} points without any",
+                path.name,
+                next_step="Export the surface again, as triangles",
+            )
         )
     notices: list[Notice] = []
     try:
@@ -183,7 +193,14 @@ def write_surface(path: Path | str, surface: Surface) -> None:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SURFACE_SUFFIXES:
-        raise CtInertiaError(sentence("the surface file", "a STL, PLY, OBJ or GLB file", path.name))
+        raise CtInertiaError(
+            sentence(
+                "the surface file",
+                "a STL, PLY, OBJ or GLB file",
+                path.name,
+                next_step="Use one of these formats",
+            )
+        )
     if suffix == ".ply":
         path.write_bytes(_ply_bytes(surface))
         return
@@ -197,17 +214,39 @@ def write_surface(path: Path | str, surface: Surface) -> None:
 def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
         raise CtInertiaError(
-            sentence("the surface", "vertices (n, 3) and faces (m, 3)", f"{vertices.shape} and {faces.shape}")
+            sentence(
+                "the surface",
+                "vertices (n, 3) and faces (m, 3)",
+                f"{vertices.shape} and {faces.shape}",
+                next_step="Export the surface again, as triangles",
+            )
         )
     if len(vertices) == 0 or len(faces) == 0:
         raise CtInertiaError(
-            sentence("the surface", "a mesh with triangles", f"{len(vertices)} points, {len(faces)} faces")
+            sentence(
+                "the surface",
+                "a mesh with triangles",
+                f"{len(vertices)} points, {len(faces)} faces",
+                next_step="Export the surface again, as triangles",
+            )
         )
     if not np.all(np.isfinite(vertices)):
-        raise CtInertiaError(sentence("the corners of the surface", "finite", "NaN or infinity"))
+        raise CtInertiaError(
+            sentence(
+                "the corners of the surface",
+                "finite",
+                "NaN or infinity",
+                next_step="Export the surface again",
+            )
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise CtInertiaError(
-            sentence("the faces of the surface", f"indices below {len(vertices)}", int(faces.max()))
+            sentence(
+                "the faces of the surface",
+                f"indices below {len(vertices)}",
+                int(faces.max()),
+                next_step="Export the surface again",
+            )
         )
 
 

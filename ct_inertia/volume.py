@@ -72,7 +72,13 @@ class Volume:
         origin = np.array(self.origin_mm, dtype=float)
         if origin.shape != (3,) or not np.all(np.isfinite(origin)):
             raise CtInertiaError(
-                sentence("the origin of the volume", "three numbers in mm", origin.tolist(), where)
+                sentence(
+                    "the origin of the volume",
+                    "three numbers in mm",
+                    origin.tolist(),
+                    where,
+                    next_step="Export it again",
+                )
             )
         direction = _right_handed(np.array(self.direction, dtype=float), where)
         for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
@@ -171,7 +177,7 @@ def unmirrored_frame(
 def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     """Return a view of an array [z, y, x] with its x, y or z axis reversed."""
     if axis not in tuple(_AXES):
-        raise CtInertiaError(sentence("--mirror", "x, y or z", axis))
+        raise CtInertiaError(sentence("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
     return np.flip(array, axis=2 - _AXES.index(axis))
 
 
@@ -200,13 +206,23 @@ def _check_array(array: NDArray[Any], where: str) -> None:
         )
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
         raise CtInertiaError(
-            sentence("the grey values", "integers or floating point numbers", array.dtype, where)
+            sentence(
+                "the grey values",
+                "integers or floating point numbers",
+                array.dtype,
+                where,
+                next_step="Export it as grey values",
+            )
         )
 
 
 def _right_handed(direction: Array, where: str) -> Array:
     if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
-        raise CtInertiaError(sentence("the direction matrix", "a finite 3x3 matrix", direction, where))
+        raise CtInertiaError(
+            sentence(
+                "the direction matrix", "a finite 3x3 matrix", direction, where, next_step="Export it again"
+            )
+        )
     if np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
         raise CtInertiaError(
             sentence(

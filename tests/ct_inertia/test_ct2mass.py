@@ -266,6 +266,20 @@ class TestFaults:
             run([mesh, "--out", tmp_path / "o", *words.split()])
         assert not (tmp_path / "o").exists()
 
+    @pytest.mark.parametrize(
+        ("words", "step"),
+        [
+            ("--anterior 0,0,0", "Give the direction from posterior to anterior."),
+            ("--landmarks none.csv", "Check the path."),
+            ("--voxel-size-sd 90", "Give it in percent, for example 0.2."),
+            ("--box 0,0,0,-1,1,1", "Give the lower corner first, then the upper one."),
+        ],
+    )
+    def test_a_fault_ends_with_what_to_do(self, mesh, tmp_path, words, step):
+        with pytest.raises(StapeskitError) as told:
+            run([mesh, "--density", "1900", "--out", tmp_path / "o", *words.split()])
+        assert str(told.value).endswith(step)
+
     def test_options_are_checked_before_content(self, tmp_path):
         with pytest.raises(CtInertiaError, match="exactly one of --density"):
             run([tmp_path / "none.tif"])
