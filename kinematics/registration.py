@@ -272,7 +272,10 @@ def _outlier_notice(a: Array, b: Array, names: tuple[str, ...], energy: float) -
     if p > _INCONSISTENT or distances[worst] < _NOTICEABLE_MM:
         return []
     name = names[worst] if names else str(worst + 1)
-    text = f"fiducial {name} lies {distances[worst]:.3g} mm from where the others put it, which scatter by {np.sqrt(others) * 1e3:.2g} um; check its coordinates or leave it out."
+    text = (
+        f"fiducial {name} lies {distances[worst]:.3g} mm from where the others put it, which scatter by "
+        f"{np.sqrt(others) * 1e3:.2g} um; check its coordinates or leave it out."
+    )
     return [Notice("fiducials_inconsistent", text)]
 
 
