@@ -86,7 +86,7 @@ class Parser(argparse.ArgumentParser):
 
     def _unknown(self, word: str) -> NoReturn:
         options = [text for action in self._actions for text in action.option_strings]
-        near = difflib.get_close_matches(word.split("=")[0], options, 1)
+        near = _nearest(word.split("=")[0], options)
         hint = f"Did you mean {near[0]}?" if near else f"Run {self.prog} --help to see the options."
         raise StapeskitError(
             f"{self.prog}: {word} must be a known option or argument; got an unknown one. {hint}"
@@ -140,6 +140,14 @@ class Parser(argparse.ArgumentParser):
                 sentence(key, f"one of {', '.join(map(str, action.choices))}", value, path.name)
             )
         return read if repeated else read[0]
+
+
+def _nearest(word: str, options: Sequence[str]) -> list[str]:
+    """Return the option that a mistyped one was meant to be: by its beginning, else by its spelling."""
+    longer = [option for option in options if len(word) > 2 and option.startswith(word)]
+    names = {option.lstrip("-"): option for option in options}
+    close = difflib.get_close_matches(word.lstrip("-"), list(names), 1)
+    return longer if len(longer) == 1 else [names[name] for name in close]
 
 
 def _is_numbers(value: list[Any]) -> bool:

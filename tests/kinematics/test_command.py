@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,20 @@ def test_faults_of_a_config_are_named(parser, tmp_path, text, match):
     path.write_text(text)
     with pytest.raises(StapeskitError, match=match):
         parser.parse(["s.tif", "--config", str(path)])
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("--anteri", "Did you mean --anterior?"),
+        ("--densty", "--help"),
+        ("--foo", "--help"),
+        ("--sid", "--side?"),
+    ],
+)
+def test_only_near_options_are_suggested(parser, word, said):
+    with pytest.raises(StapeskitError, match=re.escape(said)):
+        parser.parse(["s.tif", word])
 
 
 def test_values_with_sd():
