@@ -124,7 +124,10 @@ class RigidMotion:
         if name not in self.bodies:
             raise KinematicsError(
                 sentence(
-                    "the body", f"one of {', '.join(self.bodies)}", name, next_step=f"Name it with {option}"
+                    "the body",
+                    f"one of {', '.join(self.bodies)}",
+                    name,
+                    next_step=f"Name one with {option}, or measure {name}",
                 )
             )
         return self.bodies.index(name)
