@@ -101,7 +101,7 @@ def _check(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other, before any file is read."""
     faults = []
     if options.out.suffix.lower() != ".csv":
-        faults.append(sentence("--out", "a name that ends in .csv", options.out))
+        faults.append(sentence("--out", "a name that ends in .csv", options.out, "", "Add .csv"))
     if options.fiducials is not None and options.frame is not None:
         faults.append(
             sentence(
@@ -121,7 +121,7 @@ def _check(options: argparse.Namespace) -> None:
         path = getattr(options, name)
         if path is not None and not path.exists():
             option = "the vibrometer file" if name == "ldv" else f"--{name}"
-            faults.append(sentence(option, "an existing file", path))
+            faults.append(sentence(option, "an existing file", path, "", "Check its name and folder"))
     raise_all(KinematicsError, faults)
 
 

@@ -55,6 +55,11 @@ class Table:
     def __len__(self) -> int:
         return len(self.lines)
 
+    @property
+    def told(self) -> set[str]:
+        """Places (file and line) of the rows with a cell that is no number."""
+        return {fault.rsplit("(", 1)[-1].split(")")[0] for fault in self.faults}
+
     def where(self, row: int, column: str = "") -> str:
         """Return the place of a row for a message."""
         return f"{self.file}, line {int(self.lines[row])}" + (f", {column}" if column else "")
@@ -86,11 +91,21 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         raise KinematicsError(
-            sentence("column names", "different", ", ".join(twice) + " twice", f"{path.name}, line 1")
+            sentence(
+                "column names",
+                "different",
+                ", ".join(twice) + " twice",
+                f"{path.name}, line 1",
+                "Rename or remove one of them",
+            )
         )
     numbers, texts = choose(header, path.name)
     if not body[:4096].strip() and not body.strip():
-        raise KinematicsError(sentence(path.name, "a table with rows below its header", "the header alone"))
+        raise KinematicsError(
+            sentence(
+                path.name, "a table with rows below its header", "the header alone", "", "Export it again"
+            )
+        )
     decimal = "," if separator != "," and b"," in body else "."
     table = _fast(path.name, body, header, separator, decimal, numbers, texts)
     return table or _slow(path.name, _decoded(data, path.name), header, separator, decimal, numbers, texts)
@@ -98,7 +113,9 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
 
 def _bytes(path: Path) -> bytes:
     if not path.is_file():
-        raise KinematicsError(sentence("the table", "an existing CSV file", path))
+        raise KinematicsError(
+            sentence("the table", "an existing CSV file", path, "", "Check its name and folder")
+        )
     data = path.read_bytes()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data[:4096]:
         raise KinematicsError(
@@ -110,7 +127,9 @@ def _bytes(path: Path) -> bytes:
     if b"\n" not in data and b"\r" in data:
         data = data.replace(b"\r", b"\n")
     if not data.strip():
-        raise KinematicsError(sentence("a CSV file", "a header and rows", "an empty file", path.name))
+        raise KinematicsError(
+            sentence("a CSV file", "a header and rows", "an empty file", path.name, "Export it again")
+        )
     return data
 
 
@@ -232,11 +251,11 @@ def _parsed(
         if cell in _MISSING:
             continue
         try:
-            if decimal == "," and "." in cell and "," in cell:
+            if "_" in cell or (decimal == "," and "." in cell and "," in cell):
                 raise ValueError
             values[place] = float(cell.replace(",", ".") if decimal == "," else cell)
         except ValueError:
-            hint = ""
+            hint = "Write a plain number such as 1000 or 1e-6"
             if "," in cell:
                 hint = "Write a point for the decimals, or semicolons between the columns"
             faults.append(sentence(column, "a number", f'"{cell}"', f"{name}, line {lines[place]}", hint))
@@ -244,7 +263,9 @@ def _parsed(
 
 
 def _length_fault(name: str, line: int, got: int, wanted: int, separator: str) -> str:
-    hint = "Decimal commas need semicolons between the columns" if separator == "," and got > wanted else ""
+    hint = "Give every row one cell per column, empty where a value is missing"
+    if separator == "," and got > wanted:
+        hint = "Decimal commas need semicolons between the columns"
     return sentence("a row", f"{wanted} cells long, as the header is", f"{got}", f"{name}, line {line}", hint)
 
 

@@ -79,7 +79,13 @@ def read_fiducials(path: Path) -> Fiducials:
     if sd is not None:
         faults += sd_faults(table, sd)
         faults += [
-            sentence("sd_mm", "stated for all fiducials or for none", "an empty cell", table.where(int(row)))
+            sentence(
+                "sd_mm",
+                "stated for all fiducials or for none",
+                "an empty cell",
+                table.where(int(row)),
+                "Fill it in, or leave the column out",
+            )
             for row in np.flatnonzero(np.isnan(sd))
         ]
     raise_all(KinematicsError, faults)
@@ -93,12 +99,16 @@ def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str,
     for row, name in enumerate(names):
         if not name or name in names[:row]:
             got = f"{name} again" if name else "an empty cell"
-            faults.append(sentence("name", "given, and different for each fiducial", got, table.where(row)))
+            faults.append(
+                sentence("name", "given, and different for each fiducial", got, table.where(row), "Name it")
+            )
     if "frame" not in table.texts:
         return names, ("plate",) * len(names)
     column = table.texts["frame"]
     frames = tuple(column.names[code].lower() if code >= 0 else "plate" for code in column.codes)
     for row, frame in enumerate(frames):
         if frame not in FRAMES:
-            faults.append(sentence("frame", "plate, scan or footplate", frame, table.where(row, "frame")))
+            faults.append(
+                sentence("frame", "plate, scan or footplate", frame, table.where(row, "frame"), "Correct it")
+            )
     return names, frames

@@ -87,10 +87,14 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     if has_position or not points_given:
         missing += [name for name in POSITION if name not in header]
     if missing:
-        step = "Give the positions in the table or with --points" if POSITION[0] in missing else ""
+        step = "Add the column, or correct its name in the header (points2dof --help lists them)"
+        if POSITION[0] in missing:
+            step = "Give the positions in the table or with --points"
         faults.append(sentence("the table", "complete", f"no column {', '.join(missing)}", place, step))
     if "dir" in header and any(name in header for name in DIRECTION):
-        faults.append(sentence("the direction", "given once", "dir and dir_x, dir_y, dir_z", place))
+        faults.append(
+            sentence("the direction", "given once", "dir and dir_x, dir_y, dir_z", place, "Remove one")
+        )
     first, second, polar = _value_pair(units, header, place, faults)
     sd = _sd(units, first, place, faults)
     raise_all(KinematicsError, faults)
@@ -115,13 +119,17 @@ def _units(header: Sequence[str], place: str, faults: list[str]) -> dict[str, Un
         if unit is not None:
             found[name] = unit
         elif name.startswith(("re_", "im_", "amp_", "sd_")) or name in ("re", "im", "amp", "sd"):
-            faults.append(
-                sentence(f"the unit of column {name}", f"one of {SUFFIXES}", "an unknown one", place)
-            )
+            step = "Convert the values, and name their unit in the header"
+            thing = f"the unit of column {name}"
+            faults.append(sentence(thing, f"one of {SUFFIXES}", "an unknown one", place, step))
         elif name.startswith("freq") and name != "freq_hz":
-            faults.append(sentence(f"the frequency column {name}", "freq_hz", "an unknown unit", place))
+            faults.append(
+                sentence(f"the frequency column {name}", "freq_hz", "an unknown unit", place, "Give Hz")
+            )
         elif name.startswith("phase") and name != "phase_deg":
-            faults.append(sentence(f"the phase column {name}", "phase_deg", "an unknown unit", place))
+            faults.append(
+                sentence(f"the phase column {name}", "phase_deg", "an unknown unit", place, "Give degrees")
+            )
     return found
 
 
@@ -136,18 +144,20 @@ def _value_pair(
         by_part["amp"] and (by_part["re"] or by_part["im"])
     ):
         got = ", ".join(name for names in by_part.values() for name in names)
-        faults.append(sentence("the value", f"given once, as {pairs}", got, place))
+        faults.append(sentence("the value", f"given once, as {pairs}", got, place, "Remove the others"))
     elif by_part["re"] and by_part["im"]:
         first, second = by_part["re"][0], by_part["im"][0]
         if units[first].scale == units[second].scale and units[first].order == units[second].order:
             return first, second, False
-        faults.append(sentence("real and imaginary part", "in one unit", f"{first} and {second}", place))
+        got = f"{first} and {second}"
+        faults.append(sentence("real and imaginary part", "in one unit", got, place, "Convert one of them"))
     elif by_part["amp"] and "phase_deg" in header:
         return by_part["amp"][0], "phase_deg", True
-    else:
+    elif not any("the unit of column" in fault for fault in faults):
         alone = [name for names in by_part.values() for name in names]
         alone += ["phase_deg"] if "phase_deg" in header else []
-        faults.append(sentence("the value columns", pairs, f"{', '.join(alone) or 'none'} alone", place))
+        got = f"{', '.join(alone)} alone" if alone else "none of them"
+        faults.append(sentence("the value columns", pairs, got, place, "Add the missing column"))
     return "", "", False
 
 
@@ -157,11 +167,13 @@ def _sd(units: dict[str, Unit], first: str, place: str, faults: list[str]) -> st
         return ""
     value = units[first]
     if len(names) > 1:
-        faults.append(sentence("the standard deviation", "given once", ", ".join(names), place))
+        faults.append(
+            sentence("the standard deviation", "given once", ", ".join(names), place, "Remove the others")
+        )
         return ""
     sd = units[names[0]]
     if sd.order != value.order or sd.rms != value.rms:
         want = f"sd_{first.split('_', 1)[1]}, in the unit of its value"
-        faults.append(sentence("the standard deviation", want, names[0], place))
+        faults.append(sentence("the standard deviation", want, names[0], place, "Convert it"))
         return ""
     return names[0]

@@ -51,24 +51,30 @@ def rows_of(table: Table, columns: Columns, listed: Points | None) -> Rows:
         else TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
     )
     freq = table.numbers["freq_hz"]
+    usable = (freq > 0.0) & ~np.isinf(freq)
     _each(
-        ~(freq > 0.0) | np.isinf(freq),
+        ~usable & ~(_told(table) & np.isnan(freq)),
         "freq_hz",
         "positive and finite",
         lambda row: _cell(float(freq[row])),
         table,
         faults,
+        "Give the frequency in Hz, or leave the row out (a DC line holds no motion)",
     )
     directions, which = _directions(table, columns, faults)
     _check_values(table, columns, faults)
     place, place_first = _numbered(body.codes * len(point.names) + point.codes)
     positions, spread = _positions(table, columns, listed, place, place_first, faults)
-    if not faults:
-        lines, line = _lines(freq)
-        key = place * (which.max() + 1) + which
-        channel, first = _numbered(key)
-        whole = (run.codes * (channel.max() + 1) + channel) * len(lines) + line
-        _duplicates(whole, table, faults)
+    usable &= (body.codes >= 0) & (point.codes >= 0) & np.isfinite(directions[:, 0])
+    rows = np.flatnonzero(usable)
+    if rows.size:
+        lines, line = _lines(freq[rows])
+        channel, first = _numbered((place * (which.max() + 1) + which)[rows])
+        whole = (run.codes[rows] * (channel.max() + 1) + channel) * len(lines) + line
+        _duplicates(whole, rows, table, faults)
+    elif not faults:
+        step = "Export it again"
+        faults.append(sentence(table.file, "a table with rows below its header", "empty rows", "", step))
     raise_all(KinematicsError, faults)
     return Rows(
         run.codes,
@@ -85,15 +91,29 @@ def rows_of(table: Table, columns: Columns, listed: Points | None) -> Rows:
 
 
 def _each(
-    bad: NDArray[np.bool_], column: str, expected: str, got: object, table: Table, faults: list[str]
+    bad: NDArray[np.bool_],
+    column: str,
+    expected: str,
+    got: object,
+    table: Table,
+    faults: list[str],
+    step: str = "Correct the cell",
 ) -> None:
     for row in np.flatnonzero(bad)[:_MOST]:
         value = got(int(row)) if callable(got) else got
-        faults.append(sentence(column, expected, value, table.where(int(row), column)))
+        faults.append(sentence(column, expected, value, table.where(int(row), column), step))
+
+
+def _told(table: Table) -> NDArray[np.bool_]:
+    """Return which rows (rows,) hold a cell that was told to be no number already."""
+    told = table.told
+    if not told:
+        return np.zeros(len(table), dtype=bool)
+    return np.array([table.where(row) in told for row in range(len(table))], dtype=bool)
 
 
 def _cell(value: float) -> str:
-    return "an empty cell" if np.isnan(value) else f"{value:g}"
+    return "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
 
 
 def _directions(table: Table, columns: Columns, faults: list[str]) -> tuple[Array, Index]:
@@ -127,15 +147,22 @@ def _directions(table: Table, columns: Columns, faults: list[str]) -> tuple[Arra
     bad = ~(np.abs(length - 1.0) <= 1e-3)
     if np.any(bad):
         _each(
-            bad[code],
+            bad[code] & ~(_told(table) & np.isnan(length[code])),
             "dir_x, dir_y, dir_z",
             "a unit vector (within 1e-3)",
-            lambda r: f"({', '.join(_cell(v) for v in parts[r])}) of length {_cell(length[code[r]])}",
+            lambda r: _vector(parts[r]),
             table,
             faults,
+            "Divide the direction by its length",
         )
-        length[bad] = 1.0
+        length[bad & np.isfinite(length)] = 1.0
     return (parts[first] / length[:, None])[code], code
+
+
+def _vector(parts: Array) -> str:
+    """Return a direction for a message."""
+    listed = ", ".join(f"{value:g}" for value in parts)
+    return f"({listed})" + ("" if np.any(np.isnan(parts)) else f" of length {np.linalg.norm(parts):g}")
 
 
 def _numbered(keys: Array | Index) -> tuple[Index, Index]:
@@ -156,7 +183,8 @@ def _check_values(table: Table, columns: Columns, faults: list[str]) -> None:
     numbers = table.numbers
     for name in (columns.first, columns.second):
         values = numbers[name]
-        _each(np.isinf(values), name, "finite", lambda r, v=values: f"{v[r]:g}", table, faults)
+        step = "Leave the cell empty where the value is missing"
+        _each(np.isinf(values), name, "finite", lambda r, v=values: f"{v[r]:g}", table, faults, step)
     if columns.polar:
         values = numbers[columns.first]
         _each(values < 0.0, columns.first, "positive or zero", lambda r: f"{values[r]:g}", table, faults)
@@ -203,7 +231,8 @@ def _positions(
     if columns.positions:
         rows = np.column_stack([table.numbers[name] for name in POSITION])
         bad = ~np.all(np.isfinite(rows), axis=1)
-        _each(bad, ", ".join(POSITION), "finite numbers", lambda r: str(rows[r].tolist()), table, faults)
+        new = bad & ~_told(table)
+        _each(new, ", ".join(POSITION), "finite numbers", lambda r: str(rows[r].tolist()), table, faults)
         positions = rows[first]
         moved = np.any(rows != positions[place], axis=1) & ~bad
         for number in np.unique(place[moved]):
@@ -222,6 +251,7 @@ def _positions(
                     f"listed in {listed.file}",
                     "no row of that name there",
                     table.where(row, "point"),
+                    f"Add it to {listed.file}, or leave its rows out",
                 )
                 faults.append(what)
             elif columns.positions and np.max(np.abs(positions[number] - known)) > 1e-6:
@@ -234,7 +264,11 @@ def _positions(
 
 def _two_positions(key: tuple[str, str], old: str, new: Array, where: str) -> str:
     return sentence(
-        f"the position of point {key[1]} of body {key[0]}", "one", f"{old} and {new.tolist()}", where
+        f"the position of point {key[1]} of body {key[0]}",
+        "one",
+        f"{old} and {new.tolist()}",
+        where,
+        "Name the points apart, or correct the position",
     )
 
 
@@ -251,12 +285,13 @@ def _lines(freq: Array) -> tuple[Array, Index]:
     return ascending[new], rank[codes]
 
 
-def _duplicates(whole: Index, table: Table, faults: list[str]) -> None:
+def _duplicates(whole: Index, rows: Index, table: Table, faults: list[str]) -> None:
+    """Note the rows whose place, numbered by ``whole``, another one has already."""
     import pandas as pd
 
     twice = pd.Series(whole).duplicated().to_numpy()
-    for row in np.flatnonzero(twice)[:_MOST]:
-        first = int(np.flatnonzero(whole == whole[row])[0])
+    for number in np.flatnonzero(twice)[:_MOST]:
+        row, first = rows[number], int(rows[np.flatnonzero(whole == whole[number])[0]])
         faults.append(
             sentence(
                 "a row",

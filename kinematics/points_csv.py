@@ -48,12 +48,24 @@ def read_points(path: Path) -> Points:
     spread: dict[tuple[str, str], float] = {}
     for row in range(len(table)):
         if body.codes[row] < 0 or point.codes[row] < 0:
-            faults.append(sentence("body and point", "names", "an empty cell", table.where(row)))
+            faults.append(
+                sentence(
+                    "body and point",
+                    "names",
+                    "an empty cell",
+                    table.where(row),
+                    "Name the body and the point",
+                )
+            )
             continue
         key = (body.names[body.codes[row]], point.names[point.codes[row]])
         if key in positions:
             what = "the same point again" if np.array_equal(positions[key], xyz[row]) else "a second position"
-            faults.append(sentence(f"point {key[1]} of body {key[0]}", "listed once", what, table.where(row)))
+            faults.append(
+                sentence(
+                    f"point {key[1]} of body {key[0]}", "listed once", what, table.where(row), "Keep one row"
+                )
+            )
         positions[key], spread[key] = xyz[row], float(sd[row])
     raise_all(KinematicsError, faults)
     return Points(table.file, positions, spread)
@@ -70,25 +82,35 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
     missing = [name for name in names if name not in header]
     if missing:
         raise KinematicsError(
-            sentence("the table", "complete", f"no column {', '.join(missing)}", f"{file}, line 1")
+            sentence(
+                "the table",
+                "complete",
+                f"no column {', '.join(missing)}",
+                f"{file}, line 1",
+                "Add the column, or correct its name in the header",
+            )
         )
 
 
 def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
     """List the cells of number columns that are empty or infinite."""
     faults = []
-    bad_text = {fault.rsplit("(", 1)[-1].split(")")[0] for fault in table.faults}
+    bad_text = table.told
     for name in columns:
         for row in np.flatnonzero(~np.isfinite(table.numbers[name])):
             value = table.numbers[name][row]
             if table.where(int(row)) in bad_text:
                 continue
-            got = "an empty cell" if np.isnan(value) else f"{value:g}"
-            faults.append(sentence(name, "a finite number", got, table.where(int(row))))
+            got = "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
+            step = "Give the number, or leave the row out"
+            faults.append(sentence(name, "a finite number", got, table.where(int(row)), step))
     return faults
 
 
 def sd_faults(table: Table, sd: Array) -> list[str]:
     """List the standard deviations that are not positive and finite."""
     rows = np.flatnonzero((sd <= 0.0) | np.isinf(sd))
-    return [sentence("sd_mm", "positive and finite", f"{sd[row]:g}", table.where(int(row))) for row in rows]
+    step = "Give the standard deviation per coordinate in mm"
+    return [
+        sentence("sd_mm", "positive and finite", f"{sd[row]:g}", table.where(int(row)), step) for row in rows
+    ]

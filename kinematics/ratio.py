@@ -31,6 +31,7 @@ def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) ->
                 f"BODY:DOF with a body out of {', '.join(bodies)} and a fitted degree of freedom "
                 f"out of {', '.join(dof)}",
                 text,
+                next_step=f"Write for example --reference {bodies[-1]}:{dof[0]}",
             )
         )
     return bodies.index(body), dof.index(name)

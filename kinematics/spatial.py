@@ -37,7 +37,10 @@ def parse_dof(text: str, option: str = "--dof") -> tuple[str, ...]:
     if wrong or not names or len(set(names)) != len(names):
         raise KinematicsError(
             sentence(
-                option, f"a list of different names out of {', '.join(DOF_NAMES)}, or all", text or "nothing"
+                option,
+                f"a list of different names out of {', '.join(DOF_NAMES)}, or all",
+                text or "nothing",
+                next_step=f"Write for example {option} y,alpha,gamma",
             )
         )
     return tuple(name for name in DOF_NAMES if name in names)

@@ -155,9 +155,14 @@ D = "body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s"
             r"freq_hz must be positive and finite; got 0 \(ldv.csv, line 3, freq_hz\)",
         ),
         (HEAD, "s,1,0,0,0,y,-5,1,2", r"got -5 \(ldv.csv, line 3, freq_hz\)"),
-        (HEAD, "s,1,0,0,0,y,,1,2", r"got an empty cell \(ldv.csv, line 3, freq_hz\)"),
+        (HEAD, "s,1,0,0,0,y,,1,2", r"got an empty or NaN cell \(ldv.csv, line 3, freq_hz\)"),
         (HEAD, "s,1,0,0,0,y,7,inf,2", r"re_m_s must be finite; got inf \(ldv.csv, line 3, re_m_s\)"),
         (HEAD, "s,1,0,0,0,y,7,abc,2", r're_m_s must be a number; got "abc" \(ldv.csv, line 3\)'),
+        (
+            HEAD,
+            "s,1,0,0,0,y,7,1_000,2",
+            r're_m_s must be a number; got "1_000" .*line 3.* Write a plain number',
+        ),
         (HEAD, 's,1,0,0,0,y,7,"1,5",2', r"Write a point for the decimals"),
         (HEAD, "s,1,0,0,0,y,7,1,5,2", r"a row must be 9 cells long.*got 10 .*Decimal commas need semicolons"),
         (HEAD, "s,1,0,0,0,y,7", r"a row must be 9 cells long, as the header is; got 7 \(ldv.csv, line 3\)"),
@@ -169,7 +174,7 @@ D = "body,point,x_mm,y_mm,z_mm,dir_x,dir_y,dir_z,freq_hz,re_m_s,im_m_s"
         (HEAD, ",1,0,0,0,x,100,8,9", r"body must be a name; got an empty cell \(ldv.csv, line 3, body\)"),
         (D, "s,1,0,0,0,0,0,0,7,1,2", r"unit vector \(within 1e-3\); got \(0, 0, 0\) of length 0"),
         (D, "s,1,0,0,0,0,1.01,0,7,1,2", r"unit vector .* of length 1.01"),
-        (D, "s,1,0,0,0,0,,0,7,1,2", r"unit vector .* of length an empty cell"),
+        (D, "s,1,0,0,0,0,,0,7,1,2", r"unit vector \(within 1e-3\); got \(0, nan, 0\) \(ldv.csv, line 3"),
         (HEAD + ",sd_m_s", "s,1,0,0,0,x,7,1,2,-1", r"sd_m_s must be positive and finite; got -1"),
         (HEAD + ",coherence,n_avg", "s,1,0,0,0,x,7,1,2,1.1,4", r"coherence must be within 0 and 1; got 1.1"),
         (HEAD + ",n_avg", "s,1,0,0,0,x,7,1,2,0", r"n_avg must be 1 or more; got 0"),
@@ -196,7 +201,7 @@ def test_small_errors_of_unit_vectors_are_taken_out(tmp_path):
         ("body,point,x_mm,y_mm,z_mm,dir_x,freq_hz,re_m_s,im_m_s", "no column dir_y, dir_z"),
         ("body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s", "re_m_s with im_m_s.*got re_m_s alone"),
         ("body,point,x_mm,y_mm,z_mm,dir,freq_hz,amp_m", "got amp_m alone"),
-        ("body,point,x_mm,y_mm,z_mm,dir,freq_hz", "got none alone"),
+        ("body,point,x_mm,y_mm,z_mm,dir,freq_hz", "got none of them .*Add the missing column"),
         (
             "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_inch_s,im_inch_s",
             "unit of column re_inch_s must be one of",
@@ -225,6 +230,60 @@ def test_all_faults_come_in_one_message(tmp_path):
     lines = str(caught.value).splitlines()
     assert len(lines) == 4
     assert {int(number) for number in re.findall(r"line (\d+)", str(caught.value))} == {5, 6, 7}
+
+
+def test_duplicates_are_told_beside_other_faults(tmp_path):
+    rows = [*ROWS, "stapes,3,1,0,0,x,-1,5,6", ROWS[0], "stapes,4,1,0,0,x,100,oops,6"]
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table(tmp_path, rows=rows))
+    assert len(str(caught.value).splitlines()) == 3
+    assert re.search(r"the same as in line 2 \(ldv.csv, line 6\)", str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "column"),
+    [
+        (D, "s,1,0,0,0,0,a,0,7,1,2", "dir_y"),
+        (D, "s,1,0,0,0,0,1,0,b,1,2", "freq_hz"),
+        (D, "s,1,0,c,0,0,1,0,7,1,2", "y_mm"),
+    ],
+)
+def test_a_text_is_one_fault(tmp_path, head, row, column):
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table(tmp_path, head, [row]))
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(f"{column} must be a number")
+
+
+def test_an_unknown_unit_is_told_once(tmp_path):
+    head = HEAD.replace("re_m_s,im_m_s", "re_inch_s,im_inch_s")
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table(tmp_path, head, ["x"]))
+    assert [
+        "of column re_inch_s" in line or "of column im_inch_s" in line
+        for line in str(caught.value).splitlines()
+    ] == [True, True]
+
+
+def test_every_fault_says_what_to_do_next(tmp_path):
+    heads = [
+        "point,x_mm,dir,freq_khz,re_inch",
+        HEAD + ",sd_m,dir_x",
+        HEAD + ",amp_m",
+        HEAD.replace("im_m_s", "im_mm_s"),
+    ]
+    bad = [
+        "s,1,0,0,0,y,0,1,2",
+        "s,1,0,0,1,up,7,inf,a",
+        ",1,,0,0,y,,1,2",
+        "s,2,0,0,0,y,5,1,2",
+        "s,2,0,0,0,y,5,1,2",
+    ]
+    for head, rows in [*((head, ["x"]) for head in heads), (HEAD, bad)]:
+        with pytest.raises(KinematicsError) as caught:
+            read_ldv(table(tmp_path, head, rows))
+        for line in str(caught.value).splitlines():
+            assert re.search(r"\(ldv.csv, line .*\)\. [A-Z].*\.$", line), line
 
 
 def test_points_must_be_listed_once_and_agree(tmp_path):
@@ -257,6 +316,7 @@ def test_sd_that_is_empty_throughout_is_refused(tmp_path):
     [
         (b"", "an empty file"),
         (HEAD.encode(), "the header alone"),
+        ((HEAD + "\n,,,,,,,,\n,,,,,,,,\n").encode(), "got empty rows"),
         (("\ufeff" + HEAD).encode("utf-16"), "UTF-16 or binary"),
         ((HEAD + "\nst\u00e4pes,1,0,0,0,y,100,1,\u00b52\n").encode("latin-1"), "another encoding"),
         (b"\x00\x01\x02" * 100, "UTF-16 or binary"),
