@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.anatomy import AnatomyHints, orient_long_axis
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.footplate_landmarks import check_head, contradiction
 from ct_inertia.footplate_noise import boundary_covariance, height_covariance, height_noise
 from ct_inertia.footplate_search import FaceCandidate, face_candidates
 from ct_inertia.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
@@ -43,8 +44,6 @@ _BLUR_SHIFT_1_MM = 2.9
 _BLUR_TILT_RAD_MM2 = 0.84
 _BLUR_MOST_MM = 0.04
 _ROUNDS = 100
-_HEAD_MM = 1.0
-_LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
 
 
 class SurfaceLike(Protocol):
@@ -113,7 +112,7 @@ def footplate_frame(surface: SurfaceLike, hints: AnatomyHints | None = None) -> 
         No near-planar face at an extremity, hints that contradict each other or the surface.
     """
     hints = hints or AnatomyHints()
-    _check_head(surface, hints)
+    check_head(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces), hints)
     mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
     candidates = face_candidates(mesh, _extent(mesh))
     solved, notices = _chosen(mesh, candidates, hints)
@@ -193,7 +192,7 @@ def _extent(mesh: Mesh) -> float:
 def _chosen(mesh: Mesh, candidates: list[FaceCandidate], hints: AnatomyHints) -> tuple[_Solved, list[Notice]]:
     """Solve for the largest face; when landmarks contradict it, for one of similar size that they fit."""
     solved = _solve(_region(mesh, candidates[0].outward), -candidates[0].outward)
-    fault = _contradiction(solved, hints)
+    fault = contradiction(solved.origin, solved.axes, hints)
     if fault is None:
         notices = []
         rival = candidates[1].area_mm2 / candidates[0].area_mm2
@@ -210,55 +209,10 @@ def _chosen(mesh: Mesh, candidates: list[FaceCandidate], hints: AnatomyHints) ->
         if other.area_mm2 < 0.5 * candidates[0].area_mm2:
             break
         trial = _solve(_region(mesh, other.outward), -other.outward)
-        if _contradiction(trial, hints) is None:
+        if contradiction(trial.origin, trial.axes, hints) is None:
             text = "The footplate was taken to be the second largest face of the body, as the landmarks ask."
             return trial, [Notice("footplate_by_landmark", text)]
     raise CtInertiaError(fault)
-
-
-def _check_head(surface: SurfaceLike, hints: AnatomyHints) -> None:
-    """Refuse a landmark head that lies on no bone of this body."""
-    head = hints.landmarks.get("head")
-    if head is None:
-        return
-    from trimesh.triangles import closest_point
-
-    corners = np.asarray(surface.vertices_mm, dtype=float)[np.asarray(surface.faces)]
-    nearest = closest_point(corners, np.broadcast_to(head, (len(corners), 3)))
-    distance = float(np.min(np.linalg.norm(nearest - head, axis=1)))
-    if distance > _HEAD_MM:
-        raise CtInertiaError(
-            sentence(
-                "landmark head",
-                f"within {_HEAD_MM:g} mm of the surface of the stapes",
-                f"{distance:.2f} mm",
-                next_step=_LANDMARK_STEP,
-            )
-        )
-
-
-def _contradiction(solved: _Solved, hints: AnatomyHints) -> str | None:
-    head = hints.landmarks.get("head")
-    if head is not None:
-        height = float((head - solved.origin) @ solved.axes[:, 1])
-        if height < 0.3:
-            return sentence(
-                "landmark head",
-                "on the lateral side of the footplate, at least 0.3 mm above its centre",
-                f"{height:.2f} mm along the found lateral direction",
-                next_step=_LANDMARK_STEP,
-            )
-    centre = hints.landmarks.get("footplate_centre")
-    if centre is not None:
-        distance = float(np.linalg.norm(centre - solved.origin))
-        if distance > 1.0:
-            return sentence(
-                "landmark footplate_centre",
-                "within 1 mm of the found footplate centre",
-                f"{distance:.2f} mm",
-                next_step=_LANDMARK_STEP,
-            )
-    return None
 
 
 def _region(mesh: Mesh, outward: Array) -> _Region:
