@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 COLOURS = ("#0b6e99", "#c2571a", "#3f8f4f", "#7a4fa3", "#8a6d1f", "#4d4d4d")
 FAULT = "#c81e3a"
-_VIEWS = (("x", "y"), ("z", "y"), ("x", "z"))
+_VIEWS = (("x", "y", "+z"), ("z", "y", "−x"), ("x", "z", "lateral (+y)"))
 _MOST_LINES = 1500
 
 
 def placement_figure(result: Points2Dof, surface_mm: Array | None = None) -> Figure:
     """Draw points and beams from three sides in the footplate frame, faulty channels in red.
+
+    From lateral, y points to the reader and x to the right, so z points down.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def placement_figure(result: Points2Dof, surface_mm: Array | None = None) -> Fig
     everything = np.concatenate([body.positions_mm for body in bodies] + [np.zeros((1, 3))])
     span = float(np.max(np.ptp(everything, axis=0))) or 1.0
     bad = {(v.body, v.point, tuple(np.round(v.direction, 6))) for v in result.channels if v.verdict != "ok"}
-    for view, (across, up) in zip(axes, _VIEWS, strict=True):
+    for view, (across, up, eye) in zip(axes, _VIEWS, strict=True):
         i, j = "xyz".index(across), "xyz".index(up)
         if surface_mm is not None:
             view.plot(
@@ -72,7 +74,10 @@ def placement_figure(result: Points2Dof, surface_mm: Array | None = None) -> Fig
         view.set_aspect("equal", adjustable="datalim")
         view.set_xlabel(f"{across} (mm)")
         view.set_ylabel(f"{up} (mm)")
+        view.set_title(f"seen from {eye}", fontsize=10)
         view.margins(0.08)
+        if up == "z":
+            view.invert_yaxis()
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(bodies), frameon=False)
     return figure
