@@ -32,6 +32,9 @@ from kinematics.notices import Notice, unique
 
 Array = NDArray[np.float64]
 COMPARE = "compare"
+# Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
+# there is no profile; the Fisher intervals, which are enormous then, stand alone.
+_HOPELESS = 10.0
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,8 @@ class KDFit:
     problem : Problem
     notices : tuple of Notice
     profile : ndarray, (p, 2), or None
-        95 % profile likelihood intervals of the parameters, channel noise alone, SI; where the data are weak.
+        95 % profile likelihood intervals of the parameters, channel noise alone, SI; where the data are weak
+        but not hopeless.
     """
 
     options: KDOptions
@@ -353,7 +357,7 @@ def _result(
         problem,
         (),
     )
-    if known.weak and budget.method == "fisher":
+    if known.weak and known.worst < _HOPELESS and budget.method == "fisher":
         ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)
         fit = replace(fit, profile=ends * problem.units[:, None])
     return replace(fit, notices=unique([*motion.notices, *verdicts(fit)]))
