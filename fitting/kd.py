@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 COMPARE = "compare"
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
 # there is no profile; the Fisher intervals, which are enormous then, stand alone.
-_HOPELESS = 10.0
+_HOPELESS = 3.0
 
 
 @dataclass(frozen=True)
