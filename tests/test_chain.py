@@ -82,7 +82,7 @@ def demo(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def sample_truth():
-    return json.loads((SAMPLE / "truth.json").read_text())
+    return json.loads((SAMPLE / "truth.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("estimator", ["ml", "pinv", "constrained", "irls"])
@@ -115,7 +115,7 @@ def test_sample_frames_agree_with_the_truth(demo, sample_truth):
 
 
 def test_sample_stiffness_and_damping_agree_with_the_truth_within_their_covariance(demo, sample_truth):
-    kd = json.loads((demo / "kd.json").read_text())
+    kd = json.loads((demo / "kd.json").read_text(encoding="utf-8"))
     error = entries(kd["stiffness_si"], kd["damping_si"]) - wanted(sample_truth)
     covariance = np.array(kd["covariance_si"])
     sd = np.sqrt(np.diag(covariance))
@@ -128,14 +128,14 @@ def test_sample_stiffness_and_damping_agree_with_the_truth_within_their_covarian
 
 
 def test_sample_report_is_one_page_that_needs_no_network(demo):
-    page = (demo / "report.html").read_text()
+    page = (demo / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED" in page
     assert 'src="http' not in page
     assert 'href="http' not in page
     for code in {
         w["code"]
         for name in ("mass", "kd")
-        for w in json.loads((demo / f"{name}.json").read_text())["warnings"]
+        for w in json.loads((demo / f"{name}.json").read_text(encoding="utf-8"))["warnings"]
     }:
         assert code in page
 

@@ -49,7 +49,7 @@ def test_the_four_commands_run_as_they_are_printed(lab):
         )
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr
-    kd = json.loads((folder / "study_out" / "kd.json").read_text())
+    kd = json.loads((folder / "study_out" / "kd.json").read_text(encoding="utf-8"))
     assert kd["stiffness_si"][0][0] == pytest.approx(truth["stiffness_si"][0][0], rel=0.05)
     assert (folder / "kd.json").is_file()
 

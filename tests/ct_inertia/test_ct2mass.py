@@ -77,7 +77,7 @@ class TestAScan:
 
     def test_reads_back_as_it_was_written(self, result):
         record = read_mass_record(result[0] / "mass.json")
-        content = json.loads((result[0] / "mass.json").read_text())
+        content = json.loads((result[0] / "mass.json").read_text(encoding="utf-8"))
         assert np.allclose(record.mass_matrix.matrix, content["mass_matrix"]["matrix_si"], rtol=1e-12)
         stated = np.array(content["mass_matrix"]["standard_deviation_si"])
         assert np.allclose(record.mass_matrix.standard_deviation, stated, rtol=1e-9)
@@ -91,7 +91,7 @@ class TestAScan:
         )
 
     def test_frames_and_matrices_agree(self, result):
-        content = json.loads((result[0] / "mass.json").read_text())
+        content = json.loads((result[0] / "mass.json").read_text(encoding="utf-8"))
         frames = {key: np.array(content["frames"][key]) for key in ("scan_from_footplate", "scan_from_plate")}
         between = np.linalg.inv(frames["scan_from_plate"]) @ frames["scan_from_footplate"]
         assert np.allclose(content["frames"]["plate_from_footplate"], between, atol=1e-9)
@@ -117,8 +117,8 @@ class TestAScan:
         assert read_surface(result[0] / "plate.ply").volume_mm3 > 1.0
 
     def test_report_shows_matrix_pictures_and_hash(self, result):
-        page = (result[0] / "report.html").read_text()
-        content = json.loads((result[0] / "mass.json").read_text())
+        page = (result[0] / "report.html").read_text(encoding="utf-8")
+        content = json.loads((result[0] / "mass.json").read_text(encoding="utf-8"))
         assert content["provenance"]["inputs"]["scan"]["hash"] in page
         assert page.count("data:image/") >= 3
         assert "Uncertainty budget" in page

@@ -359,7 +359,7 @@ def test_a_lying_header_is_refused_before_allocation(tmp_path):
 
 def test_header_without_spacing_or_data(tmp_path):
     itk(tmp_path / "a.mhd", picture())
-    text = (tmp_path / "a.mhd").read_text()
+    text = (tmp_path / "a.mhd").read_text(encoding="utf-8")
     (tmp_path / "b.mhd").write_text("\n".join(x for x in text.splitlines() if "Spacing" not in x))
     with pytest.raises(CtInertiaError, match="--spacing"):
         read_volume(tmp_path / "b.mhd")

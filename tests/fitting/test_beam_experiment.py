@@ -90,7 +90,7 @@ def test_misaligned_centre_of_mass() -> None:
 
 def test_page(tmp_path: Path, capsys) -> None:
     assert beam_page.main([str(tmp_path / "beam.html"), "2"]) == 0
-    html = (tmp_path / "beam.html").read_text()
+    html = (tmp_path / "beam.html").read_text(encoding="utf-8")
     for words in ("What is simulated", "Deviation from Table 1", "100 µm", "Figs. 3 and 4", "does not print"):
         assert words in html
     assert beam_page.main([]) == 2

@@ -67,7 +67,7 @@ def files(tmp_path: Path) -> Path:
 def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
     monkeypatch.chdir(files)
     _, outcome = _work(["dof.csv", "--mass", "M.csv", "--out", "new/kd.json"])
-    content = json.loads((files / "new" / "kd.json").read_text())
+    content = json.loads((files / "new" / "kd.json").read_text(encoding="utf-8"))
     assert set(content) >= KEYS
     assert content["schema"] == "stapeskit.kd/1"
     assert content["dof"] == ["y", "alpha", "gamma"]
@@ -92,7 +92,7 @@ def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
     assert content["provenance"]["inputs"]["motion"]["file"] == "dof.csv"
     assert outcome.files == (Path("new/kd.json"), Path("new/kd.html"))
     assert len(outcome.rows) <= 15
-    html = (files / "new" / "kd.html").read_text()
+    html = (files / "new" / "kd.html").read_text(encoding="utf-8")
     for words in (
         "Measured and simulated responses",
         "Principal axes",

@@ -385,7 +385,7 @@ def test_missing_body_or_motion_is_refused() -> None:
     motion = paper_motion()
     with pytest.raises(KinematicsError, match="the body must be one of stapes, base; got incus"):
         fit_kd(motion, M, KDOptions(structure="incus"))
-    with pytest.raises(KinematicsError, match="Name it with --base"):
+    with pytest.raises(KinematicsError, match="Name one with --base"):
         fit_kd(motion, M, KDOptions(base="bone"))
     with pytest.raises(FittingError, match="two different bodies"):
         fit_kd(motion, M, KDOptions(base="stapes"))

@@ -61,9 +61,9 @@ def test_command_writes_the_scatter(tmp_path: Path, monkeypatch) -> None:
     ones = np.ones_like(motion.chi2)
     write_motion(tmp_path, "dof", replace(motion, chi2=42.0 * ones, n_dof=42.0 * ones))
     _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "30"])
-    content = json.loads(Path("kd.json").read_text())["monte_carlo"]
+    content = json.loads(Path("kd.json").read_text(encoding="utf-8"))["monte_carlo"]
     assert content["refits"] == 30
     assert set(content["sd_over_linear_propagation"]) == set(content["sd_si"])
-    assert "Monte Carlo" in Path("kd.html").read_text()
+    assert "Monte Carlo" in Path("kd.html").read_text(encoding="utf-8")
     with pytest.raises(StapeskitError, match="whole number from 20"):
         _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "3"])

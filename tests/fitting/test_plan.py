@@ -72,7 +72,7 @@ def test_example_of_the_help_runs(tmp_path: Path, monkeypatch) -> None:
     path = write(tmp_path, PLAN_EXAMPLE)
     monkeypatch.chdir(tmp_path)
     _, outcome = _work(["--plan", str(path)])
-    content = json.loads((tmp_path / "plan.json").read_text())
+    content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
     assert content["schema"] == "stapeskit.plan/1"
     assert content["options"][0]["name"] == "as planned"
     assert np.array(content["expected_stiffness_sd_si"]).shape == (3, 3)

@@ -65,7 +65,7 @@ def test_both_files_read_back(tmp_path, motion):
 
 def test_columns_are_those_promised(tmp_path, motion):
     csv, _ = write_motion(tmp_path, "dof", motion)
-    header = csv.read_text().splitlines()[0].split(",")
+    header = csv.read_text(encoding="utf-8").splitlines()[0].split(",")
     assert header == [
         "run",
         "body",
@@ -83,7 +83,7 @@ def test_columns_are_those_promised(tmp_path, motion):
         "n_dof",
     ]
     assert header == column_names(DOF, False)
-    assert len(csv.read_text().splitlines()) == 1 + 19
+    assert len(csv.read_text(encoding="utf-8").splitlines()) == 1 + 19
 
 
 def test_a_csv_alone_has_uncorrelated_noise(tmp_path, motion):
@@ -100,7 +100,7 @@ def test_a_csv_alone_has_uncorrelated_noise(tmp_path, motion):
 
 def test_a_changed_csv_is_not_completed_from_the_old_h5(tmp_path, motion):
     csv, _ = write_motion(tmp_path, "dof", motion)
-    lines = csv.read_text().splitlines()
+    lines = csv.read_text(encoding="utf-8").splitlines()
     csv.write_text("\n".join(lines[:-1]) + "\n")
     read = read_motion(csv)
     assert read.shared is None
@@ -119,7 +119,7 @@ def test_responses_read_back(tmp_path):
     data = measurement(body("stapes", one), body("base", two), freq_hz=one.freq_hz)
     motion = per_reference(points2dof(data, options=Options(DOF)).motion, "base:y")
     csv, h5 = write_motion(tmp_path, "dof", motion)
-    header = csv.read_text().splitlines()[0]
+    header = csv.read_text(encoding="utf-8").splitlines()[0]
     assert "y_re_m_per_ref,y_im_m_per_ref,alpha_re_rad_per_ref" in header
     assert "gamma_sd_rad_per_ref,chi2" in header
     assert np.array_equal(read_motion(csv).covariance, motion.covariance)

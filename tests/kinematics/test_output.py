@@ -19,11 +19,11 @@ def test_outputs_replace_old_ones_at_once(tmp_path):
         (stage / "sub").mkdir()
         (stage / "sub" / "y.txt").write_text("deep")
         assert not folder.exists()
-    assert (folder / "x.txt").read_text() == "new"
-    assert (folder / "sub" / "y.txt").read_text() == "deep"
+    assert (folder / "x.txt").read_text(encoding="utf-8") == "new"
+    assert (folder / "sub" / "y.txt").read_text(encoding="utf-8") == "deep"
     with staged(folder) as stage:
         (stage / "x.txt").write_text("newer")
-    assert (folder / "x.txt").read_text() == "newer"
+    assert (folder / "x.txt").read_text(encoding="utf-8") == "newer"
     assert sorted(p.name for p in tmp_path.rglob(".stapeskit*")) == []
 
 
@@ -42,7 +42,7 @@ def test_failure_leaves_nothing(tmp_path, fault):
     with pytest.raises(fault):
         work()
     assert [p.name for p in tmp_path.rglob("*")] == ["out", "x.txt"]
-    assert (folder / "x.txt").read_text() == "old"
+    assert (folder / "x.txt").read_text(encoding="utf-8") == "old"
 
 
 def test_failure_makes_no_folder(tmp_path):

@@ -160,7 +160,7 @@ def test_faults_of_the_sample_are_named(tmp_path, kind):
 def test_reference_and_subset(tmp_path):
     arguments = make(tmp_path)
     work([*arguments, "--dof", "y,alpha,gamma", "--reference", "base:y"])
-    header = (tmp_path / "out" / "dof.csv").read_text().splitlines()[0]
+    header = (tmp_path / "out" / "dof.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.startswith("run,body,freq_hz,y_re_m_per_ref,y_im_m_per_ref,alpha_re_rad_per_ref")
     motion = read_motion(tmp_path / "out" / "dof.h5")
     assert motion.reference == "base:y"
@@ -211,7 +211,7 @@ def test_faulty_options_are_told_before_content(tmp_path, options, match):
 
 def test_a_fault_leaves_nothing_behind(tmp_path):
     path, _ = write_plain(tmp_path)
-    path.write_text(path.read_text().replace("stapes,1", "stapes,,1", 1))
+    path.write_text(path.read_text(encoding="utf-8").replace("stapes,1", "stapes,,1", 1))
     before = sorted(tmp_path.iterdir())
     with pytest.raises(KinematicsError, match="line"):
         work([str(path), "--out", str(tmp_path / "out" / "dof.csv")])
@@ -238,7 +238,8 @@ def test_the_process_ends_as_promised(tmp_path):
     assert len(done.stdout.splitlines()) <= 15
     missing = command("nowhere.csv", folder=tmp_path)
     assert missing.returncode == 2
-    assert missing.stderr == "the vibrometer file must be an existing file; got nowhere.csv.\n"
+    told = "the vibrometer file must be an existing file; got nowhere.csv. Check its name and folder.\n"
+    assert missing.stderr == told
     start = time.perf_counter()
     helped = command("--help", folder=tmp_path)
     assert time.perf_counter() - start < 1.5

@@ -165,7 +165,7 @@ def test_fiducials_are_read(tmp_path):
     [
         (HEAD.replace("z_ref_mm", "z_ref"), "a,1,2,3,4,5,6", "no column z_ref_mm"),
         (HEAD, "a,1,2,x,4,5,6", 'z_mm must be a number; got "x"'),
-        (HEAD, "a,1,2,,4,5,6", "z_mm must be a finite number; got an empty cell"),
+        (HEAD, "a,1,2,,4,5,6", "z_mm must be a finite number; got an empty or NaN cell"),
         (HEAD, "first,1,2,3,4,5,6", "name must be given, and different.*first again"),
         (HEAD, ",1,2,3,4,5,6", "name must be given.*an empty cell"),
         (HEAD + ",frame", "a,1,2,3,4,5,6,moon", "frame must be plate, scan or footplate; got moon"),

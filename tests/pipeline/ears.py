@@ -49,7 +49,7 @@ def make_ear(
     recording = record(mass, RigidTransform.identity("footplate", "plate"), how, marks, stapes=stapes)
     write_recording(folder, recording, how)
     fiducials = folder / "fiducials.csv"
-    fiducials.write_text(fiducials.read_text().replace(",plate", ",footplate"))
+    fiducials.write_text(fiducials.read_text(encoding="utf-8").replace(",plate", ",footplate"))
     study = folder / "study.toml"
     study.write_text(
         TEXT.format(name=name, density=density, side=side, anterior=", ".join(f"{v:.3f}" for v in anterior))

@@ -92,7 +92,7 @@ def test_one_study_tells_its_results(ear, capsys):
     assert len(outcome.rows) <= 15
     result = json.loads(json.dumps(outcome.result))
     assert result["stages"][0]["reused"]
-    assert result["stiffness_si"] == json.loads((out / "kd.json").read_text())["stiffness_si"]
+    assert result["stiffness_si"] == json.loads((out / "kd.json").read_text(encoding="utf-8"))["stiffness_si"]
     assert all(Path(name).is_file() for name in result["files"])
     assert capsys.readouterr().err == ""
 

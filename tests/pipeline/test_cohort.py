@@ -75,7 +75,7 @@ def test_page_compares_only_what_can_be_compared(finished, tmp_path):
     left, right = ears_like(finished, 1)[0], ears_like(finished, 1, "right")[0]
     write_cohort_page(tmp_path / "same.html", [left, left], {})
     write_cohort_page(tmp_path / "mixed.html", [left, right], {"ear 9": "no scan"})
-    same, mixed = ((tmp_path / name).read_text() for name in ("same.html", "mixed.html"))
+    same, mixed = ((tmp_path / name).read_text(encoding="utf-8") for name in ("same.html", "mixed.html"))
     assert same.count("K(y, alpha)") == 2
     assert mixed.count("K(y, alpha)") == 1
     assert "no scan" in mixed
@@ -95,7 +95,7 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     out.rename(tmp_path / "all" / "ear1")
     broken = tmp_path / "broken" / "study.toml"
     broken.parent.mkdir()
-    broken.write_text(study.read_text().replace("[fit]", "[fitt]"))
+    broken.write_text(study.read_text(encoding="utf-8").replace("[fit]", "[fitt]"))
     lines = []
     result = run_studies([study, broken], tmp_path / "all", jobs=2, tell=lines.append)
     assert [(one.folder, one.name) for one in result.ears] == [("ear1", "ear one")]
@@ -103,8 +103,8 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     assert "Did you mean [fit]?" in result.faults["broken"]
     assert "scan.file must be an existing file" in result.faults["broken"]
     assert not (tmp_path / "all" / "broken").exists()
-    assert (tmp_path / "all" / "cohort.csv").read_text().count("\n") == 2
-    assert "broken" in (tmp_path / "all" / "cohort.html").read_text()
+    assert (tmp_path / "all" / "cohort.csv").read_text(encoding="utf-8").count("\n") == 2
+    assert "broken" in (tmp_path / "all" / "cohort.html").read_text(encoding="utf-8")
     assert any(line.startswith("ear1: fit") for line in lines)
 
 

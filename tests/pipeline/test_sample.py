@@ -17,7 +17,7 @@ def sample(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STAPESKIT_OFFSCREEN", "0")
         result = run_study(SAMPLE / "study.toml", out)
-    return result, json.loads((SAMPLE / "truth.json").read_text())
+    return result, json.loads((SAMPLE / "truth.json").read_text(encoding="utf-8"))
 
 
 def test_stiffness_and_damping_agree_with_the_truth_within_their_covariance(sample):

@@ -27,7 +27,7 @@ def reused(result):
 
 
 def edit(path: Path, old: str, new: str):
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new))
 
@@ -47,7 +47,7 @@ def test_the_outputs_of_the_contract(finished):
     _, out, result = finished
     assert {path.name for path in out.iterdir() if path.is_file()} == OUTPUTS
     assert {path.name for path in result.files} == OUTPUTS
-    assert json.loads((out / "kd.json").read_text())["schema"] == "stapeskit.kd/1"
+    assert json.loads((out / "kd.json").read_text(encoding="utf-8"))["schema"] == "stapeskit.kd/1"
 
 
 def test_a_second_run_recomputes_nothing(ear):
@@ -74,7 +74,7 @@ def test_other_notes_make_only_the_report_anew(ear):
     study, out = ear
     edit(study, "Incus removed", "Cochlea opened")
     assert reused(run_study(study, out)) == {"scan": True, "motion": True, "fit": True, "report": False}
-    assert "Cochlea opened" in (out / "report.html").read_text()
+    assert "Cochlea opened" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_another_estimator_makes_only_fit_and_report_anew(ear):
@@ -111,7 +111,7 @@ def test_a_corrupt_record_is_not_believed(ear, text):
 def test_changed_vibrometer_data_make_motion_and_fit_anew(ear):
     study, out = ear
     table = study.parent / "ldv.csv"
-    lines = table.read_text().splitlines()
+    lines = table.read_text(encoding="utf-8").splitlines()
     table.write_text("\n".join(line for line in lines if not line.startswith("stapes,3,")) + "\n")
     assert reused(run_study(study, out)) == {"scan": True, "motion": False, "fit": False, "report": False}
 
@@ -143,7 +143,7 @@ def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, wh
         raise fault("stopped")
 
     if where == 2:
-        fake = json.loads((out / "mass.json").read_text()) | {"warnings": []}
+        fake = json.loads((out / "mass.json").read_text(encoding="utf-8")) | {"warnings": []}
 
         def scan(_study, work):
             (work.fresh / "mass.json").write_text(json.dumps(fake))
@@ -164,7 +164,7 @@ def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, wh
 def test_outputs_that_no_longer_belong_are_removed(ear):
     study, out = ear
     record = out / ".stapeskit" / "scan.json"
-    content = json.loads(record.read_text())
+    content = json.loads(record.read_text(encoding="utf-8"))
     content["outputs"]["plate.ply"] = "xxh3_128:0"
     record.write_text(json.dumps(content))
     (out / "plate.ply").write_bytes(b"of another scan")
@@ -181,7 +181,7 @@ def test_faults_of_the_table_are_told_before_the_scan_is_read(ear, monkeypatch):
     monkeypatch.setattr(stages.Scan, "run", staticmethod(lambda *_: pytest.fail("the scan was read")))
     with pytest.raises(StapeskitError, match=r"the body stirrup must be among .*with fit.structure"):
         run_study(study, out)
-    table.write_text(table.read_text().replace("f1,", "f1,oops"))
+    table.write_text(table.read_text(encoding="utf-8").replace("f1,", "f1,oops"))
     with pytest.raises(StapeskitError, match=r"fiducials\.csv"):
         run_study(study, out, force=True)
 

@@ -55,7 +55,7 @@ def test_parts_can_be_made_alone_and_without_a_plate_the_scan_is_the_reference(t
     main(["--only", "ldv", "--out", str(tmp_path / "b"), "--no-plate"])
     assert not (tmp_path / "a" / "ldv.csv").exists()
     assert not (tmp_path / "b" / "scan.tif").exists()
-    rows = (tmp_path / "b" / "fiducials.csv").read_text().splitlines()
+    rows = (tmp_path / "b" / "fiducials.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 7
     assert all(row.split(",")[7] == "scan" for row in rows[1:])
 
@@ -65,7 +65,7 @@ def test_anisotropic_voxels_shape_and_plate_reach_the_files(tmp_path):
     plate = ["--plate-tilt-deg=-2,5", "--plate-turn-deg", "80", "--plate-distance-mm", "0.6"]
     main([*scan, *plate, "--only", "scan", "--out", str(tmp_path)])
     assert tifffile.memmap(tmp_path / "scan.tif", mode="r").shape == (80, 70, 60)
-    behind = json.loads((tmp_path / "truth.json").read_text())
+    behind = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert behind["voxel_mm"] == [0.09, 0.1, 0.11]
     assert behind["plate_from_footplate"][1][3] == pytest.approx(0.6)
 
@@ -83,7 +83,9 @@ def test_a_left_handed_scanner_is_named_in_the_study_file():
 
 def test_noise_free_fiducials_agree_in_both_frames_to_rounding(tmp_path):
     main(["--only", "ldv", "--noise-free", "--out", str(tmp_path)])
-    rows = [line.split(",") for line in (tmp_path / "fiducials.csv").read_text().splitlines()[1:]]
+    rows = [
+        line.split(",") for line in (tmp_path / "fiducials.csv").read_text(encoding="utf-8").splitlines()[1:]
+    ]
     seen, reference = (np.array([row[a : a + 3] for row in rows], dtype=float) for a in (1, 4))
     lengths = [np.linalg.norm(part[:, None] - part[None], axis=2) for part in (seen, reference)]
     np.testing.assert_allclose(lengths[0], lengths[1], atol=1e-12)

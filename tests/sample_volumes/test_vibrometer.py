@@ -93,6 +93,6 @@ def test_study_files_are_complete_and_the_same_every_time(tmp_path):
         rows = list(csv.DictReader(stream))
     assert len(rows) == 2 * (10 + 9) * 3 * 4
     assert {row["run"] for row in rows} == {"y", "x"}
-    behind = json.loads((tmp_path / "a" / "truth.json").read_text())
+    behind = json.loads((tmp_path / "a" / "truth.json").read_text(encoding="utf-8"))
     assert behind["stiffness_si"][0][0] == 1722.0
-    assert "SIMULATED" in (tmp_path / "a" / "study.toml").read_text()
+    assert "SIMULATED" in (tmp_path / "a" / "study.toml").read_text(encoding="utf-8")
