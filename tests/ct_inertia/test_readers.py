@@ -1,5 +1,6 @@
 """One contract for all readers: the same voxels at the same places, and one sentence for each bad file."""
 
+import locale
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,7 @@ def slices(path, array):
 
 
 def dicom(path, array):
+    before = locale.setlocale(locale.LC_ALL)
     path.mkdir()
     writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
@@ -85,6 +87,7 @@ def dicom(path, array):
             slice_.SetMetaData(tag, value)
         writer.SetFileName(str(path / f"{9 - k}.dcm"))
         writer.Execute(slice_)
+    locale.setlocale(locale.LC_ALL, before)
 
 
 def skyscan(path, array):
@@ -262,6 +265,13 @@ def test_bad_folders(tmp_path):
     tifffile.imwrite(tmp_path / "f" / "rec_09.tif", picture()[0])
     with pytest.raises(CtInertiaError, match="slice numbers must be unique; got number 9 twice"):
         read_volume(tmp_path / "f", 0.02)
+
+
+def test_reading_dicom_leaves_the_locale_of_the_process_alone(tmp_path):
+    dicom(tmp_path / "d", picture())
+    before = locale.setlocale(locale.LC_ALL)
+    read_volume(tmp_path / "d")
+    assert locale.setlocale(locale.LC_ALL) == before
 
 
 def test_dicom_with_a_missing_slice_is_refused(tmp_path):
