@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import locale
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,17 +29,6 @@ def holds_dicom(folder: Path) -> bool:
     return any(is_dicom(path) for path in files[:5])
 
 
-@contextmanager
-def _same_locale() -> Iterator[None]:
-    """Keep the locale of the process: GDCM sets it to "C", in which text files are ASCII to Python."""
-    before = locale.setlocale(locale.LC_ALL)
-    try:
-        yield
-    finally:
-        locale.setlocale(locale.LC_ALL, before)
-
-
-@_same_locale()
 def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
     """Read the DICOM series of a folder, ordered by position.
 
