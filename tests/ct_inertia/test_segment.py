@@ -258,7 +258,11 @@ def test_loud_noise_leaves_the_body_whole():
     scan = ear(h=0.05, noise=0.15, rays=4)
     bodies = find_bodies(scan.volume)
     assert bodies.stapes.euler_characteristic == 0
-    assert abs(errors(bodies.moments, scan.stapes)[0]) < 2e-2
+    # the volume is 1.0 to 1.3 % high there: the stated uncertainty must say that such a scan tells no more
+    error = errors(bodies.moments, scan.stapes)[0]
+    stated = sum(part[0, 0] for part in bodies.moments.contributions.values()) ** 0.5
+    assert abs(error) < 1.5 * stated / bodies.moments.volume_mm3
+    assert abs(error) < 1.5e-2
     assert bodies.evidence["stapes"]["holes"] == 1
 
 
