@@ -23,6 +23,7 @@ from kinematics.frames import RigidTransform
 from sample_volumes import bodies
 from sample_volumes.analytic import write_analytic_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
+from sample_volumes.scanner import DTYPES, stored_levels
 from sample_volumes.vibrometer import Recording, Vibrometry, record
 
 HERE = Path(__file__).parent
@@ -75,6 +76,10 @@ def make_study(
         frame, marks = _references(placed, behind)
         mass = np.array(behind["mass_matrix_si"])
         write_recording(folder, record(mass, frame, how, marks, stapes=stapes), how, frame.source)
+    if ear.gradient:
+        air, _, bone = stored_levels(ear.levels, ear.dtype)
+        points = f"points = [[{air:g}, 0], [{bone:g}, {ear.density_kg_m3:g}]]\n"
+        (folder / "calibration.toml").write_text(points, encoding="utf-8")
     (folder / "study.toml").write_text(study_text(name, ear, placed, how), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(behind, indent=1) + "\n", encoding="utf-8")
     return behind
@@ -176,6 +181,17 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--psf", type=float, default=1.2, help="sigma of the point spread, voxels")
     parser.add_argument("--noise", type=float, default=0.04, help="of the contrast between bone and air")
     parser.add_argument(
+        "--noise-correlation", type=float, default=0.0, help="sigma of the blur of the noise, voxels"
+    )
+    parser.add_argument(
+        "--cupping", type=float, default=0.0, help="percent of the contrast lost in the middle of the view"
+    )
+    parser.add_argument("--levels", default="8000,15000,30000", help="air, plastic, bone; 0 to 65535")
+    parser.add_argument("--dtype", choices=DTYPES, default="uint16", help="numbers in the file")
+    parser.add_argument(
+        "--gradient", type=float, default=0.0, help="percent of density from halfway up to either end"
+    )
+    parser.add_argument(
         "--tilt", type=float, default=18.0, help="most lean of the sample in the scanner, degrees"
     )
     parser.add_argument(
@@ -187,6 +203,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--plate-turn-deg", type=float, default=12.0, help="of the plate about y")
     parser.add_argument("--plate-distance-mm", type=float, default=0.8, help="plate face to footplate centre")
+    parser.add_argument(
+        "--plate-gap-um", type=float, help="plate face to the nearest point of the stapes; 0: contact"
+    )
+    parser.add_argument(
+        "--plate-reach", type=float, default=1.0, help="above 1: the plate runs out of the field of view"
+    )
     parser.add_argument(
         "--bone-reach", type=float, default=1.0, help="above 1: bone runs out of the field of view"
     )
@@ -223,6 +245,7 @@ def main(arguments: list[str] | None = None) -> None:
     spacing = [float(part) * 1e-3 for part in options.voxel_um.split(",")] * 3
     shape = None if options.shape is None else tuple(int(part) for part in options.shape.split(","))
     tilt = [float(part) for part in options.plate_tilt_deg.split(",")]
+    levels = [float(part) for part in options.levels.split(",")]
     ear = replace(
         Ear(),
         voxel_mm=tuple(spacing[:3]),
@@ -233,11 +256,18 @@ def main(arguments: list[str] | None = None) -> None:
         bridge_radius_mm=options.bridge_radius_um * 1e-3,
         psf_voxels=options.psf,
         noise=options.noise,
+        noise_correlation_voxels=options.noise_correlation,
+        cupping=options.cupping * 1e-2,
+        levels=(levels[0], levels[1], levels[2]),
+        dtype=options.dtype,
+        gradient=options.gradient * 1e-2,
         tilt_deg=options.tilt,
         upright=options.upright,
         plate_tilt_deg=(tilt[0], tilt[1]),
         plate_turn_deg=options.plate_turn_deg,
         plate_distance_mm=options.plate_distance_mm,
+        plate_gap_mm=None if options.plate_gap_um is None else options.plate_gap_um * 1e-3,
+        plate_reach=options.plate_reach,
         bone_reach=options.bone_reach,
         incus_gap_mm=None if options.incus_gap_um is None else options.incus_gap_um * 1e-3,
         dust=options.dust,

@@ -1,6 +1,6 @@
 """A micro-CT phantom of a stapes in its oval window on a plastic plate, with the exact truth beside it.
 
-The grey values are simulated: exact partial volumes, a Gaussian point spread, white noise. What they show
+The grey values are simulated: exact partial volumes, a Gaussian point spread, noise. What they show
 is a real stapes (ATTRIBUTION.md). Any voxel size and any volume up to 2048^3 are written slab by slab.
 """
 
@@ -18,7 +18,9 @@ from ct_inertia.plate_frame import positive_sense
 from kinematics.frames import RigidTransform, rotation_from_vector
 from sample_volumes import bodies
 from sample_volumes.bodies import Solid
+from sample_volumes.density import graded_mass
 from sample_volumes.rendering import Renderer, render, write_scan
+from sample_volumes.scanner import stored_levels
 
 __all__ = ["Ear", "Renderer", "Scene", "render", "scene", "truth", "write_scan"]
 
@@ -55,12 +57,25 @@ class Ear:
         Sigma of the point spread in voxels.
     noise : float
         Standard deviation over the contrast between bone and air.
+    noise_correlation_voxels : float
+        Sigma of the Gaussian blur of the noise; 0: white.
+    cupping : float
+        Share of the contrast lost in the middle of the field of view.
     levels : tuple of float
-        Grey values of air, plastic and bone.
+        Grey values of air, plastic and bone, as uint16; air near 0 is clipped there.
+    dtype : str
+        Of the stored numbers: uint8, int16, uint16 or float32.
     density_kg_m3 : float
         True density of the stapes; 1382.4 gives the OpenEar stapes 3.2 mg.
+    gradient : float
+        Relative change of the density from halfway up the stapes to either end; grey values follow it.
     plate_distance_mm, plate_tilt_deg, plate_turn_deg
         Where the plate lies under the footplate and how it is turned against it.
+    plate_gap_mm : float or None
+        Distance of the plate's face from the nearest point of the stapes, in place of
+        ``plate_distance_mm``; 0: they touch; negative: the stapes is sunk into the plate.
+    plate_reach : float
+        Scales the plate outward; above 1 it runs out of the field of view.
     tilt_deg : float
         How far the sample may lean in the scanner; the direction comes from ``pose_seed``.
     upright : str
@@ -90,9 +105,15 @@ class Ear:
     bridge_radius_mm: float = 0.05
     psf_voxels: float = 1.2
     noise: float = 0.04
+    noise_correlation_voxels: float = 0.0
+    cupping: float = 0.0
     levels: tuple[float, float, float] = (8000.0, 15000.0, 30000.0)
+    dtype: str = "uint16"
     density_kg_m3: float = 1382.4
+    gradient: float = 0.0
     plate_distance_mm: float = 0.8
+    plate_gap_mm: float | None = None
+    plate_reach: float = 1.0
     plate_tilt_deg: tuple[float, float] = (4.0, -3.0)
     plate_turn_deg: float = 12.0
     tilt_deg: float = 18.0
@@ -134,11 +155,13 @@ class Scene:
 def scene(ear: Ear) -> Scene:
     """Build the bodies of an ear and place them in the scan."""
     rng = np.random.default_rng(ear.pose_seed)
+    ear = _with_plate_distance(ear)
     footplate_from_plate = bodies.plate_pose(ear.plate_distance_mm, ear.plate_tilt_deg, ear.plate_turn_deg)
     solids = _solids(ear, footplate_from_plate)
     rotation = _upright(ear.upright) @ _random_tilt(rng, ear.tilt_deg)
     turned = RigidTransform.from_parts(rotation, np.zeros(3), "scan", "footplate")
-    seen = solids if ear.bone_reach <= 1.0 else _solids(replace(ear, bone_reach=1.0), footplate_from_plate)
+    within = replace(ear, bone_reach=min(ear.bone_reach, 1.0), plate_reach=min(ear.plate_reach, 1.0))
+    seen = solids if within == ear else _solids(within, footplate_from_plate)
     points = np.concatenate([turned.points(solid.vertices) for solid, _ in seen])
     low, high = points.min(axis=0), points.max(axis=0)
     spacing = np.asarray(ear.voxel_mm)
@@ -152,6 +175,18 @@ def scene(ear: Ear) -> Scene:
     placed = tuple((bodies.moved(solid, pose), material) for solid, material in solids)
     nx, ny, nz = (int(n) for n in count)
     return Scene(ear, (nx, ny, nz), pose, footplate_from_plate, placed)
+
+
+def _with_plate_distance(ear: Ear) -> Ear:
+    """Return the ear with its plate ``plate_gap_mm`` below the nearest point of the stapes, where asked."""
+    if ear.plate_gap_mm is None:
+        return ear
+    face = bodies.plate_pose(0.0, ear.plate_tilt_deg, ear.plate_turn_deg).rotation[:, 1]
+    height = bodies.stapes_in_footplate(ear.stapes).vertices_mm @ face
+    pose = bodies.plate_pose(1.0, ear.plate_tilt_deg, ear.plate_turn_deg)
+    below = -float(face @ pose.translation_mm)
+    distance = (ear.plate_gap_mm - float(height.min())) / below
+    return replace(ear, plate_distance_mm=distance, plate_gap_mm=None)
 
 
 def _upright(axis: str) -> Array:
@@ -174,7 +209,8 @@ def _solids(ear: Ear, footplate_from_plate: RigidTransform) -> list[tuple[Solid,
     if ear.bone:
         found += [(solid, 2) for solid in _peripheral_bone(ear, stapes)]
     if ear.plate:
-        slab = [bodies.box(PLATE_LOW, PLATE_HIGH)]
+        wide = np.array([ear.plate_reach, 1.0, ear.plate_reach])
+        slab = [bodies.box(PLATE_LOW * wide, PLATE_HIGH * wide)]
         slab += [
             bodies.box(
                 np.array([x - _PIN_HALF, -0.1, z - _PIN_HALF]),
@@ -233,7 +269,11 @@ def truth(placed: Scene) -> dict[str, Any]:
     """Return the exact mass properties and frames of a scene, in the keys of mass.json where they exist."""
     ear = placed.ear
     moments = bodies.stapes_in_footplate(ear.stapes).moments()
-    body = from_density(moments, ear.density_kg_m3, None)
+    body = (
+        graded_mass(bodies.stapes_in_footplate(ear.stapes), ear.density_kg_m3, ear.gradient)
+        if ear.gradient
+        else from_density(moments, ear.density_kg_m3, None)
+    )
     matrix = footplate_mass_matrix(body, RigidTransform.identity("scan", "footplate"), np.zeros((6, 6)))
     scan_from_plate = placed.scan_from_footplate @ placed.footplate_from_plate
     edge = scan_from_plate.rotation[:, 0]
@@ -245,7 +285,8 @@ def truth(placed: Scene) -> dict[str, Any]:
         "density_kg_m3": ear.density_kg_m3,
         "volume_m3": moments.volume_mm3 * 1e-9,
         "mass_kg": body.mass_kg,
-        "center_of_mass_in_scan_mm": placed.scan_from_footplate.points(moments.centroid_mm).tolist(),
+        "center_of_mass_in_scan_mm": placed.scan_from_footplate.points(body.com_mm).tolist(),
+        "centroid_in_scan_mm": placed.scan_from_footplate.points(moments.centroid_mm).tolist(),
         "scan_from_footplate": placed.scan_from_footplate.matrix.tolist(),
         "scan_from_plate": scan_from_plate.matrix.tolist(),
         "plate_from_footplate": (scan_from_plate.inverse() @ placed.scan_from_footplate).matrix.tolist(),
@@ -254,5 +295,7 @@ def truth(placed: Scene) -> dict[str, Any]:
         "fiducials_in_plate_mm": {name: (built * place).tolist() for name, *place in FIDUCIALS_MM},
         "voxel_mm": list(ear.voxel_mm),
         "gap_mm": ear.gap_mm,
+        "levels": stored_levels(ear.levels, ear.dtype),
+        "gradient": ear.gradient,
         "stapes_voxels_noise_free": moments.volume_mm3 / float(np.prod(ear.voxel_mm)),
     }

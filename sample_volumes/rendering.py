@@ -1,4 +1,4 @@
-"""Grey values of placed bodies: partial volumes, a Gaussian point spread, white noise; slab by slab.
+"""Grey values of placed bodies: partial volumes, a Gaussian point spread, the scanner's noise; slab by slab.
 
 Only the box around the bodies is rendered and blurred; the rest of a volume is air and noise. Nothing is ever
 held as a whole but the integers asked for.
@@ -14,8 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sample_volumes import bodies
 from sample_volumes.bodies import Solid
 from sample_volumes.coverage import Crossings, crossings
+from sample_volumes.density import height_range, relative_density
+from sample_volumes.scanner import add_noise, cup, stored
 
 if TYPE_CHECKING:
     from sample_volumes.phantom import Scene
@@ -102,6 +105,8 @@ class Renderer:
         plastics = self._filled(*wide, 1)
         np.minimum(plastics, 1.0 - box, out=plastics)
         plastics *= np.float32((plastic - air) / (bone - air))
+        if ear.gradient:
+            box *= self._relative_density(*wide)
         box += plastics
         del plastics
         if self.margin:
@@ -115,18 +120,34 @@ class Renderer:
         grey[start - first : stop - first, low[1] : high[1], low[0] : high[0]] = box[:, y0:y1, x0:x1]
         return grey
 
-    def slices(self, first: int, count: int) -> NDArray[np.uint16]:
+    def _relative_density(self, first: int, count: int) -> NDArray[np.float32]:
+        """Return density over stated density at the voxel centres of the box around the bodies."""
+        placed = self.placed
+        ends = height_range(bodies.stapes_in_footplate(placed.ear.stapes))
+        size = self.high - self.low
+        x, y = (np.arange(size[axis]) + self.low[axis] for axis in (0, 1))
+        z = np.arange(first, first + count)
+        dx, dy, dz = placed.ear.voxel_mm
+        lateral = placed.scan_from_footplate.rotation[:, 1]
+        start = -lateral @ placed.scan_from_footplate.translation_mm
+        height = (
+            (lateral[2] * dz * z + start)[:, None, None]
+            + (lateral[1] * dy * y)[:, None]
+            + lateral[0] * dx * x
+        )
+        return relative_density(height, ends, placed.ear.gradient).astype(np.float32)
+
+    def slices(self, first: int, count: int) -> NDArray[Any]:
         """Return slices as the scanner stores them, noise included; it does not depend on the slabs."""
         ear = self.placed.ear
         air, _, bone = ear.levels
         grey = self.contrast(first, count)
+        if ear.cupping:
+            cup(grey, ear.cupping)
         if ear.noise > 0.0:
-            for k in range(count):
-                rng = np.random.default_rng([ear.noise_seed, first + k])
-                grey[k] += np.float32(ear.noise) * rng.standard_normal(grey[k].shape, dtype=np.float32)
+            add_noise(grey, first, ear)
         grey *= np.float32(bone - air)
-        grey += np.float32(air + 0.5)
-        return np.clip(grey, 0.0, 65535.0, out=grey).astype(np.uint16)
+        return stored(grey, air, ear.dtype)
 
 
 def _box(
@@ -144,10 +165,10 @@ def slab_height(shape: tuple[int, int, int], most_bytes: int = 1 << 28) -> int:
     return max(1, min(nz, most_bytes // (4 * nx * ny)))
 
 
-def render(placed: Scene) -> NDArray[np.uint16]:
+def render(placed: Scene) -> NDArray[Any]:
     """Return the whole volume, (z, y, x)."""
     nx, ny, nz = placed.shape
-    volume = np.empty((nz, ny, nx), dtype=np.uint16)
+    volume = np.empty((nz, ny, nx), dtype=placed.ear.dtype)
     _fill(_as_built(volume, placed.ear.mirror), placed)
     return volume
 
@@ -184,9 +205,10 @@ def write_scan(path: Path, placed: Scene) -> None:
 
     nx, ny, nz = placed.shape
     dx, dy, dz = placed.ear.voxel_mm
-    common: dict[str, Any] = {"shape": (nz, ny, nx), "dtype": np.uint16}
-    if 2 * nx * ny * nz <= _IMAGEJ_BYTES:
-        common["dtype"] = np.dtype(">u2")
+    dtype = np.dtype(placed.ear.dtype)
+    common: dict[str, Any] = {"shape": (nz, ny, nx), "dtype": dtype}
+    if dtype.itemsize * nx * ny * nz <= _IMAGEJ_BYTES:
+        common["dtype"] = dtype.newbyteorder(">")
         stack = tifffile.memmap(
             path,
             imagej=True,
