@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +18,50 @@ from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 BACKGROUND, STAPES, PLATE, OTHER_BONE = 0, 1, 2, 3
+_SLAB_VOXELS = 1 << 22
 
 
 @dataclass(frozen=True)
 class LabelledVolume:
-    """Labels on a box of the scan's grid.
+    """Labels on a box of the scan's grid: 0 background, 1 stapes, 2 plate, 3 other bone.
 
     Attributes
     ----------
-    labels : ndarray of uint8, [z, y, x]
-        0 background, 1 stapes, 2 plate, 3 other bone.
-    first_index : ndarray of int, (3,)
-        Index x, y, z in the scan of the box's first voxel.
+    first_index, end_index : ndarray of int, (3,)
+        Index x, y, z in the scan of the box's first voxel, and one past its last.
     grid : Volume
         The scan, for its spacing, origin and direction.
+    read : callable
+        Makes the labels, uint8 [z, y, x], between two corners (first, one past the last) of the scan.
     """
 
-    labels: NDArray[np.uint8]
     first_index: NDArray[np.int64]
+    end_index: NDArray[np.int64]
     grid: Volume
+    read: Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.uint8]]
+
+    @classmethod
+    def of_array(
+        cls, labels: NDArray[np.uint8], first_index: NDArray[np.int64], grid: Volume
+    ) -> LabelledVolume:
+        """Take labels [z, y, x] that are there already."""
+
+        def read(low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.uint8]:
+            a, b = low - first_index, high - first_index
+            return labels[a[2] : b[2], a[1] : b[1], a[0] : b[0]]
+
+        return cls(first_index, first_index + np.array(labels.shape[::-1]), grid, read)
+
+    @cached_property
+    def labels(self) -> NDArray[np.uint8]:
+        """All labels, [z, y, x]; as large as the box."""
+        return self.read(self.first_index, self.end_index)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels of the box along z, y, x."""
+        x, y, z = (int(n) for n in self.end_index - self.first_index)
+        return z, y, x
 
     @property
     def spacing_mm(self) -> Array:
@@ -55,6 +81,14 @@ class LabelledVolume:
     def mask(self, label: int) -> NDArray[np.bool_]:
         """Return the voxels [z, y, x] of one label."""
         return np.asarray(self.labels == label)
+
+    def slabs(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield the labels some layers at a time, about four million voxels each."""
+        layers = max(1, _SLAB_VOXELS // max(1, self.shape[1] * self.shape[2]))
+        low, high = self.first_index.copy(), self.end_index.copy()
+        for start in range(int(self.first_index[2]), int(self.end_index[2]), layers):
+            low[2], high[2] = start, min(start + layers, int(self.end_index[2]))
+            yield self.read(low, high)
 
     def write(self, path: Path | str) -> None:
         """Write the labels as NRRD (compressed) that lies on the scan in 3D Slicer and ITK-SNAP."""

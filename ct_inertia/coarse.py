@@ -58,7 +58,7 @@ def coarse_scan(volume: Volume, target_mm: float = _TARGET_MM) -> CoarseScan:
         step = step + 1
     sx, sy, sz = (int(s) for s in step)
     grey = finite(np.asarray(volume.array[sz // 2 :: sz, sy // 2 :: sy, sx // 2 :: sx]), volume)
-    return CoarseScan(grey, step, spacing * step, _noise(grey))
+    return CoarseScan(grey, step, spacing * step, noise_of(grey))
 
 
 def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
@@ -88,16 +88,21 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     return grey
 
 
+def loud(noise_share: float) -> bool:
+    """Return whether noise, as a share of the contrast, makes holes and specks when it is thresholded."""
+    return noise_share >= _LOUD
+
+
 def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]:
     """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
-    if noise_share < _LOUD:
+    if not loud(noise_share):
         return grey
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(grey, 1.0, truncate=3.0))
 
 
-def _noise(grey: NDArray[np.float32]) -> float:
+def noise_of(grey: NDArray[np.float32]) -> float:
     """Estimate the noise from differences of neighbours, most of which lie in one material."""
     steps = [np.abs(np.diff(grey, axis=k)).ravel()[::3] for k in range(3)]
     low, high = np.percentile(grey.ravel()[::5], [0.02, 99.98])

@@ -1,4 +1,4 @@
-"""Cut the stapes out of the scan at full resolution, inside a box around it."""
+"""Cut the stapes out of the scan, inside a box around it, on a grid fine enough to measure on."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.coarse import calmed, finite
-from ct_inertia.plate_region import PlateRegion, coarse_to_fine
+from ct_inertia.coarse import calmed
+from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight
 from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
+from ct_inertia.working import PARTING_MM, WORKING_MM, Working, block_for, working_box
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -23,12 +24,13 @@ _DUST_VOXELS = 6
 
 @dataclass(frozen=True)
 class Cut:
-    """The stapes and its neighbours in a box of the scan.
+    """The stapes and its neighbours in a box.
 
     Attributes
     ----------
     first : ndarray of int, (3,)
-        Index x, y, z of the box's first voxel in the scan.
+        Index x, y, z of the box's first voxel in the volume that it is measured on: the working volume
+        when there is one, otherwise the scan.
     grey : ndarray of float32, [z, y, x]
     stapes : ndarray of bool
         Its voxels above the level between air and bone.
@@ -39,6 +41,8 @@ class Cut:
     method : str
         How the stapes was separated.
     notices : tuple of Notice
+    working : Working or None
+        The working volume, which is the whole box; None when the box is a part of the scan itself.
     """
 
     first: NDArray[np.int64]
@@ -48,6 +52,7 @@ class Cut:
     plate: NDArray[np.bool_]
     method: str
     notices: tuple[Notice, ...] = ()
+    working: Working | None = None
 
     def scan_from_box(self, volume: Volume) -> Array:
         """Affine 4x4 from an index x, y, z of the box to scan coordinates, mm."""
@@ -67,9 +72,10 @@ def box_around(
 
 
 def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
-    """Take the piece of bone that the coarse view chose, at full resolution.
+    """Take the piece of bone that the coarse view chose, on a working grid.
 
-    Connected bone that holds other pieces too is flooded from the cores of the pieces.
+    Connected bone that holds other pieces too is flooded from the cores of the pieces, on a finer grid
+    where the scan has one.
 
     Parameters
     ----------
@@ -77,68 +83,96 @@ def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
     sight : Sight
     plate : PlateRegion or None
     """
-    from scipy import ndimage
-
-    step, piece = sight.scan.step, sight.stapes
-    first, box = box_around(volume, piece.low * step, piece.high * step)
-    grey = finite(volume.array[box], volume)
-    quiet = calmed(grey, sight.scan.noise / (sight.bone - sight.air))
-    bone = quiet > sight.between
-    labels, _ = ndimage.label(bone)
-    own_cores, other_cores = _cores(sight, first, grey.shape)
-    method = sight.method
-    votes = np.bincount(labels[own_cores], minlength=labels.max() + 1)
-    votes[0] = 0
-    own = int(np.argmax(votes))
-    stapes = labels == own
-    if np.any(stapes[other_cores]):
-        stapes, rest = _flooded_apart(quiet, bone, own_cores, other_cores)
+    view = _view(_box(volume, sight, WORKING_MM if sight.markers is None else PARTING_MM), sight)
+    if view.touching and np.any(block_for(volume.spacing_mm, PARTING_MM) < view.working.block):
+        view = _view(_box(volume, sight, PARTING_MM), sight)
+    method, own, bone = sight.method, view.own, view.bone
+    rest = bone & ~own
+    if view.touching:
+        own, rest = _flooded_apart(view)
         if sight.markers is None:
             method = "flooded by grey value from the cores of the pieces"
-    else:
-        rest = bone & ~stapes
-    plastic = np.zeros(grey.shape, dtype=bool)
+    working = view.working
+    plastic = np.zeros(bone.shape, dtype=bool)
     if plate is not None:
-        plastic = coarse_to_fine(plate.mask, plate.step, first, grey.shape) & (quiet > plate.middle) & ~bone
-    return Cut(first, grey, stapes, _without_dust(rest), plastic, method)
+        plastic = working.from_coarse(plate.mask, plate.step) & (view.quiet > plate.middle) & ~bone
+    first = np.zeros(3, dtype=np.int64)
+    return Cut(first, working.grey, own, _without_dust(rest), plastic, method, (), working)
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
-def _cores(sight: Sight, first: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[Places, Places]:
-    """Return voxels z, y, x of the box that surely belong to the stapes, and to other bone."""
+@dataclass(frozen=True)
+class _View:
+    """Bone on a working grid: its connected piece that holds most cores of the stapes, and all cores."""
+
+    working: Working
+    quiet: NDArray[np.float32]
+    bone: NDArray[np.bool_]
+    own: NDArray[np.bool_]
+    own_cores: Places
+    other_cores: Places
+
+    @property
+    def touching(self) -> bool:
+        """The piece holds cores of other bone too."""
+        return bool(np.any(self.own[self.other_cores]))
+
+
+def _box(volume: Volume, sight: Sight, most_mm: float) -> Working:
+    step, piece = sight.scan.step, sight.stapes
+    return working_box(volume, piece.low * step, piece.high * step, _MARGIN_MM, _MARGIN_VOXELS, most_mm)
+
+
+def _view(working: Working, sight: Sight) -> _View:
+    from scipy import ndimage
+
+    noise = sight.scan.noise if working.noise is None else working.noise
+    quiet = calmed(working.grey, noise / (sight.bone - sight.air))
+    bone = quiet > sight.between
+    labels, count = ndimage.label(bone)
+    own_cores, other_cores = _cores(sight, working)
+    votes = np.bincount(labels[own_cores], minlength=count + 1)
+    votes[0] = 0
+    return _View(working, quiet, bone, labels == int(np.argmax(votes)), own_cores, other_cores)
+
+
+def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:
+    """Return blocks z, y, x that surely belong to the stapes, and to other bone."""
     from scipy.ndimage import binary_erosion
 
-    step = sight.scan.step
-    low = np.maximum((first // step) - 1, 0)
-    high = (first + np.array(shape[::-1])) // step + 2
-    part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
-    pieces = sight.pieces[part] if sight.markers is None else sight.markers[part]
+    if sight.markers is None:
+        first, step = np.zeros(3, dtype=np.int64), sight.scan.step
+        low = np.maximum((working.first // step) - 1, 0)
+        high = (working.first + working.block * np.array(working.shape[::-1])) // step + 2
+        part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+        pieces = sight.pieces[part]
+    else:
+        first, step, low = sight.markers.first, sight.markers.step, np.zeros(3, dtype=np.int64)
+        pieces = sight.markers.labels
     own = pieces == sight.stapes.label
-    known = np.array([piece.label for piece in sight.others], dtype=np.int64)
-    other = np.isin(pieces, known)
+    other = np.isin(pieces, [piece.label for piece in sight.others])
     if sight.markers is None:
         thinner = binary_erosion(own)
         own = thinner if np.any(thinner) else own
         other = binary_erosion(other)
 
     def places(mask: NDArray[np.bool_]) -> Places:
-        index = (np.stack(np.nonzero(mask)[::-1], axis=1) + low) * step + step // 2 - first
-        index = index[np.all((index >= 0) & (index < np.array(shape[::-1])), axis=1)]
+        cells = np.stack(np.nonzero(mask)[::-1], axis=1) + low
+        index = working.blocks_of(first + cells * step + step // 2)
+        index = index[np.all((index >= 0) & (index < np.array(working.shape[::-1])), axis=1)]
         return index[:, 2], index[:, 1], index[:, 0]
 
     return places(own), places(other)
 
 
-def _flooded_apart(
-    grey: NDArray[np.float32], bone: NDArray[np.bool_], own: Places, other: Places
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    markers = np.zeros(grey.shape, dtype=np.int32)
-    markers[own] = 1
-    markers[other] = 2
-    labels = flooded(grey, np.where(bone, markers, 0).astype(np.int32), bone)
-    return labels == 1, (labels != 1) & bone
+def _flooded_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    markers = np.zeros(view.bone.shape, dtype=np.int32)
+    markers[view.own_cores] = 1
+    markers[view.other_cores] = 2
+    labels = flooded(view.quiet, np.where(view.bone, markers, 0).astype(np.int32), view.bone)
+    return labels == 1, (labels != 1) & view.bone
 
 
 def _without_dust(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -158,7 +158,8 @@ def _labelled(
     labels = np.zeros([s.stop - s.start for s in box], dtype=np.uint8)
     for mask, number in ((rest, OTHER_BONE), (plate, PLATE), (stapes, STAPES)):
         labels[mask[box]] = number
-    return LabelledVolume(labels, np.array([s.start for s in reversed(box)], dtype=np.int64), grid)
+    first = np.array([s.start for s in reversed(box)], dtype=np.int64)
+    return LabelledVolume.of_array(labels, first, grid)
 
 
 def _cut_by_border(stapes: NDArray[np.bool_]) -> list[Notice]:
@@ -279,7 +280,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
     }
     return Bodies(
         volume=volume,
-        labels=LabelledVolume(labelled.labels, labelled.first_index + offset, volume),
+        labels=LabelledVolume.of_array(labelled.labels, labelled.first_index + offset, volume),
         stapes=surface,
         frame_surface=surface,
         plate=plate_mesh,

@@ -1,79 +1,197 @@
-"""The labels of everything found, on the smallest box of the scan that holds them."""
+"""The labels of everything found, on a box of the scan, made layer by layer when asked for."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
-from ct_inertia.coarse import calmed, finite
+from ct_inertia.coarse import calmed, finite, loud
 from ct_inertia.cutting import Cut
-from ct_inertia.plate_region import PlateRegion, coarse_to_fine
+from ct_inertia.measure import Measured
+from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight
 from ct_inertia.volume import Volume
 
-_SLAB = 32
+Index = NDArray[np.int64]
 
 
-def label_box(volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut) -> LabelledVolume:
-    """Label stapes, plate and other bone at full resolution, slab by slab, and crop to what is labelled."""
-    step = sight.scan.step
-    first, last = _extent(sight, plate, cut, step, volume.size)
-    shape = tuple(int(n) for n in (last - first)[::-1])
-    labels = np.zeros(shape, dtype=np.uint8)
-    known = [piece.label for piece in (sight.stapes, *sight.others)]
-    wide = _grown(np.isin(sight.pieces, known))
-    plastic = None if plate is None else _grown(plate.mask)
-    x, y = int(first[0]), int(first[1])
-    for start in range(0, shape[0], _SLAB):
-        z = int(first[2]) + start
-        count = min(_SLAB, shape[0] - start)
-        grey = finite(volume.array[z : z + count, y : y + shape[1], x : x + shape[2]], volume)
-        grey = calmed(grey, sight.scan.noise / (sight.bone - sight.air))
-        corner = np.array([x, y, z])
-        slab = labels[start : start + count]
-        bone = (grey > sight.between) & coarse_to_fine(wide, step, corner, grey.shape)
-        slab[bone] = OTHER_BONE
-        if plate is not None and plastic is not None:
-            near = coarse_to_fine(plastic, plate.step, corner, grey.shape)
-            slab[(grey > plate.middle) & near & ~bone] = PLATE
-    own = tuple(
-        slice(int(a), int(a) + n) for a, n in zip((cut.first - first)[::-1], cut.stapes.shape, strict=True)
-    )
-    part = labels[own]
-    part[cut.stapes] = STAPES
-    return _cropped(labels, first, volume)
+@dataclass(frozen=True)
+class _Region:
+    """Voxels above a grey value, in the cells of a coarser grid.
+
+    Attributes
+    ----------
+    number : int
+        What the voxels are labelled.
+    cells : ndarray of bool, [z, y, x]
+        Where the body is, on the smallest box of cells that holds it.
+    above : float or ndarray of float32, [z, y, x]
+        Grey value that a voxel must exceed, for all or for each of the cells.
+    first : ndarray of int, (3,)
+        Index x, y, z in the scan of the first voxel of the first cell.
+    step : ndarray of int, (3,)
+        Voxels of the scan per cell.
+    """
+
+    number: int
+    cells: NDArray[np.bool_]
+    above: float | NDArray[np.float32]
+    first: Index
+    step: Index
+
+    @property
+    def end(self) -> Index:
+        """One past the last voxel, x, y, z."""
+        return np.asarray(self.first + self.step * np.array(self.cells.shape[::-1]))
+
+    def layers(self, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
+        """Yield first and one past the last layer of the scan, and their layer of cells, inside a range."""
+        first, step = int(self.first[2]), int(self.step[2])
+        for cell in range(max((start - first) // step, 0), min(-(-(stop - first) // step), len(self.cells))):
+            yield max(start, first + cell * step), min(stop, first + (cell + 1) * step), cell
+
+    def cells_of(self, axis: int, start: int, stop: int) -> Index:
+        """Return the cell of each voxel along x (0) or y (1); -1 before the first, their number behind."""
+        place = (np.arange(start, stop) - self.first[axis]) // self.step[axis]
+        return np.clip(place, -1, self.cells.shape[2 - axis])
 
 
-def _extent(
-    sight: Sight, plate: PlateRegion | None, cut: Cut, step: NDArray[np.int64], size: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first and one past the last index x, y, z of a box that holds all bodies and the cut's box."""
-    low = [cut.first]
-    high = [cut.first + np.array(cut.stapes.shape[::-1])]
-    for piece in (sight.stapes, *sight.others):
-        low.append((piece.low - 1) * step)
-        high.append((piece.high + 1) * step)
+def label_box(
+    volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, measured: Measured, level: float
+) -> LabelledVolume:
+    """Return the labels of stapes, plate and other bone on the scan's own grid.
+
+    Parameters
+    ----------
+    volume : Volume
+    sight : Sight
+    plate : PlateRegion or None
+    cut : Cut
+    measured : Measured
+    level : float
+        Share of bone above which a voxel belongs to the stapes.
+    """
+    regions = []
     if plate is not None:
-        index = np.nonzero(plate.mask)[::-1]
-        low.append((np.array([k.min() for k in index]) - 1) * plate.step)
-        high.append((np.array([k.max() for k in index]) + 2) * plate.step)
-    first = np.maximum(np.min(low, axis=0), 0).astype(np.int64)
-    return first, np.minimum(np.max(high, axis=0), size).astype(np.int64)
+        regions += _coarse(PLATE, _grown(plate.mask), plate.middle, plate.step)
+    others = [piece.label for piece in sight.others]
+    if others:
+        bone = _grown(np.isin(sight.pieces, others))
+        regions += _coarse(OTHER_BONE, bone, sight.between, sight.scan.step)
+    regions.append(_stapes(cut, measured, level))
+    first = np.maximum(np.min([region.first for region in regions], axis=0), 0)
+    last = np.minimum(np.max([region.end for region in regions], axis=0), volume.size)
+    noise_share = sight.scan.noise / (sight.bone - sight.air)
+
+    def read(low: Index, high: Index) -> NDArray[np.uint8]:
+        return _labels(volume, regions, noise_share, low, high)
+
+    return LabelledVolume(first, last, volume, read)
+
+
+def _coarse(number: int, mask: NDArray[np.bool_], above: float, step: Index) -> list[_Region]:
+    """Make a region of a coarse mask, whose voxels are the middle ones of their steps."""
+    box = _used(mask)
+    if box is None:
+        return []
+    cells = mask[box]
+    # What the steps leave over at the end of the scan belongs to the last cell.
+    ends = [part.stop == n for part, n in zip(box, mask.shape, strict=True)]
+    cells = np.pad(cells, [(0, int(end)) for end in ends], mode="edge")
+    first = np.array([part.start for part in reversed(box)], dtype=np.int64) * step
+    return [_Region(number, cells, above, first, step)]
+
+
+def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:
+    """Make the stapes' region: on its rim a voxel must exceed the level as other bodies' blur lifts it."""
+    cells = measured.share > level
+    above: float | NDArray[np.float32] = -np.inf
+    block = np.ones(3, dtype=np.int64) if cut.working is None else cut.working.block
+    first = cut.first if cut.working is None else cut.working.first
+    quiet = not loud(measured.levels.noise / measured.levels.contrast)
+    if np.any(block > 1) and quiet:
+        cells = _grown(cells) & measured.own
+    box = _used(cells) or (slice(0, 1),) * 3
+    if np.any(block > 1) and quiet:
+        share = measured.share[box] - np.float32(level)
+        above = cut.grey[box] - share * np.float32(measured.levels.contrast)
+    low = np.array([part.start for part in reversed(box)], dtype=np.int64)
+    return _Region(STAPES, cells[box], above, first + low * block, block)
+
+
+def _used(mask: NDArray[np.bool_]) -> tuple[slice, ...] | None:
+    """Return the smallest box that holds a mask; None when it is empty."""
+    flat = np.asarray(mask.any(axis=0))
+    lines = [mask.any(axis=(1, 2)), flat.any(axis=1), flat.any(axis=0)]
+    if not np.any(flat):
+        return None
+    places = [np.flatnonzero(line) for line in lines]
+    return tuple(slice(int(place[0]), int(place[-1]) + 1) for place in places)
+
+
+def _labels(
+    volume: Volume, regions: list[_Region], noise_share: float, low: Index, high: Index
+) -> NDArray[np.uint8]:
+    """Return the labels between two corners of the scan, [z, y, x]; later regions lie over earlier ones."""
+    labels = np.zeros(tuple(int(n) for n in (high - low)[::-1]), dtype=np.uint8)
+    whole = volume.array.dtype.kind in "ui" and not loud(noise_share)
+    for region in regions:
+        places = [region.cells_of(axis, int(low[axis]), int(high[axis])) for axis in (1, 0)]
+        for start, stop, cell in region.layers(int(low[2]), int(high[2])):
+            window = _window(region.cells[cell], places)
+            if window is None:
+                continue
+            y, x = window
+            index = np.ix_(places[0][y], places[1][x])
+            inside = region.cells[cell][index]
+            part = volume.array[
+                start:stop, low[1] + y.start : low[1] + y.stop, low[0] + x.start : low[0] + x.stop
+            ]
+            above = region.above if isinstance(region.above, float) else region.above[cell][index]
+            if whole:
+                hit = part > _whole(above, part.dtype)
+            else:
+                hit = calmed(finite(part, volume), noise_share) > above
+            hit &= inside
+            target = labels[start - low[2] : stop - low[2], y, x]
+            np.copyto(target, np.uint8(region.number), where=hit)
+    return labels
+
+
+def _window(cells: NDArray[np.bool_], places: list[Index]) -> tuple[slice, slice] | None:
+    """Return the rows and columns of voxels whose cells are in use; None when there are none."""
+    window = []
+    for axis, place in enumerate(places):
+        used = np.flatnonzero(cells.any(axis=1 - axis))
+        if used.size == 0:
+            return None
+        start, stop = np.searchsorted(place, used[0]), np.searchsorted(place, used[-1], side="right")
+        if start == stop:
+            return None
+        window.append(slice(int(start), int(stop)))
+    return window[0], window[1]
+
+
+def _whole(limit: float | NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the largest whole numbers not above the limits, within the type of the grey values."""
+    info = np.iinfo(dtype)
+    floor = np.floor(np.asarray(limit, dtype=float))
+    return np.clip(floor, info.min, min(info.max, 2.0**53)).astype(dtype.newbyteorder("="))
 
 
 def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(mask, structure=np.ones((3, 3, 3), dtype=bool)))
-
-
-def _cropped(labels: NDArray[np.uint8], first: NDArray[np.int64], volume: Volume) -> LabelledVolume:
-    parts, start = [], []
+    """Grow a mask by one voxel in all directions, edges and corners included."""
+    grown = mask
     for axis in range(3):
-        others = tuple(k for k in range(3) if k != axis)
-        used = np.flatnonzero(labels.any(axis=others))
-        parts.append(slice(int(used[0]), int(used[-1]) + 1))
-        start.append(int(used[0]))
-    corner = first + np.array(start[::-1])
-    return LabelledVolume(np.ascontiguousarray(labels[tuple(parts)]), corner, volume)
+        wider = grown.copy()
+        ahead, back = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+        wider[tuple(ahead)] |= grown[tuple(back)]
+        wider[tuple(back)] |= grown[tuple(ahead)]
+        grown = wider
+    return grown

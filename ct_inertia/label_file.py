@@ -2,19 +2,48 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
 
+_GZIP = 31
+
 
 def write_labels(path: Path, labels: LabelledVolume) -> None:
-    """Write labels as a compressed image (NRRD by its suffix) with spacing, origin and direction."""
-    import SimpleITK as sitk
+    """Write labels as a compressed NRRD with spacing, origin and direction, some layers at a time.
 
-    image = sitk.GetImageFromArray(labels.labels)
-    image.SetSpacing([float(v) for v in labels.spacing_mm])
-    image.SetOrigin([float(v) for v in labels.origin_mm])
-    image.SetDirection([float(v) for v in labels.direction.ravel()])
-    sitk.WriteImage(image, str(path), useCompression=True)
+    Notes
+    -----
+    The axes are LPS, as scan coordinates are: https://teem.sourceforge.net/nrrd/format.html.
+    """
+    packer = zlib.compressobj(level=1, wbits=_GZIP)
+    with Path(path).open("wb") as stream:
+        stream.write(_header(labels).encode("ascii"))
+        for slab in labels.slabs():
+            stream.write(packer.compress(slab.tobytes()))
+        stream.write(packer.flush())
+
+
+def _header(labels: LabelledVolume) -> str:
+    axes = labels.direction * labels.spacing_mm
+    sizes = " ".join(str(n) for n in reversed(labels.shape))
+    lines = [
+        "NRRD0004",
+        "type: uint8",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        f"sizes: {sizes}",
+        f"space directions: {' '.join(_vector(axes[:, k]) for k in range(3))}",
+        "kinds: domain domain domain",
+        "encoding: gzip",
+        f"space origin: {_vector(labels.origin_mm)}",
+    ]
+    return "\n".join(lines) + "\n\n"
+
+
+def _vector(values: Iterable[float]) -> str:
+    return f"({','.join(repr(float(v)) for v in values)})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,16 @@ class Surroundings:
     foreign : ndarray of bool
         Other bodies: bone, plate, dust.
     spacing_mm : ndarray, (3,)
+    single : ndarray, [z, y, x], or None
+        Where the grey values are means over voxels of the scan: one of those voxels each. Only they show
+        whether noise was clipped.
     """
 
     grey: NDArray[np.float32]
     bone: NDArray[np.bool_]
     foreign: NDArray[np.bool_]
     spacing_mm: Array
+    single: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,8 @@ class Air:
         those from before the clipping.
     lowest : float
         Lowest grey value seen.
+    single_noise : float
+        Noise of one voxel of the scan where the grey values are means over several; 0 otherwise.
     """
 
     level: float
@@ -72,6 +79,7 @@ class Air:
     correlation: float
     clipped: float
     lowest: float = 0.0
+    single_noise: float = 0.0
 
 
 def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float, guess: float) -> Air:
@@ -114,13 +122,16 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     means = np.bincount(octant, values, minlength=8)[count > 200] / count[count > 200]
     scatter = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 2 else noise / 10.0
     sd = max(scatter, noise / np.sqrt(values.size))
-    lowest = float(values.min())
-    pile = float(np.mean(values == lowest))
+    ones = values if around.single is None else around.single[shell].astype(float)
+    lowest = float(ones.min())
+    pile = float(np.mean(ones == lowest))
     correlation = _correlation(around.grey, shell, noise)
     if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
         return Air(level, noise, sd, correlation, 0.0, lowest)
-    level, noise = _censored(level, pile, lowest)
-    return Air(level, noise, sd + 0.02 * pile * noise, correlation, pile, lowest)
+    level, single = _censored(level, pile, lowest)
+    # Clipping takes the same share off the scatter of means as off that of the voxels in them.
+    noise = single if around.single is None else noise * single / max(float(ones.std()), 1e-12)
+    return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, lowest, single)
 
 
 def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
@@ -158,7 +169,7 @@ def unclipped(grey: NDArray[np.float32], where: NDArray[np.bool_], air: Air) -> 
 
     if air.clipped == 0.0:
         return grey
-    noise = air.noise
+    noise = air.single_noise or air.noise
     a = np.linspace(-6.0, 6.0, 2401)
     mean = a * ndtr(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
     local = (gaussian_filter(grey, 0.8)[where].astype(float) - air.lowest) / noise

@@ -78,7 +78,8 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     sigma, sigma_sd, sigma_from = _blur(cut, stapes, guess.air, guess.bone, spacing)
     reach = _TAIL_SIGMAS * sigma + float(spacing.max())
     outer = reach + 9.5 * float(spacing.max())
-    around = Surroundings(cut.grey, stapes, foreign, spacing)
+    single = None if cut.working is None else cut.working.single
+    around = Surroundings(cut.grey, stapes, foreign, spacing, single)
     distance = capped_distance(stapes, spacing, outer)
     air = measure_air(around, distance, reach, guess.air)
     if air.clipped:
@@ -238,7 +239,13 @@ def border_notices(volume: Volume, cut: Cut) -> list[Notice]:
     """Warn when the stapes reaches the first or last voxel of the scan."""
     index = np.stack(np.nonzero(cut.stapes)[::-1], axis=1)
     low, high = index.min(axis=0) + cut.first, index.max(axis=0) + cut.first
-    if np.all(low > 0) and np.all(high < volume.size - 1):
+    if cut.working is None:
+        cut_off = np.any(low <= 0) or np.any(high >= volume.size - 1)
+    else:
+        begins, ends = cut.working.at_border(volume)
+        last = np.array(cut.stapes.shape[::-1]) - 1
+        cut_off = np.any(begins & (low <= 0)) or np.any(ends & (high >= last))
+    if not cut_off:
         return []
     text = (
         "The stapes touches the border of the scan: what lies beyond it is missing from volume and mass. "

@@ -64,21 +64,22 @@ def assembled(
     volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, options: SearchOptions
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
-    measured = measure(volume, cut, Guess(sight.air, sight.bone, sight.plastic))
+    grid = volume if cut.working is None else cut.working.volume
+    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic))
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
-    stapes, level = volume_matched(share, moments.volume_mm3, cut.scan_from_box(volume))
+    stapes, level = volume_matched(share, moments.volume_mm3, cut.scan_from_box(grid))
     smooth = _smoothed(share)
-    frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(volume), level)
+    frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(grid), level)
     plate_mesh = None if plate is None else plate_surface(volume, sight, plate)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
     return Bodies(
         volume=volume,
-        labels=label_box(volume, sight, plate, replace(cut, stapes=share > level)),
+        labels=label_box(volume, sight, plate, cut, replace(measured, share=share), level),
         stapes=stapes,
         frame_surface=frame_surface,
         plate=plate_mesh,
