@@ -22,6 +22,7 @@ from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from kinematics.frames import RigidTransform
 from sample_volumes import bodies
 from sample_volumes.analytic import write_analytic_stapes
+from sample_volumes.gutter import write_gutter_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.scanner import DTYPES, stored_levels
 from sample_volumes.vibrometer import Recording, Vibrometry, record
@@ -218,7 +219,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--no-plate", action="store_true")
     parser.add_argument("--no-bone", action="store_true", help="no peripheral bone")
     parser.add_argument(
-        "--phantom", choices=("openear", "analytic"), default="openear", help="real stapes, or a made one"
+        "--phantom",
+        choices=("openear", "analytic", "gutter"),
+        default="openear",
+        help="real stapes, or a made one: with solid crura, or with gutters for crura",
     )
     parser.add_argument("--stapes", type=Path, help="closed surface of another stapes, mm")
     parser.add_argument("--ldv-noise", type=float, default=0.01)
@@ -236,6 +240,8 @@ def _stapes(options: argparse.Namespace) -> Path:
     if options.phantom == "openear":
         return bodies.OPENEAR_STAPES
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.phantom == "gutter":
+        return write_gutter_stapes(options.out / "gutter_stapes.ply")
     return write_analytic_stapes(options.out / "analytic_stapes.ply")
 
 
