@@ -199,7 +199,8 @@ def _fill(target: Any, placed: Scene) -> None:
 def write_scan(path: Path, placed: Scene) -> None:
     """Write the scan as an uncompressed TIFF stack with its spacing, slab by slab.
 
-    Up to 2 GiB it is an ImageJ stack, above that an OME BigTIFF; both can be mapped into memory.
+    Up to 2 GiB it is an ImageJ stack (big-endian, as ImageJ has it), above that, or named .ome.tif, an OME
+    BigTIFF in the machine's byte order; both can be mapped into memory.
     """
     import tifffile
 
@@ -207,7 +208,7 @@ def write_scan(path: Path, placed: Scene) -> None:
     dx, dy, dz = placed.ear.voxel_mm
     dtype = np.dtype(placed.ear.dtype)
     common: dict[str, Any] = {"shape": (nz, ny, nx), "dtype": dtype}
-    if dtype.itemsize * nx * ny * nz <= _IMAGEJ_BYTES:
+    if dtype.itemsize * nx * ny * nz <= _IMAGEJ_BYTES and not path.name.endswith(".ome.tif"):
         common["dtype"] = dtype.newbyteorder(">")
         stack = tifffile.memmap(
             path,
