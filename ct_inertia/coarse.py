@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.interior import Interior, interior
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 
@@ -19,6 +20,10 @@ _FLAT = 1.7
 _LEAST_INTERIOR = 25
 _LOUD = 0.09
 _NEAR = 2.5
+# Bins of the histogram within the least distance of two materials' levels.
+_BINS = 16
+_LAYERS = 24
+_SAMPLE = 400_000
 
 
 @dataclass(frozen=True)
@@ -104,10 +109,13 @@ def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]
 
 def noise_of(grey: NDArray[np.float32]) -> float:
     """Estimate the noise from differences of neighbours, most of which lie in one material."""
-    steps = [np.abs(np.diff(grey, axis=k)).ravel()[::3] for k in range(3)]
-    low, high = np.percentile(grey.ravel()[::5], [0.02, 99.98])
+    layers = np.unique(np.linspace(0, len(grey) - 2, _LAYERS).round().astype(np.int64))
+    some = grey[layers]
+    steps = [np.abs(part).ravel() for part in (np.diff(some, axis=1), np.diff(some, axis=2))]
+    steps.append(np.abs(grey[layers + 1] - some).ravel())
+    values = np.concatenate([part[:: max(1, part.size // _SAMPLE)] for part in steps])
+    low, high = np.percentile(some.ravel()[:: max(1, some.size // _SAMPLE)], [0.02, 99.98])
     floor = 2e-4 * float(high - low)
-    values = np.concatenate(steps)
     # Air clipped at 0 gives many equal neighbours; they say nothing of the noise.
     moving = values[values > 0.0]
     if moving.size < 0.05 * values.size:
@@ -129,11 +137,12 @@ def material_levels(scan: CoarseScan) -> Array:
     CtInertiaError
         Only one material: nothing but noise.
     """
-    mean, flat = _interior(scan)
-    values = mean[flat].astype(float)
-    top = _bright_rest(scan, values)
-    levels = _solid(_modes(values, scan.noise, float(np.ptp(scan.grey))), mean, scan.noise)
-    if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * scan.noise):
+    noise = scan.noise
+    apart = max(2.5 * noise, 0.04 * (float(scan.grey.max()) - float(scan.grey.min())))
+    found = interior(scan.grey, _FLAT * noise, apart / _BINS)
+    top = _bright_rest(scan, found)
+    levels = _solid(_modes(found), found, noise)
+    if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * noise):
         levels = np.append(levels, top)
     if levels.size < 2:
         raise CtInertiaError(
@@ -147,44 +156,25 @@ def material_levels(scan: CoarseScan) -> Array:
     return levels
 
 
-def _interior(scan: CoarseScan) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the mean over each voxel's cross of seven, and where the cross lies in one material."""
-    grey = scan.grey
-    core = grey[1:-1, 1:-1, 1:-1]
-    total, square = core.astype(np.float32), core.astype(np.float64) ** 2
-    for axis in range(3):
-        for shift in (slice(None, -2), slice(2, None)):
-            part = [slice(1, -1)] * 3
-            part[axis] = shift
-            total = total + grey[tuple(part)]
-            square += grey[tuple(part)].astype(np.float64) ** 2
-    mean = total / np.float32(7.0)
-    variance = (square - 7.0 * mean.astype(np.float64) ** 2) / 6.0
-    return mean, np.asarray(variance < (_FLAT * scan.noise) ** 2 + 1e-9 * np.abs(square))
-
-
-def _modes(values: Array, noise: float, reach: float) -> Array:
-    if values.size < _LEAST_INTERIOR:
+def _modes(found: Interior) -> Array:
+    """Return the peaks of the histogram that stand apart from each other."""
+    if found.histogram.sum() < _LEAST_INTERIOR:
         return np.zeros(0)
     from scipy.ndimage import gaussian_filter1d
 
-    apart = max(2.5 * noise, 0.04 * reach)
-    width = apart / 16.0
-    low = float(values.min()) - apart
-    count = int((float(values.max()) + apart - low) / width) + 1
-    histogram = np.bincount(((values - low) / width).astype(np.int64), minlength=count).astype(float)
+    histogram = np.pad(found.histogram.astype(float), _BINS)
+    centres = found.low + (np.arange(len(histogram)) - _BINS + 0.5) * found.width
     smooth = gaussian_filter1d(histogram, 2.5)
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     kept: list[int] = []
     for peak in peaks[np.argsort(-smooth[peaks])]:
         mass = histogram[max(0, peak - 6) : peak + 7].sum()
-        far = all(abs(peak - other) * width > apart for other in kept)
+        far = all(abs(peak - other) > _BINS for other in kept)
         deep = all(
             smooth[min(peak, other) : max(peak, other) + 1].min() < 0.5 * smooth[peak] for other in kept
         )
         if mass >= _LEAST_INTERIOR and far and deep:
             kept.append(int(peak))
-    centres = low + (np.arange(count) + 0.5) * width
     levels = []
     for peak in sorted(kept):
         near = slice(max(0, peak - 6), peak + 7)
@@ -192,26 +182,31 @@ def _modes(values: Array, noise: float, reach: float) -> Array:
     return np.array(levels)
 
 
-def _solid(levels: Array, mean: NDArray[np.float32], noise: float) -> Array:
+def _solid(levels: Array, found: Interior, noise: float) -> Array:
     """Leave out what lies between two materials and nowhere fills a cube of three voxels."""
-    from scipy.ndimage import binary_erosion
-
-    cube = np.ones((3, 3, 3), dtype=bool)
     kept = [
         level
         for k, level in enumerate(levels)
-        if k in (0, len(levels) - 1)
-        or np.count_nonzero(binary_erosion(np.abs(mean - level) < _NEAR * noise, cube)) >= _LEAST_INTERIOR
+        if k in (0, len(levels) - 1) or _cubes(found.near(level, _NEAR * noise)) >= _LEAST_INTERIOR
     ]
     return np.array(kept)
 
 
-def _bright_rest(scan: CoarseScan, values: Array) -> float | None:
+def _cubes(mask: NDArray[np.bool_]) -> int:
+    """Return how many cubes of three voxels a mask holds."""
+    inner = mask[2:] & mask[1:-1] & mask[:-2]
+    inner = inner[:, 2:] & inner[:, 1:-1] & inner[:, :-2]
+    return int(np.count_nonzero(inner[:, :, 2:] & inner[:, :, 1:-1] & inner[:, :, :-2]))
+
+
+def _bright_rest(scan: CoarseScan, found: Interior) -> float | None:
     """Return a level for what is brighter than every interior voxel: bone too thin to have an inside."""
-    limit = (float(np.percentile(values, 99.9)) if values.size else float(np.median(scan.grey))) + (
-        8.0 * scan.noise
-    )
-    bright = scan.grey[scan.grey > limit]
+    total = np.cumsum(found.histogram)
+    if total[-1]:
+        base = float(found.centres[np.searchsorted(total, 0.999 * total[-1])])
+    else:
+        base = float(np.median(scan.grey))
+    bright = scan.grey[scan.grey > base + 8.0 * scan.noise]
     if bright.size * scan.voxel_mm3 < 0.05:
         return None
     return float(np.percentile(bright, 90))
