@@ -190,10 +190,12 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     from ct_inertia.ct2mass import ct2mass
     from ct_inertia.mass_json import mass_json, write_outputs
     from kinematics.output import staged
+    from kinematics.provenance import Hashes
 
     folder = output_folder(given)
+    hashes = Hashes(options.inputs.values(), given.sha256)
     result = ct2mass(options)
-    content = mass_json(result, given.sha256)
+    content = mass_json(result, given.sha256, hashes)
     with staged(folder) as stage:
         if not given.no_report:
             from ct_inertia.report import write_report

@@ -15,7 +15,7 @@ from ct_inertia.budget import budget, not_included
 from ct_inertia.surface import Surface, write_surface
 from kinematics.frames import RigidTransform
 from kinematics.mass_record import SCHEMA, MassMatrix
-from kinematics.provenance import record
+from kinematics.provenance import Hashes, record
 from kinematics.spatial import DOF_NAMES, PARAMETER_NAMES, dof_indices
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _CONVENTION = {
 _OUTLINE_POINTS = 160
 
 
-def mass_json(result: MassResult, sha256: bool = False) -> dict[str, Any]:
+def mass_json(result: MassResult, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:
     """Return the content of ``mass.json``.
 
     Parameters
@@ -39,12 +39,14 @@ def mass_json(result: MassResult, sha256: bool = False) -> dict[str, Any]:
     result : MassResult
     sha256 : bool
         Hash the inputs with SHA-256 instead of the faster default.
+    hashes : Hashes, optional
+        Of the inputs, when they were begun before.
     """
     body, matrix = result.body, result.matrix
     deviation = matrix.standard_deviation
     places = dof_indices(REDUCED)
     reduced = np.ix_(places, places)
-    provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256)
+    provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256, hashes=hashes)
     content = {
         "schema": SCHEMA,
         "density_kg_m3": body.density_kg_m3,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-_CHUNK = 1 << 22
+# Read pieces that stay in the processor's cache.
+_CHUNK = 1 << 18
 _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
 
 
@@ -29,22 +31,67 @@ def content_hash(path: Path, sha256: bool = False) -> str:
         digest = xxhash.xxh3_128()
     path = Path(path)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    window = memoryview(bytearray(_CHUNK))
     for file in files:
         if path.is_dir():
             digest.update(str(file.relative_to(path)).encode())
-        with file.open("rb") as stream:
-            while chunk := stream.read(_CHUNK):
-                digest.update(chunk)
+        with file.open("rb", buffering=0) as stream:
+            while count := stream.readinto(window):
+                digest.update(window[:count])
     return f"{'sha256' if sha256 else 'xxh3_128'}:{digest.hexdigest()}"
 
 
-def input_record(path: Path, sha256: bool = False) -> dict[str, Any]:
+class Hashes:
+    """Content hashes of files, made in the background while other work goes on.
+
+    Parameters
+    ----------
+    paths : iterable of Path or None
+        None is left out.
+    sha256 : bool
+        Use SHA-256 instead of the faster default.
+    """
+
+    def __init__(self, paths: Iterable[Path | None], sha256: bool = False) -> None:
+        self._sha256 = sha256
+        self._wanted = [Path(path) for path in paths if path is not None]
+        self._done: dict[Path, str | OSError] = {}
+        # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for it.
+        self._thread = threading.Thread(target=self._work, name="hashes", daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        for path in self._wanted:
+            try:
+                self._done[path] = content_hash(path, self._sha256)
+            except OSError as fault:
+                self._done[path] = fault
+
+    def of(self, path: Path) -> str:
+        """Return the hash of a file, waiting for it when it is not ready yet.
+
+        Raises
+        ------
+        OSError
+            The file could not be read.
+        """
+        if Path(path) not in self._wanted:
+            return content_hash(path, self._sha256)
+        self._thread.join()
+        found = self._done[Path(path)]
+        if isinstance(found, OSError):
+            raise found
+        return found
+
+
+def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:
     """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash."""
     path = Path(path)
     stat = path.stat()
     size = sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else stat.st_size
     modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
-    return {"file": path.name, "size_bytes": size, "modified": modified, "hash": content_hash(path, sha256)}
+    content = content_hash(path, sha256) if hashes is None else hashes.of(path)
+    return {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
 
 
 def versions() -> dict[str, str]:
@@ -63,6 +110,7 @@ def record(
     parameters: Mapping[str, Any],
     command: Sequence[str] | None = None,
     sha256: bool = False,
+    hashes: Hashes | None = None,
 ) -> dict[str, Any]:
     """Write the ``provenance`` block of a result.
 
@@ -76,10 +124,14 @@ def record(
         Defaults to the running command line, the program by its name alone.
     sha256 : bool
         Force SHA-256 as the content hash.
+    hashes : Hashes, optional
+        Content hashes that were begun before; then ``sha256`` is what they were begun with.
     """
     line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
     return {
-        "inputs": {role: input_record(path, sha256) for role, path in inputs.items() if path is not None},
+        "inputs": {
+            role: input_record(path, sha256, hashes) for role, path in inputs.items() if path is not None
+        },
         "versions": versions(),
         "parameters": dict(parameters),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -60,9 +60,12 @@ class Scan:
         from ct_inertia.ct2mass import ct2mass
         from ct_inertia.mass_json import mass_json, write_outputs
         from ct_inertia.report import Pictured, mass_sections
+        from kinematics.provenance import Hashes
 
-        result = ct2mass(mass_options(study.scan))
-        content = mass_json(result)
+        options = mass_options(study.scan)
+        hashes = Hashes(options.inputs.values())
+        result = ct2mass(options)
+        content = mass_json(result, hashes=hashes)
         labelled = None if result.bodies is None else result.bodies.labels
         sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
         content["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]

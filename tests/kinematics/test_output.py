@@ -9,7 +9,7 @@ import pytest
 from kinematics.errors import StapeskitError, raise_all, sentence
 from kinematics.notices import Notice, from_json, unique
 from kinematics.output import staged
-from kinematics.provenance import content_hash, input_record, record, versions
+from kinematics.provenance import Hashes, content_hash, input_record, record, versions
 
 
 def test_outputs_replace_old_ones_at_once(tmp_path):
@@ -104,3 +104,14 @@ def test_provenance_names_inputs_versions_and_command(tmp_path):
     assert block["command"] == "points2dof ldv.csv"
     assert "numpy" in versions()
     assert record({}, {})["command"]
+
+
+def test_hashes_made_in_the_background_are_the_same(tmp_path):
+    path, gone = tmp_path / "a.bin", tmp_path / "gone.bin"
+    path.write_bytes(b"stapes" * 200_000)
+    for sha256 in (False, True):
+        hashes = Hashes([path, None, gone], sha256)
+        assert hashes.of(path) == content_hash(path, sha256)
+        assert input_record(path, sha256, hashes) == input_record(path, sha256)
+        with pytest.raises(FileNotFoundError):
+            hashes.of(gone)
