@@ -16,7 +16,10 @@ _INNER = 0.8
 _SHAPE_STEP = 0.7
 _LOW, _HIGH = 0.15, 0.85
 _PAD = 4
+_PIECE = 30_000
 _SOFT = 0.25
+_CALM_PER_NOISE, _MOST_CALM = 8.0, 1.2
+_SETTLED_SHAPE = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,18 +79,23 @@ def fit_bodies(
     surface (the local level); what differs inside, regressed on the image, scales the contrast; the blur is
     that which leaves least. A wall of thickness t looks like contrast * erf(t / (2 sqrt(2) s)) at its middle
     and has the area contrast * t, so that level and thickness part as long as t is not far below the blur s.
+
+    A rough surface drawn by noise would blur its image a second time and be paid for with a narrower blur
+    and a lower contrast (0.7 % at 15 % noise): the surface is taken from grey values smoothed the more the
+    louder they are, by 1.2 voxels at most, and only the comparison is made with those measured.
     """
     from scipy.ndimage import gaussian_filter
 
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
     data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
+    calm = _calmed(data, noise / contrast)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
     rounds = _ROUNDS if fit_contrast else _ROUNDS // 2
     for k in range(rounds):
         share = data / np.float32(contrast)
-        body = body_share(share, level, own)
+        body = body_share(calm / np.float32(contrast), level, own)
         model = blurred(body, sigma_mm, spacing)
         rest = np.where(own, share - model, np.float32(0.0))
         near = ((model > 0.05) & (model < 0.95) & own).astype(np.float32)
@@ -96,6 +104,8 @@ def fit_bodies(
         shift = gaussian_filter(rest * near, width, truncate=3.0) / np.maximum(weight, 1e-3)
         level = np.clip(level - np.float32(_SHAPE_STEP) * shift, _LOW, _HIGH).astype(np.float32)
         if not fit_contrast:
+            if k > 0 and float(np.sqrt(np.mean(shift[near > 0.0] ** 2))) < _SETTLED_SHAPE:
+                break
             continue
         inner = own & (model > _INNER)
         if np.count_nonzero(inner) < 50:
@@ -114,27 +124,57 @@ def fit_bodies(
     return BodyFit(contrast, sd, sigma_mm, residual, body[core])
 
 
+def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    """Smooth the grey values that the surface is taken from, in step with their noise."""
+    from scipy.ndimage import gaussian_filter
+
+    width = min(_CALM_PER_NOISE * noise, _MOST_CALM)
+    return np.asarray(gaussian_filter(data, width, truncate=3.0)) if width > 0.2 else data
+
+
 def body_share(
     share: NDArray[np.float32], level: NDArray[np.float32], own: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Return the part of each voxel where the interpolated share exceeds the local level."""
-    from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+    """Return the part of each voxel where the interpolated share exceeds the local level.
 
+    Only voxels that the surface passes near are sampled, at eight places by linear interpolation.
+    """
     field = np.where(own, share - level, np.float32(-1.0))
-    high, low = maximum_filter(field, 3), minimum_filter(field, 3)
-    result = (field > 0.0).astype(np.float32)
-    index = np.stack(np.nonzero((high > 0.0) & (low < 0.0)), axis=0)
+    inside = field > 0.0
+    rim = spread(inside) & spread(~inside)
+    rim[[0, -1]] = rim[:, [0, -1]] = rim[:, :, [0, -1]] = False
+    result = inside.astype(np.float32)
+    index = np.flatnonzero(rim)
+    rows, columns = field.shape[1] * field.shape[2], field.shape[2]
+    steps = np.arange(-1, 2)
+    around = (steps[:, None, None] * rows + steps[:, None] * columns + steps).ravel()
     offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-    total = np.zeros(index.shape[1], dtype=np.float32)
-    for dz in offsets:
-        for dy in offsets:
-            for dx in offsets:
-                places = index + np.array([dz, dy, dx])[:, None]
-                value = map_coordinates(field, places, order=1, mode="nearest", prefilter=False)
-                # Softened over the sample's own width: shares near 0 and 1 come out in between.
-                total += np.clip(0.5 + value / _SOFT, 0.0, 1.0)
-    result[tuple(index)] = total / _FINE**3
+    weights = np.maximum(1.0 - np.abs(offsets[:, None] - steps), 0.0)
+    every = np.einsum("ai,bj,ck->ijkabc", weights, weights, weights).reshape(27, -1).astype(np.float32)
+    flat = field.ravel()
+    for start in range(0, len(index), _PIECE):
+        part = index[start : start + _PIECE]
+        values = flat[part[:, None] + around] @ every
+        # Softened over the sample's own width: shares near 0 and 1 come out in between.
+        values *= np.float32(1.0 / _SOFT)
+        values += np.float32(0.5)
+        np.clip(values, 0.0, 1.0, out=values)
+        result.ravel()[part] = values.mean(axis=1)
     return result
+
+
+def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask grown by a voxel in all 26 directions."""
+    grown = mask
+    for axis in range(3):
+        before = grown
+        grown = before.copy()
+        ahead: list[slice] = [slice(None)] * 3
+        back: list[slice] = [slice(None)] * 3
+        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= before[tuple(back)]
+        grown[tuple(back)] |= before[tuple(ahead)]
+    return grown
 
 
 def blurred(body: NDArray[np.float32], sigma_mm: float, spacing: Array) -> NDArray[np.float32]:
@@ -142,7 +182,7 @@ def blurred(body: NDArray[np.float32], sigma_mm: float, spacing: Array) -> NDArr
     from scipy.ndimage import gaussian_filter
 
     rest = np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0))
-    return np.asarray(gaussian_filter(body, rest, truncate=5.0))
+    return np.asarray(gaussian_filter(body, rest, truncate=4.5))
 
 
 def _best_blur(

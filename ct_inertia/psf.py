@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_REACH = 4
-_MOST = 12_000
+_REACH_WIDTHS = 3.6
+_MOST = 4_000
 _LEAST = 60
+_FLAT = 0.1
+_BESIDE = 2.5
 
 
 def edge_sigma(
@@ -19,6 +21,7 @@ def edge_sigma(
     spacing_mm: Array,
     noise: float = 0.0,
     seed: int = 0,
+    most: int = _MOST,
 ) -> tuple[float, float] | None:
     """Estimate the standard deviation of the point spread (voxel included) from edges of bone in air.
 
@@ -34,6 +37,8 @@ def edge_sigma(
         Standard deviation of a voxel, in shares of bone minus air.
     seed : int
         Of the choice among many voxels.
+    most : int
+        How many voxels to look at.
 
     Returns
     -------
@@ -45,46 +50,24 @@ def edge_sigma(
     Across a plane edge blurred by a Gaussian, w = Phi(d / s) and |grad w| = phi(d / s) / s, so that every
     voxel near the middle gives s = phi(Phi^-1(w)) / |grad w|. w and its gradient are taken with a Gaussian
     of known width, whose variance is subtracted. Edges that do not reach bone on one side and air on the
-    other within a few widths (thin walls, corners, gaps) are left out.
+    other within a few widths (thin walls, corners, gaps) are left out, and curved ones too where there are
+    enough flat ones: a radius of curvature R lets s seem longer by the order of (s / R)^2. Beside a flat
+    edge, 2.5 s along its tangents, the share is still 1/2.
     """
-    from scipy.ndimage import map_coordinates
     from scipy.special import ndtri
 
-    r = _REACH
-    level = (grey - air) / (bone - air)
-    inner = np.zeros_like(near_edge)
-    inner[r:-r, r:-r, r:-r] = near_edge[r:-r, r:-r, r:-r]
-    index = np.stack(np.nonzero(inner & (np.abs(level - 0.5) < 0.3)), axis=1)
-    if len(index) < _LEAST:
-        return None
-    if len(index) > _MOST:
-        index = np.random.default_rng(seed).permutation(index)[:_MOST]
     spacing = np.asarray(spacing_mm)[::-1]
     width = float(spacing.mean())
-    offsets = np.arange(-r, r + 1)
-    kernels = [np.exp(-0.5 * (offsets * h / width) ** 2) for h in spacing]
-    smooth = [k / k.sum() for k in kernels]
-    slope = [k * (offsets * h) / (k @ (offsets * h) ** 2) for k, h in zip(kernels, spacing, strict=True)]
-    patch = np.arange(-r, r + 1)
-    blocks = level[
-        (index[:, 0, None] + patch)[:, :, None, None],
-        (index[:, 1, None] + patch)[:, None, :, None],
-        (index[:, 2, None] + patch)[:, None, None, :],
-    ].astype(float)
-
-    def weighted(a: Array, b: Array, c: Array) -> Array:
-        return np.asarray(np.einsum("nijk,i,j,k->n", blocks, a, b, c, optimize=True))
-
-    w = weighted(*smooth)
-    gradient = np.stack(
-        [weighted(*(slope[m] if m == axis else smooth[m] for m in range(3))) for axis in range(3)], axis=1
-    )
+    reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
+    index = _middling(grey, near_edge, (air, bone), reach)
+    if len(index) < _LEAST:
+        return None
+    if len(index) > most:
+        index = index[np.random.default_rng(seed).choice(len(index), most, replace=False)]
+    w, gradient, spread = _smooth_gradient(grey, index, (air, bone), spacing, width, reach)
     size = np.linalg.norm(gradient, axis=1)
     # Noise lengthens every gradient: its share of the square is known for white noise.
-    spread = noise**2 * sum(
-        np.prod([((slope[m] if m == axis else smooth[m]) ** 2).sum() for m in range(3)]) for axis in range(3)
-    )
-    size = np.sqrt(np.maximum(size**2 - spread, 1e-12))
+    size = np.sqrt(np.maximum(size**2 - noise**2 * spread, 1e-12))
     good = (np.abs(w - 0.5) < 0.25) & (size > 0.05 / width)
     w, size, gradient, index = w[good], size[good], gradient[good], index[good]
     if len(w) < _LEAST:
@@ -92,22 +75,92 @@ def edge_sigma(
     z = ndtri(w)
     total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
     middle = float(np.median(total))
-    inward = gradient / size[:, None]
+    inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
     foot = index * spacing - z[:, None] * middle * inward
-    sides = []
-    for reach in (-2.6, 2.6, 3.6):
-        points = (foot + reach * middle * inward) / spacing
-        sides.append(map_coordinates(level, points.T, order=1, mode="nearest"))
+
+    def share_at(points: Array) -> Array:
+        return np.asarray((_interpolated(grey, points / spacing) - air) / (bone - air))
+
+    low, high, deep = (share_at(foot + reach * middle * inward) for reach in (-2.6, 2.6, 3.6))
     slack = max(0.15, 2.5 * noise)
-    clean = (np.abs(sides[0]) < slack) & (np.abs(sides[1] - 1.0) < slack) & (np.abs(sides[2] - 1.0) < slack)
+    clean = (np.abs(low) < slack) & (np.abs(high - 1.0) < slack) & (np.abs(deep - 1.0) < slack)
     if np.count_nonzero(clean) < _LEAST:
-        clean = np.abs(sides[0]) < slack + 0.05
+        clean = np.abs(low) < slack + 0.05
     if np.count_nonzero(clean) < _LEAST:
         return None
+    bent = np.zeros(len(foot))
+    for tangent in _tangents(inward):
+        beside = [share_at(foot + sign * _BESIDE * middle * tangent) for sign in (-1.0, 1.0)]
+        bent = np.maximum(bent, np.abs(0.5 * (beside[0] + beside[1]) - 0.5))
+    flat = clean & (bent < max(_FLAT, 1.2 * noise))
+    if np.count_nonzero(flat) >= 2 * _LEAST:
+        clean = flat
     variance = np.median(total[clean]) ** 2 - width**2
     if not variance > 0.0:
         return 0.3 * width, 0.1 * width
     sigma = float(np.sqrt(variance))
-    low, high = np.percentile(total[clean], [25.0, 75.0])
-    spread = 0.5 * float(high - low) / np.sqrt(max(len(w) / 50.0, 1.0)) + 0.02 * float(np.median(total))
-    return sigma, spread * float(np.median(total)) / sigma
+    low_part, high_part = np.percentile(total[clean], [25.0, 75.0])
+    several = max(np.count_nonzero(clean) / 50.0, 1.0)
+    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(total))
+    return sigma, sd * float(np.median(total)) / sigma
+
+
+def _middling(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    levels: tuple[float, float],
+    reach: NDArray[np.int_],
+) -> NDArray[np.int64]:
+    """Return the places z, y, x of voxels of middle grey value, away from the border of the box."""
+    air, bone = levels
+    low, high = air + 0.2 * (bone - air), air + 0.8 * (bone - air)
+    inner = tuple(slice(int(r), -int(r)) for r in reach)
+    part = grey[inner]
+    return np.argwhere(near_edge[inner] & (part > min(low, high)) & (part < max(low, high))) + reach
+
+
+def _smooth_gradient(
+    grey: NDArray[np.float32],
+    index: NDArray[np.int64],
+    levels: tuple[float, float],
+    spacing: Array,
+    width: float,
+    reach: NDArray[np.int_],
+) -> tuple[Array, Array, float]:
+    """Return share (n,) and its gradient (n, 3) per mm, smoothed by a Gaussian of deviation ``width``.
+
+    The third value is the variance of the gradient per variance of white noise.
+    """
+    air, bone = levels
+    offsets = [np.arange(-r, r + 1) for r in reach]
+    pairs = []
+    for o, h in zip(offsets, spacing, strict=True):
+        k = np.exp(-0.5 * (o * h / width) ** 2)
+        pairs.append(np.column_stack([k / k.sum(), k * (o * h) / (k @ (o * h) ** 2)]))
+    blocks = grey[
+        (index[:, 0, None] + offsets[0])[:, :, None, None],
+        (index[:, 1, None] + offsets[1])[:, None, :, None],
+        (index[:, 2, None] + offsets[2])[:, None, None, :],
+    ]
+    along_x = blocks @ pairs[2].astype(np.float32)
+    along_yx = np.einsum("nijc,jb->nibc", along_x, pairs[1].astype(np.float32), optimize=True)
+    every = np.einsum("nibc,ia->nabc", along_yx, pairs[0].astype(np.float32), optimize=True).astype(float)
+    w = (every[:, 0, 0, 0] - air) / (bone - air)
+    gradient = np.stack([every[:, 1, 0, 0], every[:, 0, 1, 0], every[:, 0, 0, 1]], axis=1) / (bone - air)
+    square = [(pair**2).sum(axis=0) for pair in pairs]
+    spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
+    return w, gradient, spread
+
+
+def _interpolated(grey: NDArray[np.float32], places: Array) -> Array:
+    from scipy.ndimage import map_coordinates
+
+    return np.asarray(map_coordinates(grey, places.T, order=1, mode="nearest", output=float))
+
+
+def _tangents(normal: Array) -> tuple[Array, Array]:
+    """Return two unit vectors (n, 3) across each normal (n, 3) and each other."""
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return first, np.cross(normal, first)
