@@ -95,13 +95,33 @@ def labelled_pieces(mask: NDArray[np.bool_], spacing_mm: Array) -> tuple[NDArray
     """
     from scipy import ndimage
 
-    labels, _ = ndimage.label(mask)
-    labels = labels.astype(np.int32, copy=False)
-    sizes = np.bincount(labels.ravel())
+    labels = np.zeros(mask.shape, dtype=np.int32)
+    box = used_box(mask)
+    if box is None:
+        return labels, []
+    part = labels[box]
+    count = int(ndimage.label(mask[box], output=part))
+    sizes = np.bincount(part[mask[box]], minlength=count + 1)
     voxel = float(np.prod(spacing_mm))
-    boxes = ndimage.find_objects(labels)
-    order = [int(k) for k in np.argsort(-sizes[1:]) + 1 if sizes[k] * voxel >= _LEAST_MM3]
-    return labels, [describe(labels, k, boxes[k - 1], spacing_mm) for k in order]
+    boxes = ndimage.find_objects(part)
+    pieces = []
+    for k in np.argsort(-sizes[1:]) + 1:
+        if sizes[k] * voxel < _LEAST_MM3:
+            break
+        found = zip(boxes[k - 1], box, strict=True)
+        place = tuple(slice(inner.start + outer.start, inner.stop + outer.start) for inner, outer in found)
+        pieces.append(describe(labels, int(k), place, spacing_mm))
+    return labels, pieces
+
+
+def used_box(mask: NDArray[np.bool_]) -> tuple[slice, ...] | None:
+    """Return the smallest box of slices (z, y, x) that holds a mask; None when it is empty."""
+    layers = np.asarray(mask.any(axis=(1, 2)))
+    if not np.any(layers):
+        return None
+    flat = np.asarray(mask[layers].any(axis=0))
+    places = [np.flatnonzero(line) for line in (layers, flat.any(axis=1), flat.any(axis=0))]
+    return tuple(slice(int(place[0]), int(place[-1]) + 1) for place in places)
 
 
 def describe(labels: NDArray[np.integer], label: int, box: tuple[slice, ...], spacing_mm: Array) -> Piece:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
+from ct_inertia.candidates import used_box
 from ct_inertia.coarse import calmed, finite, loud
 from ct_inertia.cutting import Cut
 from ct_inertia.measure import Measured
@@ -96,7 +97,7 @@ def label_box(
 
 def _coarse(number: int, mask: NDArray[np.bool_], above: float, step: Index) -> list[_Region]:
     """Make a region of a coarse mask, whose voxels are the middle ones of their steps."""
-    box = _used(mask)
+    box = used_box(mask)
     if box is None:
         return []
     cells = mask[box]
@@ -116,22 +117,12 @@ def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:
     quiet = not loud(measured.levels.noise / measured.levels.contrast)
     if np.any(block > 1) and quiet:
         cells = _grown(cells) & measured.own
-    box = _used(cells) or (slice(0, 1),) * 3
+    box = used_box(cells) or (slice(0, 1),) * 3
     if np.any(block > 1) and quiet:
         share = measured.share[box] - np.float32(level)
         above = cut.grey[box] - share * np.float32(measured.levels.contrast)
     low = np.array([part.start for part in reversed(box)], dtype=np.int64)
     return _Region(STAPES, cells[box], above, first + low * block, block)
-
-
-def _used(mask: NDArray[np.bool_]) -> tuple[slice, ...] | None:
-    """Return the smallest box that holds a mask; None when it is empty."""
-    flat = np.asarray(mask.any(axis=0))
-    lines = [mask.any(axis=(1, 2)), flat.any(axis=1), flat.any(axis=0)]
-    if not np.any(flat):
-        return None
-    places = [np.flatnonzero(line) for line in lines]
-    return tuple(slice(int(place[0]), int(place[-1]) + 1) for place in places)
 
 
 def _labels(

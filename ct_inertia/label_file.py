@@ -18,9 +18,10 @@ def write_labels(path: Path, labels: LabelledVolume) -> None:
 
     Notes
     -----
-    The axes are LPS, as scan coordinates are: https://teem.sourceforge.net/nrrd/format.html.
+    The axes are LPS, as scan coordinates are: https://teem.sourceforge.net/nrrd/format.html. Labels are long
+    runs of one value: gzip looks for those only.
     """
-    packer = zlib.compressobj(level=1, wbits=_GZIP)
+    packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
     with Path(path).open("wb") as stream:
         stream.write(_header(labels).encode("ascii"))
         for slab in labels.slabs():
