@@ -22,8 +22,8 @@ _LOUD = 0.09
 _NEAR = 2.5
 # Bins of the histogram within the least distance of two materials' levels.
 _BINS = 16
-_LAYERS = 24
-_SAMPLE = 400_000
+_LAYERS = 12
+_SAMPLE = 200_000
 
 
 @dataclass(frozen=True)
