@@ -4,20 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import existing_file
+from ct_inertia.readers.dicom import holds_dicom, is_dicom
+from ct_inertia.readers.raw import RAW_SUFFIXES, RawLayout, companion, layout_missing
 from ct_inertia.volume import Volume, reversed_axis
 from kinematics.errors import sentence
 from kinematics.notices import Notice
 
 ITK_SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
-_TIFF = (".tif", ".tiff", ".btf", ".tf8")
+FORMATS = (
+    "TIFF, NRRD, MHA, MHD, NIfTI, DICOM, ISQ, AIM, VGI, AM, raw voxels, a folder of slices or DICOM files, "
+    "OME-Zarr"
+)
+_READERS = (
+    ((".tif", ".tiff", ".btf", ".tf8", ".tf2"), "tiff", "read_tiff"),
+    ((".nrrd", ".nhdr"), "nrrd", "read_nrrd"),
+    ((".mha", ".mhd"), "metaimage", "read_metaimage"),
+    ((".nii", ".nii.gz", ".hdr"), "nifti", "read_nifti"),
+    ((".isq", ".rsq", ".rad"), "isq", "read_isq"),
+    ((".aim",), "aim", "read_aim"),
+    ((".vgi",), "vgi", "read_vgi"),
+    ((".am",), "amira", "read_amira"),
+    ((".dcm", ".dicom", ".ima"), "dicom", "read_dicom_file"),
+)
+# Their headers tell directions, which may be left-handed: they take the mirror themselves.
+_TURNABLE = ("nrrd", "metaimage", "nifti")
 
 
 def read_volume(
@@ -25,8 +44,9 @@ def read_volume(
     spacing_mm: float | Sequence[float] | None = None,
     mirror: str | None = None,
     nan_as_air: bool = False,
+    raw: RawLayout | None = None,
 ) -> Volume:
-    """Open a scan: TIFF stack, folder of slices, NRRD, MetaImage, NIfTI, Scanco ISQ and AIM, DICOM.
+    """Open a scan of any format that `FORMATS` lists.
 
     Parameters
     ----------
@@ -38,11 +58,15 @@ def read_volume(
         and its origin; the content is reflected inside it.
     nan_as_air : bool
         Let voxels that are not finite count as air.
+    raw : RawLayout, optional
+        How raw voxels lie in a file without a header.
 
     Returns
     -------
     Volume
-        Memory-mapped where the file allows; its notices say when nothing confirms the handedness.
+        Memory-mapped where the file allows, read block by block where its voxels are scattered or packed
+        in pieces, and unpacked in memory only where it is packed as a whole. Its
+        notices say when nothing confirms the handedness.
 
     Raises
     ------
@@ -52,7 +76,9 @@ def read_volume(
     """
     path = existing_file(Path(path))
     given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=float).ravel().tolist()
-    volume = _opened(path, given, mirror)
+    if raw is None and path.is_file() and path.name.lower().endswith(RAW_SUFFIXES):
+        path = companion(path) or path
+    volume = _opened(path, given, mirror, raw)
     volume = replace(volume, nan_as_air=nan_as_air)
     check_values(volume)
     if volume.handedness_confirmed or mirror is not None:
@@ -64,40 +90,63 @@ def read_volume(
     return replace(volume, notices=(*volume.notices, Notice("handedness_unconfirmed", text)))
 
 
-def _opened(path: Path, spacing: list[float] | None, mirror: str | None) -> Volume:
+def read_labels(
+    path: Path | str, spacing_mm: float | Sequence[float] | None = None, mirror: str | None = None
+) -> Volume:
+    """Open a label volume of any format and hold its voxels in memory.
+
+    Raises
+    ------
+    CtInertiaError
+        As `read_volume`.
+    """
+    volume = read_volume(path, spacing_mm, mirror)
+    return replace(volume, array=np.asarray(volume.array))
+
+
+def _opened(path: Path, spacing: list[float] | None, mirror: str | None, raw: RawLayout | None) -> Volume:
     if mirror is not None:
         reversed_axis(np.zeros((1, 1, 1)), mirror)
-    if path.is_file() and path.name.lower().endswith(ITK_SUFFIXES):
-        from ct_inertia.readers.itk import read_itk
+    module, name = _reader(path, raw is not None)
+    read = getattr(import_module(f"ct_inertia.readers.{module}"), name)
+    if raw is not None:
+        volume = read(path, raw, spacing)
+    elif module in _TURNABLE:
+        return cast(Volume, read(path, spacing, mirror))
+    else:
+        volume = read(path, spacing)
+    return cast(Volume, volume if mirror is None else volume.mirrored(mirror))
 
-        return read_itk(path, spacing, mirror)
-    volume = _dispatch(path, spacing)
-    return volume if mirror is None else volume.mirrored(mirror)
 
-
-def _dispatch(path: Path, spacing: list[float] | None) -> Volume:
+def _reader(path: Path, raw: bool) -> tuple[str, str]:
+    """Return the module and the function that read a file or folder."""
+    if raw and path.is_file():
+        return "raw", "read_raw"
     if path.is_dir():
-        from ct_inertia.readers.dicom import holds_dicom, read_dicom
-        from ct_inertia.readers.slices import read_slices
-
-        return read_dicom(path, spacing) if holds_dicom(path) else read_slices(path, spacing)
-    name = path.name.lower()
-    if name.endswith(_TIFF):
-        from ct_inertia.readers.tiff import read_tiff
-
-        return read_tiff(path, spacing)
-    from ct_inertia.readers.scanco import SCANCO_SUFFIXES, read_scanco
-
-    if name.split(";")[0].endswith(SCANCO_SUFFIXES):
-        return read_scanco(path, spacing)
+        return _folder_reader(path)
+    # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
+    name = path.name.lower().split(";")[0]
+    for suffixes, module, function in _READERS:
+        if name.endswith(suffixes):
+            return module, function
+    if name.endswith(RAW_SUFFIXES):
+        raise layout_missing(path)
+    if is_dicom(path):
+        return "dicom", "read_dicom_file"
     raise CtInertiaError(
         sentence(
             "the scan",
-            "a TIFF, NRRD, MHA, MHD, NIfTI, ISQ or AIM file, or a folder of slices or DICOM files",
+            f"a volume of a known format ({FORMATS})",
             path.name,
-            next_step="Export it in one of these formats",
+            next_step="Export it in one of these formats, or as raw voxels with --shape and --dtype",
         )
     )
+
+
+def _folder_reader(path: Path) -> tuple[str, str]:
+    if any((path / name).is_file() for name in (".zattrs", ".zgroup", ".zarray", "zarr.json")):
+        return "ome_zarr", "read_ome_zarr"
+    return ("dicom", "read_dicom") if holds_dicom(path) else ("slices", "read_slices")
 
 
 def check_values(volume: Volume) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ct_inertia.blocks import part_of
 from ct_inertia.errors import CtInertiaError
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -24,8 +25,9 @@ class Volume:
 
     Attributes
     ----------
-    array : ndarray or memmap, [z, y, x]
-        Grey values in the type of the file; never copied to float as a whole.
+    array : ndarray, memmap or BlockArray, [z, y, x]
+        Grey values in the type of the file; never copied to float as a whole. Index it with slices: a block
+        array reads and unpacks what is asked for.
     spacing_mm : ndarray, (3,)
         Distance of voxel centres along x, y, z of the array.
     origin_mm : ndarray, (3,)
@@ -135,8 +137,8 @@ class Volume:
                     next_step="Give two corners in scan coordinates, mm",
                 )
             )
-        part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
-        return replace(self, array=self.array[part], origin_mm=self.scan_points(low))
+        z, y, x = (slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+        return replace(self, array=part_of(self.array, (z, y, x)), origin_mm=self.scan_points(low))
 
     def mirrored(self, axis: str) -> Volume:
         """Reverse the order of the slices along the array's ``x``, ``y`` or ``z`` axis.
@@ -178,7 +180,9 @@ def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     """Return a view of an array [z, y, x] with its x, y or z axis reversed."""
     if axis not in tuple(_AXES):
         raise CtInertiaError(sentence("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
-    return np.flip(array, axis=2 - _AXES.index(axis))
+    every = [slice(None)] * 3
+    every[2 - _AXES.index(axis)] = slice(None, None, -1)
+    return part_of(array, (every[0], every[1], every[2]))
 
 
 def _listed(values: Array) -> str:

@@ -20,8 +20,11 @@ _MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters"), 1e3),
     **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters"), 10.0),
     **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters"), 1.0),
-    **dict.fromkeys(("um", "µm", "μm", "\\u00b5m", "micron", "microns", "micrometer", "micrometre"), 1e-3),
-    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-6),
+    **dict.fromkeys(
+        ("um", "µm", "μm", "\\u00b5m", "micron", "microns", "micrometer", "micrometre", "micrometers"), 1e-3
+    ),
+    **dict.fromkeys(("nm", "nanometer", "nanometre", "nanometers"), 1e-6),
+    **dict.fromkeys(("angstrom", "å"), 1e-7),
     **dict.fromkeys(("inch", "in", "inches", '"'), 25.4),
 }
 
@@ -83,7 +86,14 @@ def settle_spacing(
     return np.asarray(from_file, dtype=float), ()
 
 
-def check_size(shape: Sequence[int], dtype: np.dtype, stored_bytes: int, packed: bool, name: str) -> None:
+def check_size(
+    shape: Sequence[int],
+    dtype: np.dtype,
+    stored_bytes: int,
+    packed: bool,
+    name: str,
+    held: bool = True,
+) -> None:
     """Refuse a header that claims more than its file can hold or than this machine can.
 
     Parameters
@@ -95,6 +105,10 @@ def check_size(shape: Sequence[int], dtype: np.dtype, stored_bytes: int, packed:
         Bytes that the file has for them.
     packed : bool
         The data are compressed.
+    name : str
+        File name for messages.
+    held : bool
+        Packed data are unpacked as a whole; otherwise piece by piece when they are asked for.
 
     Raises
     ------
@@ -108,18 +122,18 @@ def check_size(shape: Sequence[int], dtype: np.dtype, stored_bytes: int, packed:
         raise CtInertiaError(
             sentence(
                 "the volume",
-                f"as large as its header says ({size} voxels, {_amount(claimed)})",
-                f"{_amount(stored_bytes)} in the file",
+                f"as large as its header says ({size} voxels, {amount(claimed)})",
+                f"{amount(stored_bytes)} in the file",
                 name,
                 "The file is truncated or its header is wrong: copy or export it again",
             )
         )
-    if packed and claimed > _memory():
+    if packed and held and claimed > _memory():
         raise CtInertiaError(
             sentence(
                 "the volume",
-                f"small enough to unpack in memory ({_amount(_memory())})",
-                _amount(claimed),
+                f"small enough to unpack in memory ({amount(_memory())})",
+                amount(claimed),
                 name,
                 "Export it uncompressed, or crop it",
             )
@@ -145,6 +159,50 @@ def existing_file(path: Path) -> Path:
     return path
 
 
+def no_data_file(path: Path, data: Path) -> CtInertiaError:
+    """Make the error for a header whose data file is not there."""
+    return CtInertiaError(
+        sentence(
+            "the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together"
+        )
+    )
+
+
+def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:
+    """Make the error for a header that says something impossible or leaves out something needed."""
+    return CtInertiaError(
+        sentence("the scan", f"a readable {kind}", what, path.name, "Copy or export it again")
+    )
+
+
+def check_positive(size: Sequence[int], name: str) -> None:
+    """Refuse a size with a number of voxels that is not positive."""
+    if min(size) <= 0:
+        raise CtInertiaError(
+            sentence(
+                "the size in the header",
+                "positive",
+                " x ".join(map(str, size)),
+                name,
+                next_step="Copy or export it again",
+            )
+        )
+
+
+def density_notice(name: str, scaling: float, slope: float, intercept: float, unit: str) -> list[Notice]:
+    """Say how a header turns grey values into mineral density, as two points for a calibration file."""
+    if not (scaling > 0.0 and slope > 0.0 and np.isfinite(intercept)):
+        return []
+    low, high = 0.0, 2.0 * scaling
+    points = ", ".join(f"[{grey:.0f}, {slope * grey / scaling + intercept:.6g}]" for grey in (low, high))
+    text = (
+        f"{name} says density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
+        f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
+        f"file of --calibration."
+    )
+    return [Notice("density_in_header", text)]
+
+
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
     """Make the error for a file that its library cannot read."""
     return CtInertiaError(
@@ -165,7 +223,8 @@ def _memory() -> int:
         return 1 << 40
 
 
-def _amount(count: int) -> str:
+def amount(count: int) -> str:
+    """Return a number of bytes as people say it."""
     for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= size:
             return f"{count / size:.3g} {unit}"

@@ -1,18 +1,47 @@
-"""A folder of DICOM slices through SimpleITK (GDCM)."""
+"""DICOM series and multi-frame files through SimpleITK (GDCM), slice by slice when they are asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ct_inertia.blocks import BlockArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable, settle_spacing
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
+from kinematics.notices import Notice
 
+Array = NDArray[np.float64]
 _UNEVEN = 0.02
+_TYPES = {
+    "8-bit unsigned integer": "u1",
+    "8-bit signed integer": "i1",
+    "16-bit unsigned integer": "u2",
+    "16-bit signed integer": "i2",
+    "32-bit unsigned integer": "u4",
+    "32-bit signed integer": "i4",
+    "32-bit float": "f4",
+    "64-bit float": "f8",
+}
+
+
+@dataclass(frozen=True)
+class _Slice:
+    """What the header of one DICOM file says."""
+
+    file: str
+    size: tuple[int, ...]
+    dtype: np.dtype
+    spacing: Array
+    origin: Array
+    direction: Array
 
 
 def is_dicom(path: Path) -> bool:
@@ -30,12 +59,12 @@ def holds_dicom(folder: Path) -> bool:
 
 
 def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
-    """Read the DICOM series of a folder, ordered by position.
+    """Read the DICOM series of a folder, ordered by position; rescale slope and intercept are applied.
 
     Raises
     ------
     CtInertiaError
-        Several series, a damaged file, or slices at uneven distances.
+        Several series, a damaged file, slices of different sizes, or slices at uneven distances.
     """
     import SimpleITK as sitk
 
@@ -45,53 +74,123 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
             sentence(
                 "the folder",
                 "one DICOM series",
-                f"{len(series)} series",
+                f"{len(series)} series{_listed(folder, series)}",
                 folder.name,
                 "Put the slices of one scan into a folder of their own",
             )
         )
-    reader = sitk.ImageSeriesReader()
-    names = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
-    reader.SetFileNames(names)
-    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        image = reader.Execute()
-    except RuntimeError as fault:
-        raise not_readable(folder, "DICOM series", fault) from fault
-    finally:
-        sitk.ProcessObject.SetGlobalWarningDisplay(shown)
-    if image.GetNumberOfComponentsPerPixel() > 1 or image.GetDimension() != 3 or len(names) < 2:
-        raise CtInertiaError(
-            sentence(
-                "the DICOM series",
-                "a three-dimensional grey-value volume",
-                f"{len(names)} slices",
-                next_step="Give the folder of the whole series",
-            )
+    names = list(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0]))
+    if len(names) == 1:
+        return read_dicom_file(Path(names[0]), spacing_mm)
+    slices = [_slice(name) for name in names]
+    _check_alike(slices, folder)
+    normal = slices[0].direction[:, 2]
+    places = np.array([float(s.origin @ normal) for s in slices])
+    notices: list[Notice] = []
+    found = None
+    if np.ptp(places) > 0.0:
+        slices = [slices[k] for k in np.argsort(places, kind="stable")]
+        step = _even_step(np.sort(places), folder)
+        found = np.array([*slices[0].spacing[:2], step])
+    elif spacing_mm is not None:
+        text = (
+            f"The slices in {folder.name} tell no positions: they were taken in the order of their numbers."
         )
-    _check_even(names, np.array(image.GetDirection()).reshape(3, 3)[:, 2], folder)
-    spacing, notices = settle_spacing(np.array(image.GetSpacing()), spacing_mm, folder.name)
+        notices.append(Notice("positions_not_told", text))
+    spacing, settled = settle_spacing(found, spacing_mm, folder.name, "the slices tell no positions")
     return Volume(
-        sitk.GetArrayFromImage(image),
+        _array(slices),
         spacing,
-        np.array(image.GetOrigin()),
-        np.array(image.GetDirection()).reshape(3, 3),
-        handedness_confirmed=True,
+        slices[0].origin,
+        slices[0].direction,
+        handedness_confirmed=found is not None,
         source=folder,
-        notices=notices,
+        notices=(*notices, *settled),
     )
 
 
-def _check_even(names: Sequence[str], normal: np.ndarray, folder: Path) -> None:
+def read_dicom_file(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+    """Read a multi-frame DICOM file, unpacked in memory.
+
+    Raises
+    ------
+    CtInertiaError
+        Damaged, a single slice, or in colours.
+    """
     import SimpleITK as sitk
 
-    places = []
-    for name in names:
-        header = sitk.ImageFileReader()
-        header.SetFileName(name)
-        header.ReadImageInformation()
-        places.append(float(np.array(header.GetOrigin()) @ normal))
+    head = _slice(str(path))
+    if len(head.size) < 3 or head.size[2] < 2:
+        raise CtInertiaError(
+            sentence(
+                "the DICOM file",
+                "one of several frames",
+                "a single slice",
+                path.name,
+                next_step="Give the folder of the whole series",
+            )
+        )
+    try:
+        image = sitk.ReadImage(str(path))
+    except RuntimeError as fault:
+        raise not_readable(path, "DICOM file", fault) from fault
+    spacing, notices = settle_spacing(head.spacing, spacing_mm, path.name)
+    return Volume(
+        sitk.GetArrayFromImage(image), spacing, head.origin, head.direction, True, path, notices=notices
+    )
+
+
+def _slice(name: str) -> _Slice:
+    import SimpleITK as sitk
+
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(name)
+    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        reader.ReadImageInformation()
+    except RuntimeError as fault:
+        raise not_readable(Path(name), "DICOM file", fault) from fault
+    finally:
+        sitk.ProcessObject.SetGlobalWarningDisplay(shown)
+    kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    if reader.GetNumberOfComponents() > 1 or kind not in _TYPES:
+        raise CtInertiaError(
+            sentence(
+                "the DICOM file",
+                "grey values",
+                f"{reader.GetNumberOfComponents()} values per voxel ({kind})",
+                Path(name).name,
+                "Export it as grey values",
+            )
+        )
+    return _Slice(
+        name,
+        tuple(reader.GetSize()),
+        np.dtype(_TYPES[kind]),
+        np.array(reader.GetSpacing()),
+        np.array(reader.GetOrigin()),
+        np.array(reader.GetDirection()).reshape(len(reader.GetSize()), -1),
+    )
+
+
+def _check_alike(slices: Sequence[_Slice], folder: Path) -> None:
+    first = slices[0]
+    for other in slices:
+        turned = np.max(np.abs(other.direction - first.direction)) > 1e-4
+        if other.size != first.size or turned or np.max(np.abs(other.spacing - first.spacing)[:2]) > 1e-6:
+            raise CtInertiaError(
+                sentence(
+                    f"slice {Path(other.file).name}",
+                    f"of the size, pixel spacing and orientation of {Path(first.file).name}",
+                    f"{other.size[0]} x {other.size[1]} at {other.spacing[0]:.6g} mm",
+                    folder.name,
+                    "Put the slices of one scan into a folder of their own",
+                )
+            )
+
+
+def _even_step(places: Array, folder: Path) -> float:
     steps = np.diff(places)
     middle = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - middle)))
@@ -105,3 +204,42 @@ def _check_even(names: Sequence[str], normal: np.ndarray, folder: Path) -> None:
                 "Slices are missing: export the whole series again",
             )
         )
+    return float(np.mean(steps))
+
+
+def _array(slices: Sequence[_Slice]) -> NDArray[Any]:
+    """Return the slices as one array; where slope and intercept give them different types, the widest."""
+    import SimpleITK as sitk
+
+    ny, nx = slices[0].size[1], slices[0].size[0]
+    dtype = np.result_type(*{s.dtype for s in slices})
+    one_by_one = Lock()
+
+    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
+        try:
+            with one_by_one:
+                image = sitk.GetArrayFromImage(sitk.ReadImage(slices[z].file))
+        except RuntimeError as fault:
+            raise not_readable(Path(slices[z].file), "DICOM file", fault) from fault
+        return np.asarray(image).reshape(1, ny, nx)
+
+    return BlockArray((len(slices), ny, nx), dtype, (1, ny, nx), plane).as_array()
+
+
+def _listed(folder: Path, series: Sequence[str]) -> str:
+    """Return what the series of a folder are called and how many slices each has."""
+    import SimpleITK as sitk
+
+    told = []
+    for uid in series[:6]:
+        names = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), uid)
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(names[0])
+        try:
+            reader.ReadImageInformation()
+            known = {key: reader.GetMetaData(key).strip() for key in reader.GetMetaDataKeys()}
+        except RuntimeError:
+            known = {}
+        name = known.get("0008|103e") or f"series {known.get('0020|0011') or uid}"
+        told.append(f"{name} ({len(names)} files)")
+    return ": " + ", ".join(told) if told else ""

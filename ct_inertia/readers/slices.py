@@ -1,23 +1,39 @@
-"""A folder of slice images in natural order of their numbers, with the SkyScan log beside them."""
+"""A folder of slice images in natural order of their numbers, each read when it is asked for."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.blocks import BlockArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
+from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+_TIFF = (".tif", ".tiff")
+# SkyScan's preview of a reconstruction lies among the slices.
+_PREVIEW = re.compile(r"_spr$|_arc$|^\.", re.I)
+_RIVAL = 0.5
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Rows and columns, type, and where the pixels start when they lie in one piece (otherwise None)."""
+
+    shape: tuple[int, int]
+    dtype: np.dtype
+    offset: int | None
 
 
 def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
@@ -26,7 +42,7 @@ def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volu
     Raises
     ------
     CtInertiaError
-        No slices, slices of different size or type, a damaged slice, or no spacing given.
+        No slices, several series, slices of different size or type, a damaged slice, or no spacing given.
     """
     files, notices = slice_files(folder)
     found = log_spacing(folder)
@@ -35,32 +51,17 @@ def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volu
     return Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
 
 
-def log_spacing(folder: Path) -> NDArray[np.float64] | None:
-    """Return the voxel spacing that a Bruker/SkyScan reconstruction log in the folder tells, mm.
-
-    The pixel size of the reconstruction, in um, times the step from section to section along z.
-    """
-    found: set[tuple[float, float]] = set()
-    for path in sorted(folder.glob("*.log")):
-        text = path.read_text(encoding="latin-1")
-        part = text.partition("[Reconstruction]")[2]
-        pixel = re.search(r"^Pixel Size \(um\)\s*=\s*([0-9.]+)", part, re.M)
-        step = re.search(r"^Section to Section Step\s*=\s*([0-9.]+)", part, re.M)
-        if pixel and float(pixel[1]) > 0.0:
-            found.add((float(pixel[1]) * 1e-3, float(step[1]) if step else 1.0))
-    if len(found) != 1:
-        return None
-    ((size, ratio),) = found
-    return np.array([size, size, size * ratio])
-
-
 def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
-    """Return the slices of the folder's largest numbered series in natural order, and what is odd."""
+    """Return the slices of the folder's numbered series in natural order, and what is odd."""
     series: dict[tuple[str, str], list[tuple[int, Path]]] = defaultdict(list)
-    images = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SLICE_SUFFIXES]
+    images = [
+        p
+        for p in folder.iterdir()
+        if p.is_file() and p.suffix.lower() in SLICE_SUFFIXES and not _PREVIEW.search(p.stem)
+    ]
     for path in images:
         match = re.match(r"^(.*?)(\d+)(\D*)$", path.stem)
-        if match and not path.name.startswith("."):
+        if match:
             series[(match[1] + "#" + match[3], path.suffix.lower())].append((int(match[2]), path))
     if not series or max(len(v) for v in series.values()) < 2:
         raise CtInertiaError(
@@ -72,9 +73,19 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
                 "Give the folder that holds the slices themselves",
             )
         )
-    chosen = sorted(
-        series[max(series, key=lambda name: len(series[name]))], key=lambda pair: (pair[0], pair[1].name)
-    )
+    ranked = sorted(series, key=lambda name: -len(series[name]))
+    if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
+        listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
+        raise CtInertiaError(
+            sentence(
+                "the folder",
+                "one series of numbered slices",
+                listed,
+                folder.name,
+                "Put the slices of one scan into a folder of their own",
+            )
+        )
+    chosen = sorted(series[ranked[0]], key=lambda pair: (pair[0], pair[1].name))
     numbers = [number for number, _ in chosen]
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
@@ -110,29 +121,83 @@ def _gaps(numbers: list[int], name: str) -> list[Notice]:
 
 
 def stacked_slices(files: Sequence[Path]) -> NDArray[Any]:
-    """Return the slices as one array [z, y, x] in their own type."""
-    first = _slice(files[0])
+    """Return the slices as one array [z, y, x] in their own type, read when they are asked for."""
+    looks = [_look(path) for path in files]
+    first = looks[0]
+    for path, look in zip(files, looks, strict=True):
+        if look.shape != first.shape or look.dtype != first.dtype:
+            raise _different(path, look.shape, look.dtype, files[0], first)
     stored = sum(path.stat().st_size for path in files)
-    check_size((len(files), *first.shape), first.dtype, stored, True, files[0].parent.name)
-    array = np.empty((len(files), *first.shape), dtype=first.dtype)
-    for k, path in enumerate(files):
+    check_size((len(files), *first.shape), first.dtype, stored, True, files[0].parent.name, False)
+
+    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
+        path, look = files[z], looks[z]
+        if look.offset is not None:
+            return np.memmap(path, look.dtype, "r", look.offset, (1, *look.shape))
         image = _slice(path)
-        if image.shape != first.shape or image.dtype != first.dtype:
-            raise CtInertiaError(
-                sentence(
-                    f"slice {path.name}",
-                    f"{first.shape[1]} x {first.shape[0]} {first.dtype} like {files[0].name}",
-                    f"{' x '.join(map(str, image.shape[::-1]))} {image.dtype}",
-                    next_step="Remove it from the folder or export it again",
-                )
-            )
-        array[k] = image
-    return array
+        if image.shape != first.shape or image.dtype.newbyteorder("=") != first.dtype.newbyteorder("="):
+            raise _different(path, image.shape, image.dtype, files[0], first)
+        return image[None]
+
+    return BlockArray((len(files), *first.shape), first.dtype, (1, *first.shape), plane).as_array()
+
+
+def _different(
+    path: Path, shape: tuple[int, ...], dtype: np.dtype, other: Path, expected: _Look
+) -> CtInertiaError:
+    return CtInertiaError(
+        sentence(
+            f"slice {path.name}",
+            f"{expected.shape[1]} x {expected.shape[0]} {expected.dtype.newbyteorder('=')} like {other.name}",
+            f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
+            next_step="Remove it from the folder or export it again",
+        )
+    )
+
+
+def _look(path: Path) -> _Look:
+    """Return size and type of a slice from its header; a picture in colours is read as a whole."""
+    try:
+        found = _tiff_look(path) if path.suffix.lower() in _TIFF else _picture_look(path)
+    except CtInertiaError:
+        raise
+    except Exception as fault:
+        raise not_readable(path, "slice image", fault) from fault
+    if found is not None:
+        return found
+    image = _slice(path)
+    return _Look((image.shape[0], image.shape[1]), image.dtype, None)
+
+
+def _tiff_look(path: Path) -> _Look | None:
+    import tifffile
+
+    with tifffile.TiffFile(path) as tif:
+        page: Any = tif.pages[0]
+        if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
+            return None
+        dtype = np.dtype(tif.byteorder + page.dtype.char)
+        whole = page.is_contiguous and page.bitspersample >= 8
+        if whole:
+            needed = int(page.dataoffsets[0]) + int(np.prod(page.shape)) * dtype.itemsize
+            if needed > path.stat().st_size:
+                raise not_readable(path, "slice image", EOFError())
+        return _Look(page.shape, dtype, int(page.dataoffsets[0]) if whole else None)
+
+
+def _picture_look(path: Path) -> _Look | None:
+    from PIL import Image
+
+    known = {"L": "u1", "I;16": "<u2", "I;16B": "<u2", "I": "i4", "F": "f4"}
+    with Image.open(path) as image:
+        if image.mode not in known:
+            return None
+        return _Look((image.height, image.width), np.dtype(known[image.mode]), None)
 
 
 def _slice(path: Path) -> NDArray[Any]:
     try:
-        if path.suffix.lower() in (".tif", ".tiff"):
+        if path.suffix.lower() in _TIFF:
             import tifffile
 
             image = tifffile.imread(path)
@@ -143,6 +208,8 @@ def _slice(path: Path) -> NDArray[Any]:
     except Exception as fault:
         raise not_readable(path, "slice image", fault) from fault
     image = np.asarray(image)
+    if image.dtype.kind == "b":
+        image = image.astype(np.uint8)
     if image.ndim == 3 and image.shape[-1] in (3, 4) and image.dtype == np.uint8:
         if np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 0], image[..., 2]):
             return np.ascontiguousarray(image[..., 0])

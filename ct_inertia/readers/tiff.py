@@ -1,4 +1,4 @@
-"""TIFF stacks: plain multi-page, ImageJ, OME and BigTIFF; memory-mapped where the data lie in one piece."""
+"""TIFF stacks: plain multi-page, ImageJ, OME and BigTIFF, with their spacing and origin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_size, mm_per_unit, not_readable, settle_spacing
+from ct_inertia.readers.checks import mm_per_unit, not_readable, settle_spacing
+from ct_inertia.readers.ome import Calibration, ome_calibration
+from ct_inertia.readers.tiff_pages import stack_array
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -32,8 +34,9 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
 
     Notes
     -----
-    A TIFF says nothing of origin, direction or handedness: origin 0, identity, not confirmed. Plain
-    resolution tags tell x and y only; the distance of slices is then asked for, not guessed.
+    OME tells the position of the first plane, ImageJ its zero; no TIFF tells direction or handedness:
+    identity, not confirmed. Plain resolution tags tell x and y only; the distance of slices is then asked
+    for, not guessed.
     """
     import tifffile
 
@@ -43,8 +46,8 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
     propagate, logger.propagate = logger.propagate, False
     try:
         with tifffile.TiffFile(path) as tif:
-            array = _array(tif, path)
-            found, known = _spacing(tif)
+            array = stack_array(tif, path)
+            place = _calibration(tif)
             notices = _notices(tif, path)
             told.check(path)
     except CtInertiaError:
@@ -55,8 +58,8 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
     finally:
         logger.removeHandler(told)
         logger.propagate = propagate
-    spacing, settled = settle_spacing(found, spacing_mm, path.name, known)
-    return Volume(array, spacing, np.zeros(3), np.eye(3), source=path, notices=(*notices, *settled))
+    spacing, settled = settle_spacing(place.spacing_mm, spacing_mm, path.name, place.known)
+    return Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
 
 
 class _Listener(logging.Handler):
@@ -74,6 +77,7 @@ class _Listener(logging.Handler):
             self.faults.append(text.replace("\n", " ")[:200])
 
     def check(self, path: Path) -> None:
+        """Raise when something was told."""
         if self.faults:
             raise CtInertiaError(
                 sentence(
@@ -86,91 +90,25 @@ class _Listener(logging.Handler):
             ) from None
 
 
-def _array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
-    series = tif.series[0]
-    page: Any = series.keyframe
-    if page.photometric is not None and page.photometric.name in ("RGB", "PALETTE", "YCBCR", "CMYK"):
-        raise CtInertiaError(
-            sentence(
-                "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
-            )
-        )
-    axes, shape = series.axes, series.shape
-    if "S" in axes and shape[axes.index("S")] > 1:
-        raise CtInertiaError(
-            sentence(
-                "the volume", "grey values", "several samples per voxel", path.name, "Export one channel"
-            )
-        )
-    kept = tuple(n for n in shape if n > 1)
-    extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
-    if extra and len(kept) > 3:
-        raise CtInertiaError(
-            sentence(
-                "the volume",
-                "one stack",
-                f"{', '.join(extra)} (channels or times)",
-                path.name,
-                "Export one channel and one time",
-            )
-        )
-    if len(kept) != 3:
-        raise CtInertiaError(
-            sentence(
-                "the volume",
-                "three-dimensional",
-                f"an image of shape {' x '.join(map(str, reversed(kept)))}",
-                path.name,
-                "Give the whole stack, or the folder of slices",
-            )
-        )
-    dtype = np.dtype(tif.byteorder + series.dtype.char)
-    size = path.stat().st_size
-    packed = page.compression.name != "NONE"
-    check_size(kept, dtype, size, packed, path.name)
-    if series.dataoffset is not None:
-        check_size(kept, dtype, size - series.dataoffset, False, path.name)
-        return np.memmap(path, dtype=dtype, mode="r", offset=series.dataoffset, shape=kept)
-    _check_strips(series, size, path)
-    return np.asarray(series.asarray()).reshape(kept)
-
-
-def _check_strips(series: Any, size: int, path: Path) -> None:
-    for page in series.pages:
-        if page is None:
-            raise CtInertiaError(
-                sentence("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
-            )
-        ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
-        if ends and max(ends) > size:
-            raise CtInertiaError(
-                sentence(
-                    "the TIFF",
-                    f"as long as its pages say ({max(ends)} bytes)",
-                    f"{size} bytes",
-                    path.name,
-                    "The file is truncated: copy or export it again",
-                )
-            )
-
-
-def _spacing(tif: tifffile.TiffFile) -> tuple[Array | None, str]:
-    """Return the spacing x, y, z in mm, or None and what the file does say."""
+def _calibration(tif: tifffile.TiffFile) -> Calibration:
+    """Return spacing and origin x, y, z in mm, or what the file does say of them."""
     if tif.is_ome and tif.ome_metadata:
-        found = _ome_spacing(tif.ome_metadata)
+        found = ome_calibration(tif.ome_metadata)
         if found is not None:
-            return found, ""
+            return found
     plane = _resolution(tif)
     if tif.is_imagej and tif.imagej_metadata is not None:
-        return _imagej_spacing(tif.imagej_metadata, plane)
+        return _imagej(tif.imagej_metadata, plane)
     page: Any = tif.pages[0]
     unit = {2: 25.4, 3: 10.0}.get(int(getattr(page.tags.get("ResolutionUnit"), "value", 0) or 0))
     if plane is None or unit is None:
-        return None, "the TIFF has no resolution with a unit"
+        return Calibration(None, known="the TIFF has no resolution with a unit")
     x, y = plane * unit
     if abs(x - 25.4 / 72.0) < 1e-6 or abs(x - 25.4 / 96.0) < 1e-6:
-        return None, "the TIFF has the screen resolution only"
-    return None, f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
+        return Calibration(None, known="the TIFF has the screen resolution only")
+    return Calibration(
+        None, known=f"the TIFF says {x:.6g} x {y:.6g} mm in a slice but not the distance of slices"
+    )
 
 
 def _resolution(tif: tifffile.TiffFile) -> Array | None:
@@ -188,31 +126,18 @@ def _resolution(tif: tifffile.TiffFile) -> Array | None:
     return np.array(pair)
 
 
-def _imagej_spacing(meta: dict[str, Any], plane: Array | None) -> tuple[Array | None, str]:
+def _imagej(meta: dict[str, Any], plane: Array | None) -> Calibration:
+    """Return what ImageJ says; its origin is the voxel at 0, counted in voxels."""
     unit = mm_per_unit(str(meta.get("unit", "")))
     depth = meta.get("spacing")
     if unit is None:
-        return None, f"the ImageJ unit is {meta.get('unit') or 'not set'}"
+        return Calibration(None, known=f"the ImageJ unit is {meta.get('unit') or 'not set'}")
     if plane is None or not depth:
-        return None, "the ImageJ header has a unit but no complete spacing"
-    return np.array([plane[0], plane[1], abs(float(depth))]) * unit, ""
-
-
-def _ome_spacing(xml: str) -> Array | None:
-    from xml.etree import ElementTree
-
-    for element in ElementTree.fromstring(xml).iter():
-        if element.tag.rsplit("}", 1)[-1] != "Pixels":
-            continue
-        values = []
-        for axis in "XYZ":
-            value = element.get(f"PhysicalSize{axis}")
-            unit = mm_per_unit(element.get(f"PhysicalSize{axis}Unit", "µm"))
-            if value is None or unit is None:
-                return None
-            values.append(float(value) * unit)
-        return np.array(values)
-    return None
+        text = "" if plane is None else f" ({plane[0] * unit:.6g} x {plane[1] * unit:.6g} mm in a slice)"
+        return Calibration(None, known=f"the ImageJ header has a unit but no complete spacing{text}")
+    spacing = np.array([plane[0], plane[1], abs(float(depth))]) * unit
+    zero = np.array([float(meta.get(f"{axis}origin") or 0.0) for axis in "xyz"])
+    return Calibration(spacing, -zero * spacing if np.all(np.isfinite(zero)) else np.zeros(3))
 
 
 def _notices(tif: tifffile.TiffFile, path: Path) -> list[Notice]:

@@ -1,0 +1,173 @@
+"""Volumes that are read block by block when their voxels are asked for: packed or scattered files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Key = tuple[slice, slice, slice]
+ReadBlock = Callable[[int, int, int], NDArray[Any]]
+_LAYER_BYTES = 64 << 20
+
+
+class BlockArray:
+    """An array [z, y, x] in blocks; indexing reads, unpacks and returns the voxels asked for.
+
+    Parameters
+    ----------
+    shape : sequence of 3 int
+        z, y, x.
+    dtype : dtype
+    block : sequence of 3 int
+        Voxels of a block along z, y, x; blocks at the far ends may be smaller.
+    read : callable
+        Takes the number of a block along z, y, x and returns its voxels [z, y, x]; called by several
+        threads at once.
+    ranges : tuple of 3 ranges, optional
+        Which planes, rows and columns this array shows, in order; all of them by default.
+
+    Notes
+    -----
+    ``levels`` holds the same picture at coarser resolutions, finest first, where the file has them. Only
+    the blocks that an index touches are read, and nothing is kept: memory is that of the result and
+    of one block for each processor.
+    """
+
+    ndim = 3
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        dtype: np.dtype,
+        block: Sequence[int],
+        read: ReadBlock,
+        ranges: tuple[range, ...] | None = None,
+    ) -> None:
+        self.dtype = np.dtype(dtype)
+        self._stored = tuple(int(n) for n in shape)
+        self._block = tuple(int(n) for n in block)
+        self._read = read
+        self._ranges = ranges or tuple(range(n) for n in self._stored)
+        self.levels: tuple[BlockArray, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of voxels along z, y, x."""
+        return tuple(len(r) for r in self._ranges)
+
+    @property
+    def size(self) -> int:
+        """Number of voxels."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all voxels once unpacked."""
+        return self.size * self.dtype.itemsize
+
+    def as_array(self) -> NDArray[Any]:
+        """Return itself under the type that it stands for."""
+        return cast(NDArray[Any], self)
+
+    def view(self, key: Key) -> BlockArray:
+        """Return the part that three slices z, y, x name, unread."""
+        ranges = tuple(r[s] for r, s in zip(self._ranges, key, strict=True))
+        return BlockArray(self._stored, self.dtype, self._block, self._read, ranges)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        keys = key if isinstance(key, tuple) else (key,)
+        if any(k is Ellipsis for k in keys):
+            at = next(i for i, k in enumerate(keys) if k is Ellipsis)
+            keys = (*keys[:at], *(slice(None),) * (4 - len(keys)), *keys[at + 1 :])
+        if len(keys) > 3 or not all(isinstance(k, (int, np.integer, slice)) for k in keys):
+            return np.asarray(self)[key]
+        keys = (*keys, *(slice(None),) * (3 - len(keys)))
+        slices, dropped = [], []
+        for axis, k in enumerate(keys):
+            if isinstance(k, slice):
+                slices.append(k)
+                continue
+            at = range(len(self._ranges[axis]))[int(k)]
+            slices.append(slice(at, at + 1))
+            dropped.append(axis)
+        part = self.view((slices[0], slices[1], slices[2]))._gathered()
+        return part.reshape([n for axis, n in enumerate(part.shape) if axis not in dropped])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        array = self._gathered()
+        return array if dtype is None else array.astype(dtype, copy=False)
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Give plane after plane, reading each block once."""
+        plane = max(1, self.shape[1] * self.shape[2] * self.dtype.itemsize)
+        depth = self._block[0] if plane * self._block[0] <= 4 * _LAYER_BYTES else 1
+        for first in range(0, len(self), depth):
+            yield from self[first : first + depth]
+
+    def _gathered(self) -> NDArray[Any]:
+        out = np.empty(self.shape, dtype=self.dtype.newbyteorder("="))
+        touched = [_touched(r, n) for r, n in zip(self._ranges, self._block, strict=True)]
+        tasks = list(product(*touched))
+
+        def fill(task: tuple[_Touch, ...]) -> None:
+            (bz, oz, iz), (by, oy, iy), (bx, ox, ix) = task
+            out[oz, oy, ox] = self._read(bz, by, bx)[iz, iy, ix]
+
+        workers = min(len(tasks), os.cpu_count() or 1)
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                for _ in pool.map(fill, tasks):
+                    pass
+        else:
+            for task in tasks:
+                fill(task)
+        return out
+
+
+_Touch = tuple[int, slice, slice]
+
+
+def _touched(wanted: range, block: int) -> list[_Touch]:
+    """Return for each block that a range touches: its number, the places in the result, those inside it."""
+    if not wanted:
+        return []
+    where = np.asarray(wanted)
+    numbers = where // block
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+    ends = np.append(starts[1:], where.size)
+    found = []
+    for a, b in zip(starts.tolist(), ends.tolist(), strict=True):
+        inside = where[a:b] - numbers[a] * block
+        low, high = int(inside[0]), int(inside[-1])
+        stop = high + (1 if wanted.step > 0 else -1)
+        chosen = slice(low, None if stop < 0 else stop, wanted.step)
+        found.append((int(numbers[a]), slice(a, b), chosen))
+    return found
+
+
+def part_of(array: NDArray[Any], key: Key) -> NDArray[Any]:
+    """Return a part of an array as a view; of a block array too, unread."""
+    if isinstance(array, BlockArray):
+        return array.view(key).as_array()
+    return array[key]
+
+
+def scaled(array: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
+    """Return the array under ``slope * value + intercept`` as float32, plane by plane when asked for."""
+    if slope == 1.0 and intercept == 0.0:
+        return array
+    nz, ny, nx = array.shape
+
+    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
+        return (array[z : z + 1].astype(np.float64) * slope + intercept).astype(np.float32)
+
+    return BlockArray((nz, ny, nx), np.dtype(np.float32), (1, ny, nx), plane).as_array()

@@ -1,0 +1,146 @@
+"""Scanco AIM volumes of versions 020 and 030, memory-mapped.
+
+The layout follows the reader in ITK: https://github.com/KitwareMedical/ITKIOScanco
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import check_positive, density_notice, header_fault
+from ct_inertia.readers.grid import Grid, grid_volume
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+_V030 = b"AIMDATA_V030"
+_TYPES = {
+    0x00010001: "<i1",
+    0x00160001: "<u1",
+    0x000D0001: "<u1",
+    0x00020002: "<i2",
+    0x00170002: "<u2",
+    0x00030004: "<i4",
+    0x001A0004: "<f4",
+}
+_LONGEST_LOG = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What stands before the log: the type's number, place, size, voxel size, where log and voxels lie."""
+
+    kind: int
+    position: Array
+    size: tuple[int, int, int]
+    cell_mm: Array
+    log: int
+    data: int
+
+
+def read_aim(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+    """Read an AIM volume; its place in the original scan gives the origin.
+
+    Raises
+    ------
+    CtInertiaError
+        Not such a file, truncated, packed, or of a data type that is no grey value.
+
+    Notes
+    -----
+    The voxel size is a VAX float in mm in version 020 and whole nanometres in version 030.
+    """
+    with path.open("rb") as stream:
+        start = stream.read(4096)
+        found = _new(start, path) if start.startswith(_V030) else _old(start, path)
+        stream.seek(found.log)
+        log = stream.read(min(_LONGEST_LOG, max(0, found.data - found.log))).decode("latin-1")
+    if found.kind not in _TYPES:
+        raise CtInertiaError(
+            sentence(
+                "the AIM data",
+                "8-bit, 16-bit, 32-bit or float voxels, not packed",
+                f"type {found.kind:#x}",
+                path.name,
+                "Export it unpacked, or as ISQ or MHA",
+            )
+        )
+    check_positive(found.size, path.name)
+    spacing = found.cell_mm if np.all(found.cell_mm > 0.0) else None
+    grid = Grid(
+        found.size,
+        np.dtype(_TYPES[found.kind]),
+        ((path, found.data),),
+        spacing,
+        np.zeros(3) if spacing is None else found.position * spacing,
+        notices=tuple(_calibration(log, path.name)),
+    )
+    return grid_volume(grid, path, spacing_mm, mirror)
+
+
+def _old(start: bytes, path: Path) -> _Head:
+    if len(start) < 160 or start[:8] != struct.pack("<2i", 20, 140):
+        raise header_fault(path, "AIM file", f"a file that begins with {start[:8]!r}")
+    pre, image, log = struct.unpack_from("<3i", start, 0)
+    # Five words of processing, then type, position, size, five more triples, and the voxel size.
+    (kind,) = struct.unpack_from("<i", start, pre + 20)
+    values = struct.unpack_from("<6i", start, pre + 24)
+    cell = pre + 24 + 21 * 4
+    spacing = np.array([_vax_float(start[cell + 4 * k : cell + 4 * k + 4]) for k in range(3)])
+    return _Head(
+        kind,
+        np.array(values[:3], dtype=float),
+        (values[3], values[4], values[5]),
+        spacing,
+        pre + image,
+        pre + image + log,
+    )
+
+
+def _new(start: bytes, path: Path) -> _Head:
+    if len(start) < 280:
+        raise header_fault(path, "AIM file", f"{len(start)} bytes")
+    pre, image, log = struct.unpack_from("<3q", start, 16)
+    if pre != 40 or image < 204 or log < 0:
+        raise header_fault(path, "AIM file", f"blocks of {pre}, {image} and {log} bytes")
+    at = 16 + pre
+    # Version, identity, reference, type as four 32-bit words; then triples of 64 bits.
+    (kind,) = struct.unpack_from("<i", start, at + 12)
+    values = struct.unpack_from("<6q", start, at + 16)
+    cell = np.array(struct.unpack_from("<3q", start, at + 16 + 21 * 8), dtype=float) * 1e-6
+    return _Head(
+        kind,
+        np.array(values[:3], dtype=float),
+        (values[3], values[4], values[5]),
+        cell,
+        at + image,
+        at + image + log,
+    )
+
+
+def _calibration(log: str, name: str) -> list[Notice]:
+    """Return what the processing log says of grey value and density."""
+    told = {}
+    for line in log.splitlines():
+        key, _, value = line.partition("  ")
+        told[key.strip()] = value.strip()
+    try:
+        scaling, slope, intercept = (
+            float(told[key]) for key in ("Mu_Scaling", "Density: slope", "Density: intercept")
+        )
+    except (KeyError, ValueError):
+        return []
+    return density_notice(name, scaling, slope, intercept, told.get("Density: unit", ""))
+
+
+def _vax_float(four: bytes) -> float:
+    """Return a VAX F float: its two halves swapped, four times the IEEE number of the same bits."""
+    return float(struct.unpack("<f", four[2:] + four[:2])[0]) / 4.0

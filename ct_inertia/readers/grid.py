@@ -1,0 +1,238 @@
+"""What NRRD, MetaImage, NIfTI, raw and other headers say, and the volume that lies behind it."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.blocks import BlockArray, scaled
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import check_size, no_data_file, not_readable, settle_spacing
+from ct_inertia.volume import Volume, unmirrored_frame
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the voxels of a volume lie in its files, and where the volume lies in scan coordinates.
+
+    Attributes
+    ----------
+    size : tuple of 3 int
+        Voxels along x, y, z.
+    dtype : dtype
+        With its byte order.
+    files : tuple of (Path, int)
+        Files of equal numbers of slices in order, each with the offset of its first voxel; an offset of -1
+        counts back from the end.
+    spacing_mm : ndarray, (3,), or None
+        None where the header does not tell it.
+    origin_mm : ndarray, (3,)
+    direction : ndarray, (3, 3)
+    packing : str
+        ``raw``, ``gzip``, ``bzip2`` or ``zlib``.
+    anatomical : bool
+        The header ties the axes to the patient.
+    slope, intercept : float
+        Grey value = slope * stored + intercept.
+    layers : int
+        Values per voxel, the fastest index; 1 but for layered segmentations.
+    skip : int
+        Bytes of the unpacked stream before the first voxel.
+    slab : int
+        Slices in each file but the last, which may hold fewer; 0: as many in each.
+    known : str
+        What the header says of an incomplete spacing.
+    notices : tuple of Notice
+    """
+
+    size: tuple[int, int, int]
+    dtype: np.dtype
+    files: tuple[tuple[Path, int], ...]
+    spacing_mm: Array | None
+    origin_mm: Array = field(default_factory=lambda: np.zeros(3))
+    direction: Array = field(default_factory=lambda: np.eye(3))
+    packing: str = "raw"
+    anatomical: bool = False
+    slope: float = 1.0
+    intercept: float = 0.0
+    layers: int = 1
+    skip: int = 0
+    slab: int = 0
+    known: str = ""
+    notices: tuple[Notice, ...] = ()
+
+
+def grid_volume(
+    grid: Grid,
+    path: Path,
+    spacing_mm: Sequence[float] | None,
+    mirror: str | None,
+    array: NDArray[Any] | None = None,
+) -> Volume:
+    """Return the volume behind a header.
+
+    ``mirror`` reverses the slices along one axis; on a left-handed grid that makes it right-handed.
+
+    Raises
+    ------
+    CtInertiaError
+        A file is missing or too short, no spacing, or a left-handed direction matrix without ``mirror``.
+    """
+    spacing, settled = settle_spacing(grid.spacing_mm, spacing_mm, path.name, grid.known)
+    origin, direction = grid.origin_mm, grid.direction
+    if mirror is not None and np.linalg.det(direction) < 0.0:
+        origin, direction = unmirrored_frame(origin, direction, np.array(grid.size), spacing, mirror)
+        mirror = None
+    voxels = grid_array(grid, path) if array is None else array
+    volume = Volume(
+        scaled(voxels, grid.slope, grid.intercept),
+        spacing,
+        origin,
+        direction,
+        grid.anatomical,
+        path,
+        notices=(*grid.notices, *settled),
+    )
+    return volume if mirror is None else volume.mirrored(mirror)
+
+
+def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
+    """Return the voxels [z, y, x] (with layers [z, y, x, layer]): memory-mapped, or unpacked in their type.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    check_dimensions(grid.size, path.name)
+    shape = grid.size[::-1] + ((grid.layers,) if grid.layers > 1 else ())
+    for file, _ in grid.files:
+        if not file.is_file():
+            raise no_data_file(path, file)
+    if len(grid.files) > 1:
+        return _stacked(grid, path)
+    file, offset = grid.files[0]
+    if grid.packing == "raw":
+        return mapped(file, grid.dtype, offset, shape, path.name)
+    check_size(shape, grid.dtype, file.stat().st_size - max(offset, 0), True, path.name)
+    return _unpacked(file, offset, grid, shape, path)
+
+
+def mapped(
+    file: Path, dtype: np.dtype, offset: int, shape: Sequence[int], name: str
+) -> np.memmap[Any, np.dtype[Any]]:
+    """Map voxels of a file into memory without reading them; an offset of -1 counts back from the end."""
+    stored = file.stat().st_size
+    if offset < 0:
+        needed = int(np.dtype(dtype).itemsize)
+        for n in shape:
+            needed *= int(n)
+        offset = max(0, stored - needed)
+    check_size(shape, dtype, max(0, stored - offset), False, name)
+    return np.memmap(file, dtype=dtype, mode="r", offset=offset, shape=tuple(shape))
+
+
+def check_dimensions(size: Sequence[int], name: str) -> None:
+    """Refuse sizes that are not those of a volume."""
+    if len(size) != 3 or min(size) < 2:
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "three-dimensional",
+                f"an image of shape {' x '.join(map(str, size))}",
+                name,
+                next_step="Give the whole stack",
+            )
+        )
+
+
+def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
+    """Return slabs of a volume that lie in a file each, mapped when they are asked for."""
+    nx, ny, nz = grid.size
+    count = len(grid.files)
+    depth = grid.slab or nz // max(count, 1)
+    rest = nz - (count - 1) * depth
+    if not 0 < rest <= depth or (rest != depth and not grid.slab) or grid.packing != "raw" or grid.layers > 1:
+        raise CtInertiaError(
+            sentence(
+                "the list of data files",
+                f"uncompressed files of equal numbers of the {nz} slices",
+                f"{count} files",
+                path.name,
+                "Export the volume as one file",
+            )
+        )
+    for number, (file, offset) in enumerate(grid.files):
+        here = depth if number < count - 1 else rest
+        check_size((here, ny, nx), grid.dtype, file.stat().st_size - max(offset, 0), False, file.name)
+
+    def slab(z: int, _y: int, _x: int) -> NDArray[Any]:
+        file, offset = grid.files[z]
+        return mapped(file, grid.dtype, offset, (depth if z < count - 1 else rest, ny, nx), file.name)
+
+    return BlockArray((nz, ny, nx), grid.dtype, (depth, ny, nx), slab).as_array()
+
+
+def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: Path) -> NDArray[Any]:
+    array = np.empty(tuple(shape), dtype=grid.dtype)
+    room = memoryview(cast(Any, array.reshape(-1).view(np.uint8)))
+    try:
+        with file.open("rb") as stream:
+            stream.seek(max(offset, 0))
+            filled = _filled(stream, grid.packing, grid.skip, room)
+    except (OSError, EOFError, zlib.error) as fault:
+        raise not_readable(path, f"{grid.packing} file", fault) from fault
+    if filled < len(room):
+        raise CtInertiaError(
+            sentence(
+                "the compressed volume",
+                f"complete ({len(room)} bytes of voxels)",
+                f"{filled} bytes",
+                path.name,
+                "Copy or export it again",
+            )
+        )
+    return array
+
+
+def _filled(stream: BinaryIO, packing: str, skip: int, room: memoryview) -> int:
+    """Unpack a stream into a buffer and return the number of bytes that came."""
+    if packing == "zlib":
+        return _inflated(stream, room)
+    source: Any = bz2.BZ2File(stream) if packing == "bzip2" else gzip.GzipFile(fileobj=stream)
+    source.read(skip)
+    filled = 0
+    while filled < len(room):
+        count = source.readinto(room[filled : filled + (16 << 20)])
+        if not count:
+            break
+        filled += count
+    if filled == len(room):
+        source.read(1 << 16)  # to the end, where the checksum is
+    return filled
+
+
+def _inflated(stream: BinaryIO, room: memoryview) -> int:
+    unpack = zlib.decompressobj(47)
+    filled = 0
+    while filled < len(room) and not unpack.eof:
+        data = unpack.unconsumed_tail or stream.read(4 << 20)
+        if not data:
+            break
+        piece = unpack.decompress(data, min(len(room) - filled, 16 << 20))
+        room[filled : filled + len(piece)] = piece
+        filled += len(piece)
+    if filled == len(room) and not unpack.eof:
+        unpack.decompress(unpack.unconsumed_tail + stream.read(1 << 16), 1 << 16)
+    return filled

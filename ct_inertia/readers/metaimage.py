@@ -1,0 +1,175 @@
+"""MetaImage volumes (.mha, .mhd), memory-mapped where they are not packed.
+
+The format: https://itk.org/Wiki/ITK/MetaIO/Documentation
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+
+Array = NDArray[np.float64]
+META_SUFFIXES = (".mha", ".mhd")
+_TYPES = {
+    "MET_CHAR": "i1",
+    "MET_UCHAR": "u1",
+    "MET_SHORT": "i2",
+    "MET_USHORT": "u2",
+    "MET_INT": "i4",
+    "MET_UINT": "u4",
+    "MET_LONG": "i4",
+    "MET_ULONG": "u4",
+    "MET_LONG_LONG": "i8",
+    "MET_ULONG_LONG": "u8",
+    "MET_FLOAT": "f4",
+    "MET_DOUBLE": "f8",
+}
+
+
+def read_metaimage(
+    path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None
+) -> Volume:
+    """Read a MetaImage volume, its voxels in the file, beside it or in a list of slices.
+
+    Raises
+    ------
+    CtInertiaError
+        Not readable, truncated, not three-dimensional, several values per voxel, no spacing, or a
+        left-handed direction matrix without ``mirror``.
+
+    Notes
+    -----
+    A data file named like a picture (.tif, .png) is refused: its folder of slices can be read.
+    """
+    fields, start, rest = _header(path)
+    size = [int(v) for v in _values(fields, ("DimSize",), path)]
+    while len(size) > 3 and size[-1] == 1:
+        size.pop()
+    check_dimensions(size, path.name)
+    channels = int(fields.get("ElementNumberOfChannels", "1") or 1)
+    if channels > 1:
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "one grey value per voxel",
+                f"{channels} (a colour or vector image)",
+                path.name,
+                "Export one channel",
+            )
+        )
+    return grid_volume(_grid(path, fields, size, start, rest), path, spacing_mm, mirror)
+
+
+def _header(path: Path) -> tuple[dict[str, str], int, list[str]]:
+    """Return the fields, the offset behind the last of them, and the lines that follow it."""
+    with path.open("rb") as stream:
+        start = stream.read(1 << 16)
+    end = re.search(rb"^ElementDataFile[ \t]*=[^\n]*\n?", start, re.M)
+    if end is None:
+        raise header_fault(path, "MetaImage volume", "a header without ElementDataFile")
+    fields = {}
+    for line in start[: end.end()].decode("utf-8", "replace").splitlines():
+        name, equals, value = line.partition("=")
+        if equals:
+            fields[name.strip()] = value.strip()
+    rest = []
+    if fields["ElementDataFile"].upper().startswith("LIST"):
+        rest = [x.strip() for x in start[end.end() :].decode("utf-8", "replace").splitlines() if x.strip()]
+    return fields, end.end(), rest
+
+
+def _values(fields: dict[str, str], names: Sequence[str], path: Path) -> list[float]:
+    for name in names:
+        if name in fields:
+            try:
+                return [float(word) for word in fields[name].split()]
+            except ValueError as fault:
+                raise header_fault(path, "MetaImage volume", f"{name} = {fields[name]}") from fault
+    if names[0] == "DimSize":
+        raise header_fault(path, "MetaImage volume", "a header without DimSize")
+    return []
+
+
+def _true(fields: dict[str, str], *names: str) -> bool:
+    return any(fields.get(name, "").lower() in ("true", "1") for name in names)
+
+
+def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest: list[str]) -> Grid:
+    kind = fields.get("ElementType", "")
+    if kind not in _TYPES:
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                "integers or floating point numbers",
+                f"ElementType {kind or 'not told'}",
+                path.name,
+                next_step="Export it as grey values",
+            )
+        )
+    if fields.get("BinaryData", "True").lower() == "false":
+        raise CtInertiaError(
+            sentence("BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data")
+        )
+    order = ">" if _true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
+    unit = mm_per_unit(fields.get("DistanceUnits", "mm")) or 1.0
+    steps = np.abs(_values(fields, ("ElementSpacing", "ElementSize"), path)) * unit
+    spacing = steps[:3] if steps.size >= 3 and np.all(steps[:3] > 0.0) else None
+    offset = np.array((_values(fields, ("Offset", "Position", "Origin"), path) + [0.0] * 3)[:3]) * unit
+    matrix = _values(fields, ("TransformMatrix", "Rotation", "Orientation"), path)
+    direction = np.eye(3)
+    if len(matrix) == 9:
+        # Row k of the file is the direction of axis k.
+        direction = np.array(matrix).reshape(3, 3).T
+        direction = direction / np.maximum(np.linalg.norm(direction, axis=0), 1e-12)
+    orientation = fields.get("AnatomicalOrientation", "?")
+    packed = _true(fields, "CompressedData")
+    return Grid(
+        (size[0], size[1], size[2]),
+        np.dtype(order + _TYPES[kind]),
+        tuple(_files(path, fields, start, rest)),
+        spacing,
+        offset,
+        direction,
+        "zlib" if packed else "raw",
+        "?" not in orientation,
+    )
+
+
+def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> list[tuple[Path, int]]:
+    named = fields["ElementDataFile"]
+    head = int(float(fields.get("HeaderSize", "0") or 0))
+    if named.upper() in ("LOCAL", ""):
+        return [(path, start)]
+    if named.upper().startswith("LIST"):
+        names = rest
+    elif "%" in named:
+        words = named.split()
+        low, high = int(words[1]), int(words[2])
+        step = int(words[3]) if len(words) > 3 else 1
+        names = [words[0] % number for number in range(low, high + 1, step)]
+    else:
+        names = [named]
+    pictures = [
+        name for name in names if Path(name).suffix.lower() in (".tif", ".tiff", ".png", ".jpg", ".bmp")
+    ]
+    if pictures or not names:
+        raise CtInertiaError(
+            sentence(
+                "the data files",
+                "raw voxels",
+                pictures[0] if pictures else "an empty list",
+                path.name,
+                "Give the folder of slices itself, with --spacing",
+            )
+        )
+    return [(path.parent / name, head) for name in names]

@@ -1,0 +1,226 @@
+"""NIfTI-1 and NIfTI-2 volumes (.nii, .nii.gz, .hdr with .img), memory-mapped where they are not packed.
+
+The format: https://nifti.nimh.nih.gov/pub/dist/src/niftilib/nifti1.h
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import header_fault, not_readable
+from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+NIFTI_SUFFIXES = (".nii", ".nii.gz", ".hdr", ".img")
+_TYPES = {
+    2: "u1",
+    4: "i2",
+    8: "i4",
+    16: "f4",
+    64: "f8",
+    256: "i1",
+    512: "u2",
+    768: "u4",
+    1024: "i8",
+    1280: "u8",
+}
+_UNITS = {1: 1e3, 2: 1.0, 3: 1e-3}
+_LPS = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The fields used, as the file has them."""
+
+    dim: tuple[int, ...]
+    datatype: int
+    pixdim: Array
+    offset: int
+    slope: float
+    intercept: float
+    units: int
+    qform: int
+    sform: int
+    quaternion: Array
+    shift: Array
+    rows: Array
+    order: str
+    alone: bool
+
+
+def read_nifti(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+    """Read a NIfTI volume, its place from the sform, otherwise from the qform.
+
+    Raises
+    ------
+    CtInertiaError
+        Not readable, truncated, not three-dimensional, several values per voxel, or a left-handed
+        direction matrix without ``mirror``.
+    """
+    header = _header(_head_file(path))
+    size = [int(n) for n in header.dim[1 : 1 + max(0, min(header.dim[0], 7))]]
+    while len(size) > 3 and size[-1] == 1:
+        size.pop()
+    if len(size) > 3 and min(size[:3]) > 1:
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "one grey value per voxel",
+                f"{int(np.prod(size[3:]))} (a vector or time image)",
+                path.name,
+                "Export one channel",
+            )
+        )
+    check_dimensions(size, path.name)
+    return grid_volume(_grid(path, header, size), path, spacing_mm, mirror)
+
+
+def _head_file(path: Path) -> Path:
+    return path.with_suffix(".hdr") if path.suffix.lower() == ".img" else path
+
+
+def _header(path: Path) -> _Header:
+    try:
+        packed = path.suffix.lower() == ".gz"
+        with gzip.open(path) if packed else path.open("rb") as stream:
+            head = stream.read(560)
+    except (OSError, EOFError, zlib.error) as fault:
+        raise not_readable(path, "NIfTI volume", fault) from fault
+    for order in "<>":
+        length = struct.unpack_from(order + "i", head)[0] if len(head) >= 4 else 0
+        if length == 348 and len(head) >= 348 and head[344:347] in (b"n+1", b"ni1"):
+            return _first(head, order)
+        if length == 540 and len(head) >= 540 and head[4:7] in (b"n+2", b"ni2"):
+            return _second(head, order)
+    raise header_fault(path, "NIfTI volume", "a file that does not begin as one")
+
+
+def _first(head: bytes, order: str) -> _Header:
+    def get(form: str, at: int) -> tuple[float, ...]:
+        return struct.unpack_from(order + form, head, at)
+
+    return _Header(
+        tuple(int(n) for n in get("8h", 40)),
+        int(get("h", 70)[0]),
+        np.array(get("8f", 76), dtype=float),
+        int(get("f", 108)[0]),
+        get("f", 112)[0],
+        get("f", 116)[0],
+        head[123],
+        int(get("h", 252)[0]),
+        int(get("h", 254)[0]),
+        np.array(get("3f", 256), dtype=float),
+        np.array(get("3f", 268), dtype=float),
+        np.array(get("12f", 280), dtype=float).reshape(3, 4),
+        order,
+        head[344:347] == b"n+1",
+    )
+
+
+def _second(head: bytes, order: str) -> _Header:
+    def get(form: str, at: int) -> tuple[float, ...]:
+        return struct.unpack_from(order + form, head, at)
+
+    return _Header(
+        tuple(int(n) for n in get("8q", 16)),
+        int(get("h", 12)[0]),
+        np.array(get("8d", 104), dtype=float),
+        int(get("q", 168)[0]),
+        get("d", 176)[0],
+        get("d", 184)[0],
+        int(get("i", 500)[0]),
+        int(get("i", 344)[0]),
+        int(get("i", 348)[0]),
+        np.array(get("3d", 352), dtype=float),
+        np.array(get("3d", 376), dtype=float),
+        np.array(get("12d", 400), dtype=float).reshape(3, 4),
+        order,
+        head[4:7] == b"n+2",
+    )
+
+
+def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
+    if header.datatype not in _TYPES:
+        complex_or_colour = {32: "complex numbers", 1792: "complex numbers", 128: "a colour (RGB) image"}
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                "integers or floating point numbers",
+                complex_or_colour.get(header.datatype, f"data type {header.datatype}"),
+                path.name,
+                next_step="Export it as real grey values",
+            )
+        )
+    notices = []
+    unit = _UNITS.get(header.units & 7)
+    if unit is None:
+        unit = 1.0
+        text = f"{path.name} does not say its unit of length: mm was taken, as NIfTI programs do."
+        notices.append(Notice("unit_not_told", text))
+    affine = _affine(header)
+    spacing = np.linalg.norm(affine[:, :3], axis=0)
+    found = None
+    if np.all(np.isfinite(spacing)) and np.all(spacing > 0.0):
+        found, direction = spacing * unit, affine[:, :3] / spacing
+    else:
+        direction = np.eye(3)
+    slope, intercept = header.slope, header.intercept
+    if not np.isfinite(slope) or slope == 0.0 or not np.isfinite(intercept):
+        slope, intercept = 1.0, 0.0
+    packed = path.suffix.lower() == ".gz"
+    data = path if header.alone else path.with_suffix(".img")
+    start = max(0, header.offset)
+    return Grid(
+        (size[0], size[1], size[2]),
+        np.dtype(header.order + _TYPES[header.datatype]),
+        ((data, 0 if packed else start),),
+        found,
+        affine[:, 3] * unit,
+        direction,
+        "gzip" if packed else "raw",
+        max(header.qform, header.sform) > 0,
+        slope,
+        intercept,
+        skip=start if packed else 0,
+        notices=tuple(notices),
+    )
+
+
+def _affine(header: _Header) -> Array:
+    """Return the 3x4 affine from indices to LPS, in the units of the file.
+
+    Notes
+    -----
+    NIfTI space is RAS. The sform counts where it is given, then the qform (quaternion b, c, d; the sign of
+    the third axis in pixdim[0]), then pixdim alone: nifti1.h, methods 3, 2 and 1.
+    """
+    if header.sform > 0:
+        return np.asarray(_LPS @ header.rows)
+    steps = np.abs(header.pixdim[1:4])
+    if header.qform <= 0:
+        return np.column_stack([np.diag(steps), np.zeros(3)])
+    b, c, d = header.quaternion
+    a = np.sqrt(max(0.0, 1.0 - b * b - c * c - d * d))
+    b, c, d = np.array([b, c, d]) / max(1e-12, float(np.sqrt(a * a + b * b + c * c + d * d)))
+    turn = np.array(
+        [
+            [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+            [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+            [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        ]
+    )
+    if header.pixdim[0] < 0.0:
+        turn[:, 2] = -turn[:, 2]
+    return np.asarray(_LPS @ np.column_stack([turn * steps, header.shift]))

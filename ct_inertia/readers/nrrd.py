@@ -1,0 +1,299 @@
+"""NRRD volumes and segmentations (.nrrd, .nhdr, .seg.nrrd), memory-mapped where they are not packed.
+
+The format: https://teem.sourceforge.net/nrrd/format.html
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.grid import Grid, grid_array, grid_volume
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+NRRD_SUFFIXES = (".nrrd", ".nhdr")
+_HEADER_BYTES = 1 << 20
+_TYPES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
+    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), "i2"),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t"), "i4"),
+    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "int64", "int64_t"), "i8"),
+    **dict.fromkeys(("ulonglong", "unsigned long long", "uint64", "uint64_t"), "u8"),
+    "float": "f4",
+    "double": "f8",
+}
+_PACKINGS = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2": "bzip2"}
+_SPATIAL = ("domain", "space", "???", "none")
+
+
+def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+    """Read an NRRD volume; of a layered segmentation one label volume with its segments numbered.
+
+    Raises
+    ------
+    CtInertiaError
+        Not readable, truncated, not three-dimensional, several values per voxel, no spacing, or a
+        left-handed direction matrix without ``mirror``.
+    """
+    fields, keys, start = _header(path)
+    axes = _axes(fields, path)
+    sizes = [int(n) for n in _numbers(fields, "sizes", path)]
+    grid = _grid(path, fields, axes, sizes, start)
+    layers = [k for k in range(len(sizes)) if k not in axes and sizes[k] > 1]
+    if not layers:
+        return grid_volume(grid, path, spacing_mm, mirror)
+    segments = _segments(keys)
+    if layers != [0] or not segments:
+        count = int(np.prod([sizes[k] for k in layers]))
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "one grey value per voxel",
+                f"{count} (a colour, vector or time image)",
+                path.name,
+                "Export one channel",
+            )
+        )
+    labels, notice = _flattened(grid_array(grid, path), segments)
+    volume = grid_volume(grid, path, spacing_mm, mirror, labels)
+    return _noted(volume, notice)
+
+
+def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
+    """Return the fields, the key/value pairs and the offset of the data."""
+    with path.open("rb") as stream:
+        start = stream.read(_HEADER_BYTES)
+    if not start.startswith(b"NRRD000"):
+        raise header_fault(path, "NRRD volume", "a file that does not begin as one")
+    end = re.search(rb"\r?\n\r?\n", start)
+    if end is None and path.suffix.lower() != ".nhdr":
+        raise header_fault(path, "NRRD volume", "a header without an end")
+    text = start[: end.start() if end else len(start)].decode("utf-8", "replace")
+    fields: dict[str, str] = {}
+    keys: dict[str, str] = {}
+    lines = text.splitlines()[1:]
+    for number, line in enumerate(lines):
+        if line.startswith("#"):
+            continue
+        key, pair, value = line.partition(":=")
+        if pair:
+            keys[key.strip()] = value.strip()
+            continue
+        name, colon, value = line.partition(":")
+        if colon:
+            name = name.strip().lower()
+            fields["data file" if name == "datafile" else name] = value.strip()
+            if fields.get("data file", "").upper().startswith("LIST") and name in ("data file", "datafile"):
+                fields["list"] = "\n".join(x.strip() for x in lines[number + 1 :] if x.strip())
+                break
+    return fields, keys, end.end() if end else len(start)
+
+
+def _numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
+    try:
+        return [float(word) for word in fields[name].split()]
+    except (KeyError, ValueError) as fault:
+        raise header_fault(path, "NRRD volume", f"a header without usable {name}") from fault
+
+
+def _axes(fields: dict[str, str], path: Path) -> list[int]:
+    """Return which axes are those of space."""
+    count = len(_numbers(fields, "sizes", path))
+    if "space directions" in fields:
+        parts = re.findall(r"none|\([^)]*\)", fields["space directions"].lower())
+        if len(parts) == count:
+            return [k for k, part in enumerate(parts) if part != "none"]
+    kinds = fields.get("kinds", "").lower().split()
+    if len(kinds) == count and count > 3:
+        return [k for k, kind in enumerate(kinds) if kind in _SPATIAL][:3]
+    sizes = _numbers(fields, "sizes", path)
+    if count > 3:
+        kept = [k for k in range(count) if sizes[k] > 1]
+        return kept if len(kept) <= 3 else list(range(3))
+    return list(range(count))
+
+
+def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int], start: int) -> Grid:
+    kind = fields.get("type", "").lower()
+    if kind not in _TYPES:
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                "integers or floating point numbers",
+                f"type {kind or 'not told'}",
+                path.name,
+                next_step="Export it as grey values",
+            )
+        )
+    packing = _PACKINGS.get(fields.get("encoding", "").lower())
+    if packing is None:
+        raise CtInertiaError(
+            sentence(
+                "the encoding",
+                "raw, gzip or bzip2",
+                fields.get("encoding", "none"),
+                path.name,
+                next_step="Export it as raw or gzip",
+            )
+        )
+    if len(axes) != 3 or min(sizes) < 1 or min(sizes[k] for k in axes) < 2:
+        shape = " x ".join(map(str, sizes))
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "three-dimensional",
+                f"an image of shape {shape}",
+                path.name,
+                "Give the whole stack",
+            )
+        )
+    order = ">" if fields.get("endian", "little").lower() == "big" else "<"
+    spacing, direction, origin, anatomical, notices = _place(path, fields, axes, sizes)
+    extra = int(np.prod([n for k, n in enumerate(sizes) if k not in axes], dtype=np.int64))
+    return Grid(
+        (sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]),
+        np.dtype(order + _TYPES[kind]),
+        tuple(_files(path, fields, start, packing)),
+        spacing,
+        origin,
+        direction,
+        packing,
+        anatomical,
+        layers=extra,
+        skip=0 if packing == "raw" else max(0, _integer(fields, "byte skip", "byteskip")),
+        notices=notices,
+    )
+
+
+def _place(
+    path: Path, fields: dict[str, str], axes: list[int], sizes: list[int]
+) -> tuple[Array | None, Array, Array, bool, tuple[Notice, ...]]:
+    """Return spacing, direction, origin, whether the space is the patient's, and what is odd."""
+    space = fields.get("space", "").lower().replace("_", "-")
+    signs, anatomical = _signs(space, path)
+    units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
+    factors = [mm_per_unit(unit) for unit in units]
+    told = [f for f in factors if f is not None]
+    scale = told[0] if told and min(told) == max(told) else 1.0
+    if "space directions" in fields:
+        vectors = [_vector(part, path) for part in re.findall(r"\([^)]*\)", fields["space directions"])]
+        matrix = np.array(vectors).T * signs[:, None] * scale
+        spacing = np.linalg.norm(matrix, axis=0)
+        if np.any(spacing <= 0.0) or not np.all(np.isfinite(spacing)):
+            return None, np.eye(3), np.zeros(3), anatomical, ()
+        origin = np.zeros(3)
+        if "space origin" in fields:
+            origin = _vector(fields["space origin"], path) * signs * scale
+        return spacing, matrix / spacing, origin, anatomical, ()
+    if "spacings" not in fields:
+        return None, np.eye(3), np.zeros(3), anatomical, ()
+    values = np.array([float(w) for w in fields["spacings"].split()])[axes]
+    factor = np.array([f if f is not None else 1.0 for f in factors])
+    steps = np.abs(values) * (factor[axes] if factor.size == len(sizes) else scale)
+    if not np.all(np.isfinite(steps)) or np.any(steps <= 0.0):
+        return None, np.eye(3), np.zeros(3), anatomical, ()
+    return steps, np.eye(3), np.zeros(3), anatomical, ()
+
+
+def _signs(space: str, path: Path) -> tuple[Array, bool]:
+    """Return what turns the axes of the file's space into LPS."""
+    space = space.removesuffix("-time")
+    names = {"ras": "right-anterior-superior", "las": "left-anterior-superior"}
+    names["lps"] = "left-posterior-superior"
+    words = names.get(space, space).split("-")
+    told = {"left": 1.0, "right": -1.0, "posterior": 1.0, "anterior": -1.0, "superior": 1.0, "inferior": -1.0}
+    if len(words) == 3 and all(word in told for word in words):
+        return np.array([told[word] for word in words]), True
+    if space == "3d-left-handed":
+        raise CtInertiaError(
+            sentence("the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS")
+        )
+    return np.ones(3), False
+
+
+def _vector(text: str, path: Path) -> Array:
+    try:
+        values = np.array([float(word) for word in text.strip("() ").split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (3,):
+        raise header_fault(path, "NRRD volume", f"the vector {text}")
+    return values
+
+
+def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list[tuple[Path, int]]:
+    """Return the data files, each with the offset of its first voxel (or of its packed stream)."""
+    skip = _integer(fields, "byte skip", "byteskip") if packing == "raw" else 0
+    lines = _integer(fields, "line skip", "lineskip")
+    named = fields.get("data file")
+    if not named:
+        return [(path, -1 if skip == -1 else start + max(skip, 0))]
+    folder = path.parent
+    if named.upper().startswith("LIST"):
+        names = fields.get("list", "").splitlines()
+    elif re.search(r"%\d*d", named):
+        pattern, low, high, step = named.split()[:4]
+        names = [pattern % number for number in range(int(low), int(high) + 1, int(step))]
+    else:
+        names = [named]
+    found = []
+    for name in names:
+        file = folder / name
+        past = 0
+        if lines and file.is_file():
+            with file.open("rb") as stream:
+                for _ in range(lines):
+                    stream.readline()
+                past = stream.tell()
+        found.append((file, -1 if skip == -1 else past + skip))
+    if not found:
+        raise header_fault(path, "NRRD volume", "an empty list of data files")
+    return found
+
+
+def _integer(fields: dict[str, str], *names: str) -> int:
+    return next((int(fields[name]) for name in names if fields.get(name)), 0)
+
+
+def _segments(keys: dict[str, str]) -> list[tuple[int, int, str]]:
+    """Return layer, value in that layer and name of each segment of a Slicer segmentation."""
+    found = []
+    for number in range(1000):
+        value = keys.get(f"Segment{number}_LabelValue")
+        if value is None:
+            break
+        layer = int(keys.get(f"Segment{number}_Layer", "0"))
+        found.append((layer, int(value), keys.get(f"Segment{number}_Name", f"segment {number + 1}")))
+    return found
+
+
+def _flattened(layered: NDArray[Any], segments: list[tuple[int, int, str]]) -> tuple[NDArray[Any], Notice]:
+    """Number the segments of a layered segmentation 1, 2, ... in the order of the file."""
+    labels = np.zeros(layered.shape[:3], dtype=np.uint8 if len(segments) < 256 else np.uint16)
+    for number, (layer, value, _) in enumerate(segments, start=1):
+        labels[layered[..., layer] == value] = number
+    listed = ", ".join(f"{number} {name}" for number, (_, _, name) in enumerate(segments, start=1))
+    text = (
+        f"The segmentation has {layered.shape[3]} layers; its segments were numbered {listed}. Where two "
+        f"overlap the later one counts."
+    )
+    return labels, Notice("segments_numbered", text)
+
+
+def _noted(volume: Volume, notice: Notice) -> Volume:
+    from dataclasses import replace
+
+    return replace(volume, notices=(*volume.notices, notice))

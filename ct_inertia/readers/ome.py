@@ -1,0 +1,86 @@
+"""What OME-XML says of voxel size and place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.readers.checks import mm_per_unit
+
+Array = NDArray[np.float64]
+_UM = "µm"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Voxel size and place as a file tells them.
+
+    Attributes
+    ----------
+    spacing_mm : ndarray, (3,), or None
+        x, y, z; None when it is not complete.
+    origin_mm : ndarray, (3,)
+        Scan coordinates of the first voxel's centre.
+    known : str
+        What the file does say of an incomplete spacing.
+    """
+
+    spacing_mm: Array | None
+    origin_mm: Array = field(default_factory=lambda: np.zeros(3))
+    known: str = ""
+
+
+def ome_calibration(xml: str) -> Calibration | None:
+    """Return voxel size and place of the first image, or None when the XML has none.
+
+    Parameters
+    ----------
+    xml : str
+
+    Notes
+    -----
+    Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame
+    without a length counts as 0. Where PhysicalSizeZ is missing, the positions of the planes tell it.
+    """
+    from xml.etree import ElementTree
+
+    try:
+        root = ElementTree.fromstring(xml)
+    except ElementTree.ParseError:
+        return None
+    pixels = next((e for e in root.iter() if _name(e.tag) == "Pixels"), None)
+    if pixels is None:
+        return None
+    sizes = [_length(pixels.get(f"PhysicalSize{a}"), pixels.get(f"PhysicalSize{a}Unit", _UM)) for a in "XYZ"]
+    planes = sorted(
+        (p for p in pixels if _name(p.tag) == "Plane"), key=lambda p: int(p.get("TheZ", "0") or 0)
+    )
+    places = [
+        [_length(plane.get(f"Position{a}"), plane.get(f"Position{a}Unit", "reference frame")) for a in "XYZ"]
+        for plane in planes
+    ]
+    origin = np.array([value or 0.0 for value in places[0]] if places else [0.0] * 3)
+    if sizes[2] is None and len(places) > 1:
+        heights = np.array([place[2] if place[2] is not None else np.nan for place in places])
+        steps = np.abs(np.diff(heights))
+        if np.all(np.isfinite(steps)) and np.ptp(steps) < 1e-3 * np.mean(steps):
+            sizes[2] = float(np.mean(steps))
+    told = [value for value in sizes if value is not None and value > 0.0]
+    if len(told) < 3:
+        shown = ", ".join(f"{a} {v:.6g} mm" for a, v in zip("xyz", sizes, strict=True) if v)
+        return Calibration(None, origin, f"the OME header says {shown or 'no physical size'}")
+    return Calibration(np.array(told), origin)
+
+
+def _name(tag: str) -> str:
+    return tag.rsplit("}", 1)[-1]
+
+
+def _length(value: str | None, unit: str | None) -> float | None:
+    factor = mm_per_unit(unit)
+    try:
+        return None if value is None or factor is None else float(value) * factor
+    except ValueError:
+        return None

@@ -1,0 +1,184 @@
+"""OME-Zarr images of versions 0.4 and 0.5, chunk by chunk when they are asked for.
+
+The format: https://ngff.openmicroscopy.org
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.blocks import BlockArray
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import header_fault, mm_per_unit, settle_spacing
+from ct_inertia.readers.grid import check_dimensions
+from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
+from ct_inertia.volume import Volume
+from kinematics.errors import sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+_SPACE = ("z", "y", "x")
+
+
+def read_ome_zarr(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+    """Read an OME-Zarr image at full resolution, with its coarser levels for the first look.
+
+    Raises
+    ------
+    CtInertiaError
+        No image, several channels or times, not three-dimensional, no spacing, or damaged metadata.
+
+    Notes
+    -----
+    The scale and translation of the level, then those of the whole image, give spacing and origin; the
+    translation is that of the first voxel's centre. Chunks that are not stored hold the fill value.
+    """
+    image, notices = _image(folder)
+    if image is None:
+        array = zarr_array(folder)
+        axes = list("tczyx")[-len(array.shape) :]
+        placed: tuple[Array | None, Array, str] = (None, np.zeros(3), "a Zarr array alone does not tell it")
+        voxels = _spatial(array, axes, folder)
+    else:
+        where, scales = image
+        axes = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in scales["axes"]]
+        levels = scales["datasets"]
+        array = zarr_array(where / str(levels[0]["path"]))
+        placed = _placed(scales, levels[0], axes)
+        voxels = _spatial(array, axes, folder)
+        voxels.levels = tuple(_levels(where, scales, axes, folder, voxels.shape))
+    absent, total = array.missing()
+    if absent == total:
+        raise header_fault(folder, "OME-Zarr image", "metadata without a single chunk")
+    if absent:
+        text = (
+            f"{absent} of {total} chunks of {folder.name} are not stored and count as {array.fill:g}: "
+            f"writers leave out empty chunks, but so does an incomplete copy."
+        )
+        notices.append(Notice("chunks_not_stored", text))
+    found, origin, known = placed
+    spacing, settled = settle_spacing(found, spacing_mm, folder.name, known)
+    return Volume(voxels.as_array(), spacing, origin, np.eye(3), source=folder, notices=(*notices, *settled))
+
+
+def _image(folder: Path) -> tuple[tuple[Path, Meta] | None, list[Notice]]:
+    """Return the folder and the multiscales entry of the (first) image; None for an array alone."""
+    notices: list[Notice] = []
+    attributes = _attributes(folder)
+    if "multiscales" not in attributes and (folder / "0").is_dir() and _attributes(folder / "0"):
+        if (folder / "1").is_dir() and _attributes(folder / "1").get("multiscales"):
+            text = f"{folder.name} holds several images; the first one, 0, was read."
+            notices.append(Notice("first_series_read", text))
+        folder = folder / "0"
+        attributes = _attributes(folder)
+    scales = attributes.get("multiscales")
+    if scales:
+        try:
+            if {"axes", "datasets"} <= set(scales[0]) and scales[0]["datasets"]:
+                return (folder, scales[0]), notices
+        except (TypeError, KeyError):
+            pass
+        raise header_fault(folder, "OME-Zarr image", "multiscales without axes and datasets")
+    if (folder / ".zarray").is_file() or metadata(folder / "zarr.json").get("node_type") == "array":
+        return None, notices
+    raise header_fault(folder, "OME-Zarr image", "a group without multiscales")
+
+
+def _attributes(folder: Path) -> Meta:
+    if (folder / "zarr.json").is_file():
+        attributes = metadata(folder / "zarr.json").get("attributes") or {}
+        found: Meta = attributes.get("ome") or attributes
+        return found
+    return metadata(folder / ".zattrs") if (folder / ".zattrs").is_file() else {}
+
+
+def _placed(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, Array, str]:
+    """Return spacing and origin x, y, z in mm, or None and what is known of the spacing."""
+    scale, shift = np.ones(len(axes)), np.zeros(len(axes))
+    told = False
+    for transform in [
+        *level.get("coordinateTransformations", []),
+        *scales.get("coordinateTransformations", []),
+    ]:
+        values = np.array(transform.get(transform.get("type"), np.nan), dtype=float)
+        if values.shape != (len(axes),) or not np.all(np.isfinite(values)):
+            continue
+        if transform["type"] == "scale":
+            scale, shift, told = scale * values, shift * values, True
+        elif transform["type"] == "translation":
+            shift = shift + values
+    order = [axes.index(axis) for axis in reversed(_SPACE) if axis in axes]
+    if len(order) < 3:
+        return None, np.zeros(3), "the image has no axes x, y and z"
+    units = [scales["axes"][k].get("unit") if isinstance(scales["axes"][k], dict) else None for k in order]
+    factors = [mm_per_unit(unit) for unit in units]
+    values = scale[order]
+    if not told or np.any(values <= 0.0):
+        return None, np.zeros(3), "the image has no scale"
+    if any(factor is None for factor in factors):
+        return (
+            None,
+            np.zeros(3),
+            f"a scale of {' x '.join(f'{v:g}' for v in values)} without a unit of length",
+        )
+    lengths = np.array(factors, dtype=float)
+    return values * lengths, shift[order] * lengths, ""
+
+
+def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
+    """Return the array's z, y, x axes; other axes must have one entry."""
+    if len(axes) != len(array.shape):
+        raise header_fault(folder, "OME-Zarr image", f"{len(axes)} axes for {len(array.shape)} dimensions")
+    extra = [f"{n} {axis}" for axis, n in zip(axes, array.shape, strict=True) if axis not in _SPACE and n > 1]
+    if extra:
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "one stack",
+                f"{', '.join(extra)} (channels or times)",
+                folder.name,
+                "Export one channel and one time",
+            )
+        )
+    order = [axes.index(axis) for axis in _SPACE if axis in axes]
+    check_dimensions([array.shape[k] for k in reversed(order)], folder.name)
+    if array.dtype.kind not in "uif":
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                "integers or floating point numbers",
+                array.dtype,
+                folder.name,
+                "Export grey values",
+            )
+        )
+    rest = [k for k in range(len(axes)) if k not in order]
+
+    def block(z: int, y: int, x: int) -> NDArray[Any]:
+        at = [0] * len(axes)
+        for axis, number in zip(order, (z, y, x), strict=True):
+            at[axis] = number
+        return array.read(at).transpose([*rest, *order])[(0,) * len(rest)]
+
+    return BlockArray([array.shape[k] for k in order], array.dtype, [array.chunks[k] for k in order], block)
+
+
+def _levels(
+    where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...]
+) -> list[BlockArray]:
+    """Return the coarser levels that are whole: each smaller than the one before along some axis."""
+    found: list[BlockArray] = []
+    for level in scales["datasets"][1:]:
+        try:
+            array = zarr_array(where / str(level["path"]))
+            coarse = _spatial(array, axes, folder)
+        except (CtInertiaError, KeyError):
+            continue
+        if all(c <= n for c, n in zip(coarse.shape, shape, strict=True)) and array.missing()[0] == 0:
+            found.append(coarse)
+    return found

@@ -1,0 +1,169 @@
+"""The voxels of a TIFF stack: mapped where they lie evenly, otherwise unpacked when they are asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.blocks import BlockArray
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import check_size, not_readable
+from ct_inertia.readers.grid import mapped
+from kinematics.errors import sentence
+
+if TYPE_CHECKING:
+    import tifffile
+
+
+def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
+    """Return the first stack of a TIFF file [z, y, x] in its own type.
+
+    Raises
+    ------
+    CtInertiaError
+        Truncated, two-dimensional, coloured, or several channels or times.
+    """
+    series = tif.series[0]
+    page: Any = series.keyframe
+    _check_kind(series, page, path)
+    kept = tuple(n for n in series.shape if n > 1)
+    dtype = np.dtype(tif.byteorder + series.dtype.char)
+    files = _files(series, path)
+    size = sum(file.stat().st_size for file in set(files))
+    packed = page.compression.name != "NONE" or dtype.kind == "b" or page.bitspersample < 8
+    check_size(kept, dtype, size, packed, path.name, held=False)
+    if series.dataoffset is not None and not packed:
+        return mapped(path, dtype, series.dataoffset, kept, path.name)
+    _check_pages(series, files, path)
+    return _planes(series, page, files, kept, dtype)
+
+
+def _files(series: Any, path: Path) -> list[Path]:
+    """Return the file of each page: an OME series may lie in several."""
+    return [
+        path if page is None else Path(page.parent.filehandle.path) if hasattr(page, "parent") else path
+        for page in series.pages
+    ]
+
+
+def _planes(
+    series: Any, page: Any, files: list[Path], shape: tuple[int, ...], dtype: np.dtype
+) -> NDArray[Any]:
+    """Return pages that do not lie in one piece: mapped at even steps, otherwise unpacked when asked for."""
+    segments = [list(zip(p.dataoffsets, p.databytecounts, strict=True)) for p in series.pages]
+    stepped = _evenly_stepped(segments, page, files, shape, dtype)
+    if stepped is not None:
+        return stepped
+    out_type = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("=")
+    decode = page.decode
+    bytes_of = {file: np.memmap(file, dtype=np.uint8, mode="r") for file in set(files)}
+
+    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
+        out = np.zeros(shape[1:], dtype=out_type)
+        for index, (offset, count) in enumerate(segments[z]):
+            if count == 0:
+                continue
+            try:
+                data = bytes_of[files[z]][offset : offset + count].tobytes()
+                piece, (_, _, y, x, _), (_, height, width, _) = decode(data, index)
+            except Exception as fault:
+                raise not_readable(files[z], "TIFF", fault) from fault
+            part = out[y : y + height, x : x + width]
+            part[...] = np.asarray(piece).reshape(-1, *piece.shape[-3:])[
+                0, : part.shape[0], : part.shape[1], 0
+            ]
+        return out[None]
+
+    return BlockArray(shape, out_type, (1, *shape[1:]), plane).as_array()
+
+
+def _evenly_stepped(
+    segments: list[list[tuple[int, int]]],
+    page: Any,
+    files: list[Path],
+    shape: tuple[int, ...],
+    dtype: np.dtype,
+) -> NDArray[Any] | None:
+    """Return uncompressed pages at even distances in one file as a strided view of the mapped file."""
+    plane = shape[1] * shape[2] * dtype.itemsize
+    starts = np.array([part[0][0] for part in segments], dtype=np.int64)
+    whole = all(
+        part[-1][0] + part[-1][1] - part[0][0] == plane == sum(count for _, count in part)
+        for part in segments
+    )
+    steps = np.unique(np.diff(starts))
+    if (
+        page.compression.name != "NONE"
+        or page.is_tiled
+        or page.bitspersample < 8
+        or not whole
+        or len(set(files)) > 1
+        or steps.size != 1
+        or steps[0] < plane
+        or steps[0] % dtype.itemsize
+    ):
+        return None
+    data = np.memmap(files[0], dtype=np.uint8, mode="r")
+    strides = (int(steps[0]), shape[2] * dtype.itemsize, dtype.itemsize)
+    return np.ndarray(shape, dtype, data.data, int(starts[0]), strides)
+
+
+def _check_kind(series: Any, page: Any, path: Path) -> None:
+    if page.photometric is not None and page.photometric.name in ("RGB", "PALETTE", "YCBCR", "CMYK"):
+        raise CtInertiaError(
+            sentence(
+                "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
+            )
+        )
+    axes, shape = series.axes, series.shape
+    if "S" in axes and shape[axes.index("S")] > 1:
+        raise CtInertiaError(
+            sentence(
+                "the volume", "grey values", "several samples per voxel", path.name, "Export one channel"
+            )
+        )
+    extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
+    kept = tuple(n for n in shape if n > 1)
+    if extra and (len(kept) > 3 or "Z" in axes):
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "one stack",
+                f"{', '.join(extra)} (channels or times)",
+                path.name,
+                "Export one channel and one time",
+            )
+        )
+    if len(kept) != 3:
+        raise CtInertiaError(
+            sentence(
+                "the volume",
+                "three-dimensional",
+                f"an image of shape {' x '.join(map(str, reversed(kept)))}",
+                path.name,
+                "Give the whole stack, or the folder of slices",
+            )
+        )
+
+
+def _check_pages(series: Any, files: list[Path], path: Path) -> None:
+    sizes = {file: file.stat().st_size for file in set(files)}
+    for page, file in zip(series.pages, files, strict=True):
+        if page is None:
+            raise CtInertiaError(
+                sentence("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
+            )
+        ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
+        if ends and max(ends) > sizes[file]:
+            raise CtInertiaError(
+                sentence(
+                    "the TIFF",
+                    f"as long as its pages say ({max(ends)} bytes)",
+                    f"{sizes[file]} bytes",
+                    file.name,
+                    "The file is truncated: copy or export it again",
+                )
+            )
