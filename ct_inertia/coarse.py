@@ -22,6 +22,7 @@ _LOUD = 0.09
 _NEAR = 2.5
 # Bins of the histogram within the least distance of two materials' levels.
 _BINS = 16
+_SMOOTH_BINS = 2.5
 _LAYERS = 12
 _SAMPLE = 200_000
 
@@ -64,6 +65,26 @@ def coarse_scan(volume: Volume, target_mm: float = _TARGET_MM) -> CoarseScan:
     sx, sy, sz = (int(s) for s in step)
     grey = finite(np.asarray(volume.array[sz // 2 :: sz, sy // 2 :: sy, sx // 2 :: sx]), volume)
     return CoarseScan(grey, step, spacing * step, noise_of(grey))
+
+
+@dataclass(frozen=True)
+class Glance:
+    """The coarse view and the grey levels of the materials in it."""
+
+    scan: CoarseScan
+    levels: Array
+
+
+def take_glance(volume: Volume) -> Glance:
+    """Take the coarse view and find the levels; numpy alone is used, so that other imports can go on.
+
+    Raises
+    ------
+    CtInertiaError
+        Voxels that are not finite where they are not allowed; only one material.
+    """
+    scan = coarse_scan(volume)
+    return Glance(scan, material_levels(scan))
 
 
 def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
@@ -160,11 +181,10 @@ def _modes(found: Interior) -> Array:
     """Return the peaks of the histogram that stand apart from each other."""
     if found.histogram.sum() < _LEAST_INTERIOR:
         return np.zeros(0)
-    from scipy.ndimage import gaussian_filter1d
-
     histogram = np.pad(found.histogram.astype(float), _BINS)
     centres = found.low + (np.arange(len(histogram)) - _BINS + 0.5) * found.width
-    smooth = gaussian_filter1d(histogram, 2.5)
+    bell = np.exp(-0.5 * (np.arange(-10, 11) / _SMOOTH_BINS) ** 2)
+    smooth = np.convolve(histogram, bell / bell.sum(), mode="same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     kept: list[int] = []
     for peak in peaks[np.argsort(-smooth[peaks])]:

@@ -1,0 +1,39 @@
+"""Work that goes on in the background while the caller does something else."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+Result = TypeVar("Result")
+
+
+class Later(Generic[Result]):
+    """A call that runs on a thread of its own; numpy, hashing and packing leave the others free to run.
+
+    Parameters
+    ----------
+    work : callable
+    *arguments
+        What to call it with.
+    """
+
+    def __init__(self, work: Callable[..., Result], *arguments: Any) -> None:
+        self._found: list[Result] = []
+        self._fault: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, args=(work, arguments), name=work.__name__)
+        self._thread.start()
+
+    def _run(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> None:
+        try:
+            self._found.append(work(*arguments))
+        except BaseException as fault:
+            self._fault = fault
+
+    def result(self) -> Result:
+        """Return what the call returned, waiting for it; raise what it raised."""
+        self._thread.join()
+        if self._fault is not None:
+            raise self._fault
+        return self._found[0]
