@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,18 @@ Array = NDArray[np.float64]
 _SHELL_VOXELS = 9.0
 _LEAST_AIR = 400
 _GOOD_BONE_SD = 1e-3
+_LEAST_DEEP = 200
+_CELL_VOXELS = 6.0
+_LEAST_CELL, _LEAST_CELLS = 20, 12
+_SIGNIFICANT = 4.0
+_TILTED, _SLOPING = 1e-3, 8.0
+_UNEVEN = 0.01
+# The rim of bone next to the surface is not seen: it may differ from the inside by as much as that varies.
+_HIDDEN = 0.5
 _CLIPPED = 0.01
 _MOST_CLIPPED = 0.9
+_PAIRS = 150_000
+_MOST_LAG = 8
 
 
 @dataclass(frozen=True)
@@ -106,31 +116,31 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     shell = (distance_mm > reach_mm) & (distance_mm < outer * 0.999)
     if np.any(around.foreign):
         shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
-    values = around.grey[shell].astype(float)
+    index = np.flatnonzero(shell)
+    values = around.grey.ravel()[index]
     if values.size < _LEAST_AIR:
-        noise = float(np.std(values)) if values.size > 30 else 0.0
+        noise = float(np.std(values, dtype=float)) if values.size > 30 else 0.0
         return Air(guess, noise, max(noise, 1e-6 * abs(guess)), 1.0, 0.0)
-    middle = float(np.median(values))
-    high = float(np.percentile(values, 90.0)) - middle
-    kept = np.abs(values - middle) <= 5.0 * high + 1e-12
-    values = values[kept]
-    level, noise = float(values.mean()), float(values.std())
-    place = np.stack(np.nonzero(shell), axis=1)[kept]
-    half = np.array(shell.shape) / 2.0
-    octant = (place > half) @ np.array([1, 2, 4])
+    few = values[:: max(1, values.size // 50_000)].astype(float)
+    middle, high = (float(v) for v in np.percentile(few, [50.0, 90.0]))
+    kept = np.abs(values - np.float32(middle)) <= np.float32(5.0 * (high - middle) + 1e-12)
+    index, values = index[kept], values[kept]
+    level, noise = float(values.mean(dtype=float)), float(values.std(dtype=float))
+    octant = _octants(index, shell.shape)
     count = np.bincount(octant, minlength=8)
     means = np.bincount(octant, values, minlength=8)[count > 200] / count[count > 200]
+    correlation = _correlation(around.grey, shell, index, level, noise)
+    random = noise * np.sqrt(correlation / values.size)
     scatter = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 2 else noise / 10.0
-    sd = max(scatter, noise / np.sqrt(values.size))
-    ones = values if around.single is None else around.single[shell].astype(float)
+    sd = max(scatter, random)
+    ones = values if around.single is None else around.single[shell].astype(np.float32)
     lowest = float(ones.min())
     pile = float(np.mean(ones == lowest))
-    correlation = _correlation(around.grey, shell, noise)
     if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
         return Air(level, noise, sd, correlation, 0.0, lowest)
     level, single = _censored(level, pile, lowest)
     # Clipping takes the same share off the scatter of means as off that of the voxels in them.
-    noise = single if around.single is None else noise * single / max(float(ones.std()), 1e-12)
+    noise = single if around.single is None else noise * single / max(float(ones.std(dtype=float)), 1e-12)
     return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, lowest, single)
 
 
@@ -147,7 +157,12 @@ def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
     return lowest + a * noise, noise
 
 
-def unclipped(grey: NDArray[np.float32], where: NDArray[np.bool_], air: Air) -> NDArray[np.float32]:
+def unclipped(
+    grey: NDArray[np.float32],
+    where: NDArray[np.bool_],
+    air: Air,
+    expected: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
     """Take off what clipping at the lowest grey value added on average.
 
     Parameters
@@ -157,58 +172,113 @@ def unclipped(grey: NDArray[np.float32], where: NDArray[np.bool_], air: Air) -> 
         Voxels to correct.
     air : Air
         With the level and noise from before the clipping.
+    expected : ndarray of float32, [z, y, x], optional
+        Grey values without noise and clipping, from a model of the body; without it they are read from the
+        surroundings of each voxel, whose noise biases them.
 
     Notes
     -----
-    A voxel of true grey value m has after clipping the mean lowest + s (a Phi(a) + phi(a)) with
-    a = (m - lowest) / s. The mean is taken from the voxel's surroundings (Gaussian of 0.8 voxels), the
-    relation is inverted, and the difference is subtracted from the voxel itself.
+    A voxel of true grey value m has after clipping the mean m + s (phi(a) - a Phi(-a)) with
+    a = (m - lowest) / s; the difference is subtracted. Without ``expected``, the mean is that of the
+    surroundings (Gaussian of 0.8 voxels) and the relation is inverted.
     """
-    from scipy.ndimage import gaussian_filter
     from scipy.special import ndtr
 
     if air.clipped == 0.0:
         return grey
     noise = air.single_noise or air.noise
+    result = grey.copy()
+    if expected is not None:
+        a = (expected[where].astype(float) - air.lowest) / noise
+        added = np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi) - a * ndtr(-a)
+        result[where] -= (noise * added).astype(np.float32)
+        return result
+    from scipy.ndimage import gaussian_filter
+
     a = np.linspace(-6.0, 6.0, 2401)
     mean = a * ndtr(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
     local = (gaussian_filter(grey, 0.8)[where].astype(float) - air.lowest) / noise
     true = np.interp(local, mean, a)
-    result = grey.copy()
     result[where] -= (noise * np.where(local < mean[-1], local - true, 0.0)).astype(np.float32)
     return result
 
 
-def _correlation(grey: NDArray[np.float32], air: NDArray[np.bool_], noise: float, block: int = 4) -> float:
-    """Compare the scatter of block means with that of white noise."""
-    nz, ny, nx = (n // block for n in air.shape)
-    if noise <= 0.0 or min(nz, ny, nx) == 0:
-        return 1.0
+def _octants(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return which eighth of a box (0 to 7) each flat index lies in."""
+    rows, columns = shape[1] * shape[2], shape[2]
+    z, rest = np.divmod(index, rows)
+    y, x = np.divmod(rest, columns)
+    return np.asarray(
+        (z > shape[0] / 2.0) + 2 * (y > shape[1] / 2.0) + 4 * (x > shape[2] / 2.0), dtype=np.int64
+    )
 
-    def blocks(array: NDArray[np.floating]) -> Array:
-        part = array[: nz * block, : ny * block, : nx * block]
-        return np.asarray(
-            part.reshape(nz, block, ny, block, nx, block).sum(axis=(1, 3, 5), dtype=float).ravel()
-        )
 
-    full = blocks(air.astype(np.float32)) == block**3
-    if np.count_nonzero(full) < 50:
+def _correlation(
+    grey: NDArray[np.float32],
+    shell: NDArray[np.bool_],
+    index: NDArray[np.int64],
+    level: float,
+    noise: float,
+) -> float:
+    """Return the variance of sums of noise over that of white noise.
+
+    The correlations between neighbours at one, two, ... voxels along each axis are added up, as long as they
+    stand out of their own scatter, and the three axes multiplied: exact for noise that was smoothed axis by
+    axis, as reconstruction filters do.
+    """
+    if noise <= 0.0:
         return 1.0
-    means = blocks(np.where(air, grey, np.float32(0.0)))[full] / block**3
-    middle = np.median(means)
-    scale = 1.4826 * np.median(np.abs(means - middle))
-    return float(np.clip((scale / noise) ** 2 * block**3, 1.0, block**3))
+    few = index[:: max(1, index.size // _PAIRS)]
+    flat, inside = grey.ravel(), shell.ravel()
+    here = flat[few] - np.float32(level)
+    total = 1.0
+    for stride in (1, shell.shape[2], shell.shape[1] * shell.shape[2]):
+        along = 1.0
+        for lag in range(1, _MOST_LAG + 1):
+            there = few + lag * stride
+            good = there < flat.size
+            good[good] &= inside[there[good]]
+            count = int(np.count_nonzero(good))
+            if count < _LEAST_AIR:
+                break
+            other = flat[there[good]] - np.float32(level)
+            # Streaks and dust are no noise: what lies beyond five deviations is left out.
+            mild = (np.abs(here[good]) < 5.0 * noise) & (np.abs(other) < 5.0 * noise)
+            r = float(np.mean(here[good][mild] * other[mild], dtype=float)) / noise**2
+            if abs(r) < 3.5 / np.sqrt(count):
+                break
+            along += 2.0 * r
+        total *= max(along, 0.2)
+    return total
 
 
 @dataclass(frozen=True)
 class Bone:
-    """Pure bone inside the stapes: level, standard uncertainty, noise of a voxel, and how it was found."""
+    """Pure bone inside the stapes.
+
+    Attributes
+    ----------
+    level, sd, noise : float
+        Grey level, its standard uncertainty, noise of a voxel.
+    found_by : str
+    notices : tuple of Notice
+    slope : ndarray, (3,)
+        Change of the level per mm along x, y, z of the box; 0 where noise explains it.
+    place_mm : ndarray, (3,)
+        Where ``level`` holds, from the box's first voxel along x, y, z.
+    """
 
     level: float
     sd: float
     noise: float
     found_by: str
     notices: tuple[Notice, ...] = ()
+    slope: Array = field(default_factory=lambda: np.zeros(3))
+    place_mm: Array = field(default_factory=lambda: np.zeros(3))
+
+    def moved_to(self, place_mm: Array) -> Bone:
+        """Return the same bone with its level at another place (3,) of the box."""
+        return replace(self, level=float(self.level + self.slope @ (place_mm - self.place_mm)))
 
 
 def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None:
@@ -219,36 +289,96 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
     Notes
     -----
     Depths are between voxel centres and the first centre outside; the surface lies half a voxel nearer.
-    What blur is left at depth d under a plane surface, 1 - Phi(d / s), is added back.
+    What blur is left at depth d under a plane surface, 1 - Phi(d / s), is added back. A level that changes
+    linearly through the bone is told by its slope, what varies beyond that by the scatter between cells of
+    a few voxels; both only as far as noise does not explain them.
     """
     from scipy.special import ndtr
 
+    box = _box_of(around.bone)
+    inside = around.bone[box]
+    grey = around.grey[box]
     half = 0.5 * float(np.mean(around.spacing_mm))
     cap = 4.2 * sigma_mm + 2.0 * half
-    depth = capped_distance(~around.bone, around.spacing_mm, cap) - half
+    depth = capped_distance(~inside, around.spacing_mm, cap)
     for least in (3.2, 3.0, 2.75, 2.5):
-        deep = depth > least * sigma_mm
-        values = around.grey[deep].astype(float)
-        if values.size < 200:
+        index = np.flatnonzero(depth > np.float32(least * sigma_mm + half))
+        if index.size < _LEAST_DEEP:
             continue
-        share = ndtr(depth[deep] / sigma_mm).astype(float)
-        values = air.level + (values - air.level) / share
-        noise = float(values.std())
-        random = noise / np.sqrt(values.size) * np.sqrt(air.correlation)
-        rest = 0.25 * float(np.mean(1.0 - share)) * (float(values.mean()) - air.level)
-        sd = float(np.hypot(np.hypot(random, rest), _scatter(values, deep)))
-        if random < _GOOD_BONE_SD * (values.mean() - air.level):
-            return Bone(float(values.mean()), sd, noise, "interior")
+        share = ndtr((depth.ravel()[index].astype(float) - half) / sigma_mm)
+        values = air.level + (grey.ravel()[index] - air.level) / share
+        contrast = float(values.mean()) - air.level
+        random = float(values.std()) / np.sqrt(values.size) * np.sqrt(air.correlation)
+        if random < _GOOD_BONE_SD * contrast:
+            rest = 0.25 * float(np.mean(1.0 - share)) * contrast
+            start = np.array([s.start for s in reversed(box)])
+            zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
+            return _bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
     return None
 
 
-def _scatter(values: Array, deep: NDArray[np.bool_]) -> float:
-    """Return the standard error of a level from its scatter over regions of the body."""
-    place = np.stack(np.nonzero(deep), axis=1)
-    middle = np.median(place, axis=0)
-    octant = (place > middle) @ np.array([1, 2, 4])
+def _box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
+    """Return the slices z, y, x of a mask, one voxel wider where there is room."""
+    found = []
+    for axis in range(3):
+        used = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
+        found.append(slice(max(0, int(used[0]) - 1), int(used[-1]) + 2))
+    return tuple(found)
+
+
+def _bone_of(
+    values: Array, places_mm: Array, air: Air, random: float, rest: float, around: Surroundings
+) -> Bone:
+    """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3)."""
+    middle = places_mm.mean(axis=0)
+    level, contrast = float(values.mean()), float(values.mean()) - air.level
+    cell = np.floor((places_mm - places_mm.min(axis=0)) / (_CELL_VOXELS * around.spacing_mm)).astype(np.int64)
+    width = cell.max(axis=0) + 1
+    number = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
+    count = np.asarray(np.bincount(number), dtype=np.int64)
+    used = count >= _LEAST_CELL
+    if np.count_nonzero(used) < _LEAST_CELLS:
+        sd = float(np.sqrt(random**2 + rest**2 + _scatter(values, places_mm) ** 2))
+        return Bone(level, sd, float(values.std()), "interior", (), np.zeros(3), middle)
+    weight = count[used].astype(float)
+    means = np.bincount(number, values)[used] / weight
+    sums = [np.bincount(number, p - m)[used] for p, m in zip(places_mm.T, middle, strict=True)]
+    away = np.stack(sums, axis=1) / weight[:, None]
+    noise = float(np.sqrt(np.maximum(values.var() - np.average((means - level) ** 2, weights=weight), 0.0)))
+    design = np.column_stack([np.ones(len(means)), away])
+    normal = (design * weight[:, None]).T @ design
+    fitted = np.linalg.lstsq(normal, design.T @ (weight * means), rcond=None)[0]
+    left = means - design @ fitted
+    freedom = len(means) - 4.0
+    excess = float(weight @ left**2) / (noise**2 * air.correlation + 1e-12 * contrast**2) - freedom
+    significant = excess > _SIGNIFICANT * np.sqrt(2.0 * freedom)
+    uneven = noise * float(np.sqrt(air.correlation * excess / weight.sum())) if significant else 0.0
+    explained = float(fitted[1:] @ (normal[1:, 1:] @ fitted[1:]))
+    tilt = float(np.sqrt(explained / weight.sum()))
+    # Compared with the scatter that is left, over as many cells: F of three degrees of freedom.
+    scatter = noise**2 * air.correlation + uneven**2 * float(weight.mean())
+    sloping = tilt > _TILTED * contrast and explained > 3.0 * _SLOPING * scatter
+    slope = fitted[1:] if sloping else np.zeros(3)
+    spread = _scatter(values - (places_mm - middle) @ slope, places_mm)
+    sd = float(np.sqrt(random**2 + rest**2 + spread**2))
+    notices: tuple[Notice, ...] = ()
+    if max(uneven, tilt if sloping else 0.0) > _UNEVEN * contrast:
+        sd = float(np.hypot(sd, _HIDDEN * uneven))
+        varies = 100.0 * float(np.hypot(uneven, tilt)) / contrast
+        text = (
+            f"The grey value of bone varies inside the stapes by {varies:.1f} % (standard deviation), more "
+            f"than noise: its density is not uniform, or the scan is shaded. The mass matrix weights bone by "
+            f"its grey value; the budget holds what uniform density would change."
+        )
+        notices = (Notice("bone_inhomogeneous", text),)
+    return Bone(level, sd, noise, "interior", notices, slope, middle)
+
+
+def _scatter(values: Array, places_mm: Array) -> float:
+    """Return the standard error of a level from its scatter over the eighths of the body."""
+    octant = (places_mm > np.median(places_mm, axis=0)) @ np.array([1, 2, 4])
     count = np.bincount(octant, minlength=8)
-    good = count > 25
+    good = count > _LEAST_CELL
     if np.count_nonzero(good) < 3:
         return 0.0
     means = np.bincount(octant, values, minlength=8)[good] / count[good]

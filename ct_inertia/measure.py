@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
-from ct_inertia.level_fit import fit_bodies
+from ct_inertia.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
 from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone, unclipped
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
-from ct_inertia.partial_volume import Share, partial_volume_moments, with_contribution
+from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
 from ct_inertia.plate_face import face_near, plate_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2
 _DEFAULT_SIGMA_VOXELS = 1.0
-# In loud scans the fitted level is off by more than noise tells: 1.1 % at 15 % noise, 50 um voxels.
-_LOUD_FIT, _QUIET_FIT = 0.55, 0.05
-_GOOD_INSIDE = 4e-4
+_FITTED_BLUR_SD = 0.03
+_FEW_EDGES = 800
+_GOOD_INSIDE = 1e-3
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
 _LEAST_CUT_MM2 = 0.003
@@ -73,37 +73,41 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         The grey values of the body sum to no positive volume.
     """
     spacing = volume.spacing_mm
-    foreign = cut.others | cut.plate
-    stapes = cut.stapes
-    sigma, sigma_sd, sigma_from = _blur(cut, stapes, guess.air, guess.bone, spacing)
+    rim = spread(spread(cut.stapes))
+    sigma, _, _ = _blur(cut, rim, (guess.air, guess.bone), spacing, 0.0, _FEW_EDGES)
     reach = _TAIL_SIGMAS * sigma + float(spacing.max())
-    outer = reach + 9.5 * float(spacing.max())
     single = None if cut.working is None else cut.working.single
-    around = Surroundings(cut.grey, stapes, foreign, spacing, single)
-    distance = capped_distance(stapes, spacing, outer)
+    around = Surroundings(cut.grey, cut.stapes, cut.others | cut.plate, spacing, single)
+    distance = capped_distance(cut.stapes, spacing, reach + 9.5 * float(spacing.max()))
     air = measure_air(around, distance, reach, guess.air)
     if air.clipped:
-        cut = replace(cut, grey=unclipped(cut.grey, distance <= reach, air))
+        cut = replace(cut, grey=_unclipped(cut, around, distance <= reach, air, guess.bone, sigma))
         around = replace(around, grey=cut.grey)
-    bone, sigma_fit = _bone(around, air, sigma, distance, reach)
-    sigma, sigma_sd, sigma_from = _blur(cut, stapes, air.level, bone.level, spacing, air.noise)
-    if sigma_fit is not None:
-        sigma, sigma_sd, sigma_from = sigma_fit, 0.02 * sigma_fit, "fit of body, level and blur"
-    levels = (air.level, bone.level)
-    cut, face = _without_plate(volume, cut, distance, reach, (air.level, guess.plastic, sigma))
-    if face is not None and abs(face.sigma_mm / sigma - 1.0) < _SAME_BLUR:
-        sigma, sigma_sd, sigma_from = face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate"
-    parted = part_from_neighbours(cut, distance, reach, spacing, levels, sigma)
-    share = _share(cut, parted, air, bone, (sigma, sigma_sd))
+    bone, fit = _bone(around, air, sigma, distance, reach)
+    blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
+    if fit is not None:
+        blur = (fit.sigma_mm, _FITTED_BLUR_SD * fit.sigma_mm, "fit of body, level and blur")
+    cut, face = _without_plate(volume, cut, distance, reach, (air.level, guess.plastic, blur[0]))
+    if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
+        blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
+    parted = part_from_neighbours(cut, distance, reach, spacing, (air.level, bone.level), blur[0])
+    share = _share(cut, parted, air, bone, blur[:2])
     moments = partial_volume_moments(share, volume.scan_from_index)
+    if np.any(bone.slope):
+        middle = volume.index_points(moments.centroid_mm) - cut.first
+        bone = bone.moved_to(middle * spacing)
+        share = replace(share, bone=bone.level)
+        moments = partial_volume_moments(share, volume.scan_from_index)
+        moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
+    levels = (air.level, bone.level)
     area, covariance = cut_through_bone(cut, parted, 0.5 * (air.level + bone.level), volume, moments)
     if area > 0.0:
         moments = with_contribution(moments, "separation", covariance)
     return Measured(
         moments,
         as_levels(air, bone, guess.plastic),
-        sigma,
-        sigma_from,
+        blur[0],
+        blur[2],
         _field(cut, parted, levels),
         parted.own,
         face,
@@ -113,12 +117,38 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     )
 
 
+def _unclipped(
+    cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
+) -> NDArray[np.float32]:
+    """Take off what clipping added: first by the surroundings of each voxel, then by the body this shows."""
+    from scipy.ndimage import gaussian_filter
+
+    first = unclipped(cut.grey, own, air)
+    contrast = np.float32(bone - air.level)
+    share = gaussian_filter((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
+    known = own & ~spread(spread(around.foreign))
+    body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
+    expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
+    return np.where(known, unclipped(cut.grey, own, air, expected), first)
+
+
+def _by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:
+    """Return the covariance (10, 10) from taking bone of sloping grey values as it is, not as uniform."""
+    away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
+    contrast = share.bone - share.air
+    along = (share.index * volume.spacing_mm) @ bone.slope
+    w = (share.grey - share.air) / contrast
+    change = w * (along - (w @ along) / w.sum()) / contrast
+    step = sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3
+    return np.outer(step, step)
+
+
 def _bone(
     around: Surroundings, air: Air, sigma_mm: float, distance_mm: NDArray[np.float32], reach_mm: float
-) -> tuple[Bone, float | None]:
+) -> tuple[Bone, BodyFit | None]:
     """Measure the bone level inside, or fit it with the body and its blur when there is too little inside."""
     inside = measure_bone(around, air, sigma_mm)
-    if inside is not None and inside.sd < _GOOD_INSIDE * (inside.level - air.level):
+    if inside is not None and (inside.notices or inside.sd < _GOOD_INSIDE * (inside.level - air.level)):
         return inside, None
     own = distance_mm <= reach_mm
     if np.any(around.foreign):
@@ -129,11 +159,10 @@ def _bone(
         start = inside.level - air.level
     excess = around.grey[box] - np.float32(air.level)
     fit = fit_bodies(excess, own[box], around.spacing_mm, start, sigma_mm, air.noise)
-    if inside is not None and inside.sd < fit.relative_sd * fit.contrast:
+    sd = fit.relative_sd * fit.contrast * np.sqrt(air.correlation)
+    if inside is not None and inside.sd < sd:
         return inside, None
     noise = air.noise if inside is None else inside.noise
-    sd = fit.relative_sd * fit.contrast * np.sqrt(air.correlation)
-    sd = np.hypot(sd, _LOUD_FIT * max((air.noise / fit.contrast) ** 2 - _QUIET_FIT**2, 0.0) * fit.contrast)
     notices: tuple[Notice, ...] = ()
     if sd > _WEAK * fit.contrast:
         text = (
@@ -142,7 +171,7 @@ def _bone(
             f"mass. Scan with smaller voxels."
         )
         notices = (Notice("bone_level_weak", text),)
-    return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices), fit.sigma_mm
+    return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices), fit
 
 
 def _without_plate(
@@ -200,12 +229,16 @@ def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.
 
 
 def _blur(
-    cut: Cut, stapes: NDArray[np.bool_], air: float, bone: float, spacing_mm: Array, noise: float = 0.0
+    cut: Cut,
+    rim: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float,
+    most: int | None = None,
 ) -> tuple[float, float, str]:
-    from scipy.ndimage import binary_dilation
-
-    rim = binary_dilation(stapes, iterations=2)
-    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air))
+    air, bone = levels
+    more = {} if most is None else {"most": most}
+    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air), **more)
     if found is None:
         sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
         return sigma, 0.5 * sigma, "assumed: one voxel"
