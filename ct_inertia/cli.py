@@ -12,11 +12,13 @@ from kinematics.errors import StapeskitError, sentence
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
+    from ct_inertia.readers.raw import RawLayout
 
 _DESCRIPTION = """Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
 
-SCAN is a volume (TIFF, NRRD, MHA, NIfTI, ...), a folder of slices or DICOM files, or a closed surface mesh
-(STL, PLY, OBJ, GLB; mm). Coordinates and directions are x, y, z in scan coordinates, mm."""
+SCAN is a volume (TIFF, OME-Zarr, NRRD, MHA, NIfTI, DICOM, Scanco, VGStudio, Amira, raw), a folder of slices
+or DICOM files, or a closed surface mesh (STL, PLY, OBJ, GLB; mm). Coordinates and directions are x, y, z in
+scan coordinates, mm."""
 
 _EPILOG = """Exit code 0: done; 2: the input is at fault, with one sentence that says what to do; 1: a bug.
 
@@ -60,6 +62,15 @@ def parser() -> Parser:
         choices=("x", "y", "z"),
         help="reverse the slices along an axis; points are those of the mirrored scan",
     )
+    raw = made.add_argument_group("raw voxels without a header")
+    raw.add_argument(
+        "--shape", type=_shape, metavar="NX,NY,NZ", help="numbers of voxels; x runs fastest in the file"
+    )
+    raw.add_argument(
+        "--dtype", metavar="TYPE", help="uint8, int8, uint16, int16, uint32, int32, float32, float64"
+    )
+    raw.add_argument("--byte-order", choices=("little", "big"), help="default little")
+    raw.add_argument("--header-bytes", type=int, metavar="N", help="bytes before the first voxel")
     reading.add_argument("--nan-as-air", action="store_true", help="let voxels that are not finite be air")
     finding = made.add_argument_group("finding the stapes")
     finding.add_argument("--labels", type=Path, metavar="FILE", help="label volume made elsewhere")
@@ -104,6 +115,33 @@ def _spacing(text: str) -> tuple[float, ...]:
     if min(values) <= 0.0:
         raise argparse.ArgumentTypeError(f"--spacing must be positive, in mm; got {text}")
     return values
+
+
+def _shape(text: str) -> tuple[int, int, int]:
+    x, y, z = (int(n) if n == int(n) else n for n in numbers(3, "--shape")(text))
+    if min(x, y, z) < 2 or not all(isinstance(n, int) for n in (x, y, z)):
+        raise argparse.ArgumentTypeError(f"--shape must be three whole numbers of at least 2; got {text}")
+    return int(x), int(y), int(z)
+
+
+def _raw_layout(given: argparse.Namespace) -> RawLayout | None:
+    """Return the layout of raw voxels, or None when none of its options is given."""
+    told = {"--shape": given.shape, "--dtype": given.dtype}
+    if all(v is None for v in (given.shape, given.dtype, given.byte_order, given.header_bytes)):
+        return None
+    missing = [name for name, value in told.items() if value is None]
+    if missing:
+        raise StapeskitError(
+            sentence(
+                missing[0],
+                "given with the other options of raw voxels",
+                "none",
+                next_step="Give --shape NX,NY,NZ and --dtype, or none of these options",
+            )
+        )
+    from ct_inertia.readers.raw import RawLayout
+
+    return RawLayout(given.shape, given.dtype, given.byte_order or "little", given.header_bytes or 0)
 
 
 def _added_mass(text: str) -> tuple[float, float, float, float, float]:
@@ -153,6 +191,7 @@ def options_from(given: argparse.Namespace) -> MassOptions:
         mass_mg=given.mass_mg,
         calibration=given.calibration,
         spacing_mm=given.spacing,
+        raw=_raw_layout(given),
         labels=given.labels,
         stapes_label=given.stapes_label,
         plate_label=given.plate_label,
@@ -195,7 +234,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     folder = output_folder(given)
     hashes = Hashes(options.inputs.values(), given.sha256)
     result = ct2mass(options)
-    content = mass_json(result, given.sha256, hashes)
+    content = mass_json(result, given.sha256, hashes, second=not given.no_report)
     with staged(folder) as stage:
         if not given.no_report:
             from ct_inertia.report import write_report

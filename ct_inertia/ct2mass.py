@@ -138,20 +138,22 @@ def _known(options: MassOptions) -> _Known:
 
 
 def _bodies(options: MassOptions) -> Bodies:
-    from ct_inertia.read import read_volume
+    from ct_inertia.read import read_labels, read_volume
     from ct_inertia.search import SearchOptions
     from ct_inertia.segmentation import find_bodies
 
     volume = None
     if options.scan is not None:
-        volume = read_volume(options.scan, options.spacing_mm, options.mirror, options.nan_as_air)
+        volume = read_volume(
+            options.scan, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
+        )
     labels = None
     if options.labels is not None:
         if not Path(options.labels).exists():
             raise CtInertiaError(
                 sentence("--labels", "an existing label volume", options.labels, next_step="Check the path")
             )
-        labels = read_volume(options.labels, options.spacing_mm, options.mirror)
+        labels = read_labels(options.labels, options.spacing_mm, options.mirror)
     search = SearchOptions(
         threshold=options.threshold,
         seed_mm=None if options.seed_mm is None else np.array(options.seed_mm),

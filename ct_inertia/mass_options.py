@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass_properties import PointMass
 from ct_inertia.surface import SURFACE_SUFFIXES
 from kinematics.errors import sentence
+
+if TYPE_CHECKING:
+    from ct_inertia.readers.raw import RawLayout
 
 Value = tuple[float, float | None]
 
@@ -26,6 +29,8 @@ class MassOptions:
         kg/m3 and mg. One of these or ``calibration``.
     calibration : Path or None
     spacing_mm : tuple of 1 or 3 floats, or None
+    raw : RawLayout or None
+        How raw voxels lie in a scan without a header.
     labels : Path or None
         A label volume made elsewhere.
     stapes_label, plate_label : int
@@ -67,6 +72,7 @@ class MassOptions:
     nan_as_air: bool = False
     added: tuple[PointMass, ...] = ()
     voxel_size_sd: float | None = None
+    raw: RawLayout | None = None
 
     def __post_init__(self) -> None:
         known = [
@@ -129,6 +135,7 @@ class MassOptions:
         return [
             ("--calibration", self.calibration),
             ("--spacing", self.spacing_mm),
+            ("--shape", self.raw),
             ("--labels", self.labels),
             ("--threshold", self.threshold is not None),
             ("--seed", self.seed_mm),
