@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ct_inertia.moments import Moments
 from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
+from kinematics.background import Later
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -90,11 +91,16 @@ class LabelledVolume:
             low[2], high[2] = start, min(start + layers, int(self.end_index[2]))
             yield self.read(low, high)
 
+    @cached_property
+    def packed(self) -> Later[bytes]:
+        """The labels as the bytes of a compressed NRRD; begun in the background on first use."""
+        from ct_inertia.label_file import packed_labels
+
+        return Later(packed_labels, self)
+
     def write(self, path: Path | str) -> None:
         """Write the labels as NRRD (compressed) that lies on the scan in 3D Slicer and ITK-SNAP."""
-        from ct_inertia.label_file import write_labels
-
-        write_labels(Path(path), self)
+        Path(path).write_bytes(self.packed.result())
 
 
 @dataclass(frozen=True)
@@ -167,7 +173,9 @@ class Bodies:
     stapes : Surface
         Iso surface of the stapes whose volume matches ``moments``.
     frame_surface : Surface
-        The same, of lightly smoothed grey values, also matched in volume: less vertex noise.
+        Half level of the grey values of the stapes on a coarse grid, for its frame.
+    frame_blur_mm : float
+        Standard deviation of the blur with which that surface is seen; 0 when unknown.
     plate : Surface or None
     moments : Moments
         Partial-volume moments of the stapes with their covariance by source: the numbers to use.
@@ -193,6 +201,7 @@ class Bodies:
     mesh_moments: Moments
     levels: Levels | None
     psf_sigma_mm: float
+    frame_blur_mm: float = 0.0
     plate_face: PlateFace | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING
+
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 _GZIP = 31
 
 
-def write_labels(path: Path, labels: LabelledVolume) -> None:
-    """Write labels as a compressed NRRD with spacing, origin and direction, some layers at a time.
+def packed_labels(labels: LabelledVolume) -> bytes:
+    """Return labels as a compressed NRRD with spacing, origin and direction, made some layers at a time.
 
     Notes
     -----
@@ -22,11 +22,9 @@ def write_labels(path: Path, labels: LabelledVolume) -> None:
     runs of one value: gzip looks for those only.
     """
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
-    with Path(path).open("wb") as stream:
-        stream.write(_header(labels).encode("ascii"))
-        for slab in labels.slabs():
-            stream.write(packer.compress(slab.tobytes()))
-        stream.write(packer.flush())
+    parts = [_header(labels).encode("ascii")]
+    parts += [packer.compress(slab.tobytes()) for slab in labels.slabs()]
+    return b"".join([*parts, packer.flush()])
 
 
 def _header(labels: LabelledVolume) -> str:

@@ -31,7 +31,9 @@ _CONVENTION = {
 _OUTLINE_POINTS = 160
 
 
-def mass_json(result: MassResult, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:
+def mass_json(
+    result: MassResult, sha256: bool = False, hashes: Hashes | None = None, second: bool = True
+) -> dict[str, Any]:
     """Return the content of ``mass.json``.
 
     Parameters
@@ -41,6 +43,8 @@ def mass_json(result: MassResult, sha256: bool = False, hashes: Hashes | None = 
         Hash the inputs with SHA-256 instead of the faster default.
     hashes : Hashes, optional
         Of the inputs, when they were begun before.
+    second : bool
+        Ask another program (pymeshlab) for the moments of the surface.
     """
     body, matrix = result.body, result.matrix
     deviation = matrix.standard_deviation
@@ -77,7 +81,7 @@ def mass_json(result: MassResult, sha256: bool = False, hashes: Hashes | None = 
             "not_included": not_included(matrix.contributions, result.options.mass_known_by),
         },
         "found": _found(result),
-        "cross_check": _cross_check(result),
+        "cross_check": _cross_check(result, second),
         "segmentation": _segmentation(result),
         "warnings": [notice.as_json() for notice in result.notices],
         "provenance": provenance,
@@ -170,12 +174,14 @@ def _holes(surface: Surface) -> int:
     return (2 - surface.euler_characteristic) // 2
 
 
-def _cross_check(result: MassResult) -> dict[str, Any]:
+def _cross_check(result: MassResult, second: bool) -> dict[str, Any]:
     """Compare the moments used with those of the closed surface."""
-    from ct_inertia.second_opinion import second_opinion
-
     used, mesh = result.moments, result.mesh_moments
-    second = second_opinion(result.stapes)
+    opinion = None
+    if second:
+        from ct_inertia.second_opinion import second_opinion
+
+        opinion = second_opinion(result.stapes)
     root = np.sqrt(np.diag(result.matrix.matrix))
     difference = (result.mesh_matrix.matrix - result.matrix.matrix) / np.outer(root, root)
     return {
@@ -186,7 +192,7 @@ def _cross_check(result: MassResult) -> dict[str, Any]:
         "centroid_difference_mm": (mesh.centroid_mm - used.centroid_mm).tolist(),
         "mass_matrix_difference_percent": (100.0 * difference).tolist(),
         "mass_matrix_difference_of": "sqrt(Mii Mjj)",
-        "surface_by_pymeshlab": None if second is None else asdict(second),
+        "surface_by_pymeshlab": None if opinion is None else asdict(opinion),
     }
 
 

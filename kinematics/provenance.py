@@ -56,7 +56,7 @@ class Hashes:
         self._sha256 = sha256
         self._wanted = [Path(path) for path in paths if path is not None]
         self._done: dict[Path, str | OSError] = {}
-        # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for it.
+        # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for large files.
         self._thread = threading.Thread(target=self._work, name="hashes", daemon=True)
         self._thread.start()
 
