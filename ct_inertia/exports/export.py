@@ -1,0 +1,101 @@
+"""Choose formats by name, write them, and say in which units and coordinates each stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.exports.body import body_of
+from kinematics.errors import sentence
+
+if TYPE_CHECKING:
+    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.surface import Surface
+
+_MODULES = {
+    "stl": "stl",
+    "obj": "obj",
+    "glb": "glb",
+    "mjcf": "mjcf",
+    "urdf": "urdf",
+    "abaqus": "abaqus",
+    "mat": "matlab",
+}
+FORMATS: tuple[str, ...] = tuple(_MODULES)
+
+
+def parse_formats(text: str) -> tuple[str, ...]:
+    """Read a comma list of formats, in the order of FORMATS; ``all`` stands for every one.
+
+    Raises
+    ------
+    CtInertiaError
+        A name is unknown, or the list is empty.
+    """
+    names = {part.strip().lower() for part in text.split(",") if part.strip()}
+    if names == {"all"}:
+        return FORMATS
+    wrong = sorted(names - set(FORMATS))
+    if wrong or not names:
+        raise CtInertiaError(
+            sentence(
+                "--export",
+                f"a list out of {', '.join(FORMATS)}, or all",
+                ", ".join(wrong) or "nothing",
+                next_step="Write for example --export stl,mjcf",
+            )
+        )
+    return tuple(name for name in FORMATS if name in names)
+
+
+def export(
+    result: MassResult,
+    folder: Path | str,
+    formats: str | Iterable[str] = "all",
+    stapes: Surface | None = None,
+) -> list[str]:
+    """Write a result in the formats of other programs.
+
+    The mass, centre and inertia are those of the stapes with everything added to it (``--add-mass``).
+
+    Parameters
+    ----------
+    result : MassResult
+    folder : Path or str
+        Made when missing.
+    formats : str or iterable of str
+        Names out of FORMATS, or ``all``.
+    stapes : Surface, optional
+        A lighter surface to write in place of the measured one; it changes no number.
+
+    Returns
+    -------
+    list of str
+        Names of the files, each once.
+
+    Raises
+    ------
+    CtInertiaError
+        An unknown format.
+    """
+    chosen = parse_formats(formats if isinstance(formats, str) else ",".join(formats))
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    body = body_of(result, stapes)
+    names: list[str] = []
+    for name in chosen:
+        write: Callable[[Any, Path], list[str]] = _module(name).write
+        names += [file for file in write(body, folder) if file not in names]
+    return names
+
+
+def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return units and coordinates of each format, for the JSON."""
+    return {name: dict(_module(name).UNITS) for name in formats}
+
+
+def _module(name: str) -> Any:
+    return import_module(f"ct_inertia.exports.{_MODULES[name]}")
