@@ -218,6 +218,8 @@ def _parameters(options: MassOptions) -> dict[str, Any]:
             continue
         if field.name == "added":
             value = [[*mass.position_mm.tolist(), mass.mass_kg * 1e6] for mass in value]
+        if field.name == "raw":
+            value = asdict(value)
         given[field.name] = value.name if isinstance(value, Path) else value
     return given
 

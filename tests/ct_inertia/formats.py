@@ -203,7 +203,8 @@ def dicom(path, array, series="1", **tags):
 def isq(path, array):
     head = bytearray(1024)
     head[:16] = b"CTDATA-HEADER_V1"
-    head[44:68] = np.array([*array.shape[::-1], 100, 150, 210], "<i4").tobytes()
+    extent = np.rint(SPACING * 1e3 * array.shape[::-1])
+    head[44:68] = np.array([*array.shape[::-1], *extent], "<i4").tobytes()
     head[88:92] = np.array([4096], "<i4").tobytes()
     head[508:512] = np.array([1], "<i4").tobytes()
     path.write_bytes(bytes(head) + array.astype("<i2").tobytes())
@@ -315,7 +316,7 @@ def raw(path, array, big=False, header=0):
     return path
 
 
-def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), **options):
+def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), chunk=4, **options):
     """An image of two levels by the zarr package; ``leading`` names further axes of one entry."""
     import zarr
 
@@ -331,7 +332,7 @@ def ome_zarr(path, array, version="0.4", unit="micrometer", leading=(), **option
     group = zarr.create_group(path, zarr_format=3 if third else 2)
     datasets = []
     for number, level in enumerate((full, full[..., ::2, ::2, ::2])):
-        chunks = tuple(min(4, n) for n in level.shape)
+        chunks = tuple(min(chunk, n) for n in level.shape)
         made = {"chunks": chunks, "dtype": level.dtype, **options}
         if "shards" in made:
             made["shards"] = tuple(-(-n // 4) * 4 if n > 1 else 1 for n in level.shape)
