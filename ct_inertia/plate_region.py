@@ -20,6 +20,7 @@ _RIM_MM = 0.11
 _SURFACE_MM = 0.025
 _MOST_VOXELS = 30_000_000
 _LEAST_DEEP = 300
+_STRAY = 30
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,11 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     scan = sight.scan
     middle = 0.5 * (sight.air + sight.plastic)
     rim = max(1, int(np.ceil(_RIM_MM / float(scan.spacing_mm.mean()))))
-    bone = calmed(scan.grey, scan.noise / (sight.bone - sight.air)) > sight.between
+    box = _crowded(scan.grey > middle, 3 * rim + 4)
+    grey = scan.grey[box]
+    bone = calmed(grey, scan.noise / (sight.bone - sight.air)) > sight.between
     near_bone = ndimage.binary_dilation(bone, iterations=rim)
-    smooth = ndimage.gaussian_filter(scan.grey, 0.7)
+    smooth = ndimage.gaussian_filter(grey, 0.7)
     free = (smooth > middle) & ~near_bone
     labels, count = ndimage.label(ndimage.binary_opening(free))
     if count == 0:
@@ -69,9 +72,24 @@ def find_plate(sight: Sight) -> PlateRegion | None:
         return None
     core = labels == int(np.argmax(sizes)) + 1
     grown = ndimage.binary_dilation(core, mask=(smooth > middle) & ~bone, iterations=rim + 1)
-    plastic = _pure(scan.grey, core, rim, sight.plastic)
-    air = _pure(scan.grey, (smooth < middle) & ~near_bone, rim, sight.air)
-    return PlateRegion(grown, 0.5 * (air + plastic), air, plastic, scan.step)
+    plastic = _pure(grey, core, rim, sight.plastic)
+    air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
+    mask = np.zeros(scan.grey.shape, dtype=bool)
+    mask[box] = grown
+    return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step)
+
+
+def _crowded(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
+    """Return a box (z, y, x) around the layers that hold more of a mask than stray voxels of noise."""
+    flat = np.count_nonzero(mask, axis=0)
+    counts = (np.count_nonzero(mask, axis=(1, 2)), flat.sum(axis=1), flat.sum(axis=0))
+    box = []
+    for count in counts:
+        used = np.flatnonzero(count > _STRAY)
+        if used.size == 0:
+            return tuple(slice(0, n) for n in mask.shape)
+        box.append(slice(max(0, int(used[0]) - margin), int(used[-1]) + margin + 1))
+    return tuple(box)
 
 
 def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess: float) -> float:
@@ -87,27 +105,6 @@ def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess
         return guess
     low, high = np.percentile(deep, (1.0, 99.0))
     return float(deep[(deep >= low) & (deep <= high)].mean())
-
-
-def coarse_to_fine(
-    mask: NDArray[np.bool_], step: NDArray[np.int64], first: NDArray[np.int64], shape: tuple[int, ...]
-) -> NDArray[np.bool_]:
-    """Return a coarse mask on a box of the scan's grid: each voxel takes its nearest coarse one.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, [z, y, x]
-    step, first : ndarray of int, (3,)
-        Voxels per coarse voxel; index of the box's first voxel; x, y, z.
-    shape : tuple of 3 ints
-        Of the box, z, y, x.
-    """
-    index = []
-    for axis in range(3):
-        k = 2 - axis
-        fine = np.arange(shape[axis]) + first[k]
-        index.append(np.clip(np.round((fine - step[k] // 2) / step[k]).astype(int), 0, mask.shape[axis] - 1))
-    return np.asarray(mask[np.ix_(*index)])
 
 
 def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface | None:
