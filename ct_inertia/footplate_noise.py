@@ -13,31 +13,33 @@ Array = NDArray[np.float64]
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
 
 
-def height_noise(diffusion: Diffusion, patch: Patch, normals: Array) -> float:
-    """Estimate the spectral density of the surface's height noise from the surface itself, mm4.
+def height_noise(diffusion: Diffusion, vertices: NDArray[np.intp], normals: Array, grain_mm: float) -> float:
+    """Estimate the spectral density of the surface's height noise from vertices (n,) of it, mm4.
 
     Notes
     -----
-    The mean of the height over an area A has the variance density / A. The density is found from the
-    difference of the heights after one and two steps of diffusion, a band where noise is larger than the
-    curvature of bone, robustly (median absolute deviation) over the face.
+    The mean of the height over an area A has the variance density / A. The density is found from the second
+    difference of the heights after one, two and three steps of diffusion, a band where noise is larger than
+    the curvature of bone, robustly (median absolute deviation) over the face.
     """
-    from scipy.spatial import cKDTree
-
-    points = diffusion.mesh.points
     sigma_mm = diffusion.sigma_mm
-    fine = diffusion.step(points)
-    height = np.einsum("ij,ij->i", fine - diffusion.step(fine), normals)
-    distance, _ = cKDTree(patch.triangles.mean(axis=1)).query(points, distance_upper_bound=sigma_mm)
-    inner = height[np.isfinite(distance)]
+    once = diffusion.step(diffusion.mesh.points)
+    twice = diffusion.step(once)
+    waves = once - 2.0 * twice + diffusion.step(twice)
+    inner = np.einsum("ij,ij->i", waves[vertices], normals[vertices])
     if len(inner) == 0:
         return 0.0
     deviation = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
     k = np.linspace(0.0, 60.0 / sigma_mm, 6001)
     low = step_response(k, sigma_mm)
-    band = low - low**2
+    band = low * (1.0 - low) ** 2 * _kept(k, grain_mm)
     share = float(np.sum(k * band**2) * (k[1] - k[0]) / (2.0 * np.pi))
     return deviation**2 / share
+
+
+def _kept(wave_number: Array, grain_mm: float) -> Array:
+    """Return the share of the amplitude of noise that reaches the surface through its grid and smoothing."""
+    return np.asarray(np.exp(-0.5 * (grain_mm * wave_number) ** 2))
 
 
 def height_covariance(
@@ -74,19 +76,23 @@ def boundary_covariance(
     angle_deg: float,
     sigma_mm: float,
     weight: Callable[[Array], Array],
+    blur_and_grain_mm: tuple[float, float],
 ) -> Array:
     """Return what noise of the normals adds by moving the rim where the face ends, (6, 6), SI.
 
     Notes
     -----
     A normal that errs by e moves the rim by e / curvature. Errors of the normal across the rim have the
-    line density ``density / 2 pi * integral of k^2 H(k)^2``, H the smoothing of the normals.
+    line density ``density / 2 pi * integral of k^2 H(k)^2``, H the smoothing of the normals and the gain by
+    which taking the blur back raises short waves.
     """
     origin, axes = frame
     k = np.linspace(-60.0 / sigma_mm, 60.0 / sigma_mm, 12001)
-    line_density = (
-        density / (2.0 * np.pi) * float(np.sum((k * step_response(k, sigma_mm) ** 2) ** 2) * (k[1] - k[0]))
-    )
+    blur_mm, grain_mm = blur_and_grain_mm
+    low = step_response(k, sigma_mm)
+    lifted = 1.0 + 2.0 * (blur_mm / sigma_mm) ** 2 * (1.0 - low)
+    waves = k * low**2 * lifted * _kept(k, grain_mm)
+    line_density = density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
     middle = (patch.segments.mean(axis=1) - origin) @ axes
     length = np.linalg.norm(patch.segments[:, 1] - patch.segments[:, 0], axis=1)
     curvature = np.maximum(patch.segment_slope / np.sin(np.radians(angle_deg)), 0.2)

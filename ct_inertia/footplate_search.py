@@ -11,7 +11,10 @@ from ct_inertia.surface_field import Mesh
 
 Array = NDArray[np.float64]
 
-_DIRECTIONS = 1200
+_DIRECTIONS = 300
+_FINE_DIRECTIONS = 1200
+_NEAR_DEG = 10.0
+_REFINED = 3
 _CELL = 0.02
 _CONE_DEG = 22.0
 _SLAB = 0.08
@@ -52,21 +55,37 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
     """
     centres, vectors = _pooled(mesh, _CELL * extent_mm)
     areas = np.linalg.norm(vectors, axis=1)
-    normals = vectors / np.maximum(areas[:, None], 1e-30)
-    found = []
+    pieces = (centres, vectors / np.maximum(areas[:, None], 1e-30), areas)
     directions = sphere(_DIRECTIONS)
+    scores = _scores(directions, pieces, extent_mm)
+    free = np.ones(len(directions), dtype=bool)
+    fine = sphere(_FINE_DIRECTIONS)
+    found: list[FaceCandidate] = []
+    while np.any(free):
+        best = int(np.argmax(np.where(free, scores, -1.0)))
+        outward, area = directions[best], float(scores[best])
+        free &= directions @ outward < np.cos(np.radians(_OTHER_DEG))
+        if len(found) < _REFINED:
+            near = fine[fine @ outward > np.cos(np.radians(_NEAR_DEG))]
+            closer = _scores(near, pieces, extent_mm)
+            place = int(np.argmax(closer))
+            if closer[place] > area:
+                outward, area = near[place], float(closer[place])
+        found.append(FaceCandidate(outward, area))
+    return sorted(found, key=lambda face: -face.area_mm2)
+
+
+def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:
+    """Return the area (n,) of the face that each direction (n, 3) sees at the extremity of the body."""
+    centres, normals, areas = pieces
+    cosine, slab = np.cos(np.radians(_CONE_DEG)), _SLAB * extent_mm
     scores = np.zeros(len(directions))
     for number, direction in enumerate(directions):
         height = centres @ direction
         facing = normals @ direction
-        mask = (facing > np.cos(np.radians(_CONE_DEG))) & (height > height.max() - _SLAB * extent_mm)
-        scores[number] = np.sum(areas[mask] * facing[mask])
-    free = np.ones(len(directions), dtype=bool)
-    while np.any(free):
-        best = int(np.argmax(np.where(free, scores, -1.0)))
-        found.append(FaceCandidate(directions[best], float(scores[best])))
-        free &= directions @ directions[best] < np.cos(np.radians(_OTHER_DEG))
-    return found
+        mask = (facing > cosine) & (height > height.max() - slab)
+        scores[number] = areas[mask] @ facing[mask]
+    return scores
 
 
 def _pooled(mesh: Mesh, cell_mm: float) -> tuple[Array, Array]:

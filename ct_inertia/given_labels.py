@@ -13,6 +13,7 @@ from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.cutting import Cut, box_around
 from ct_inertia.distance import capped_distance
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.frame_surface import frame_surface
 from ct_inertia.isosurface import iso_surface, volume_matched
 from ct_inertia.levels import Guess
 from ct_inertia.moments import Moments
@@ -262,6 +263,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     surface, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
+    coarse, blur = frame_surface(measured.share, cut.scan_from_box(volume), measured.sigma_mm)
     every = np.asarray(labels.array)
     plate_all = np.asarray(every == options.plate_label)
     plate_mesh = None
@@ -282,7 +284,8 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         volume=volume,
         labels=LabelledVolume.of_array(labelled.labels, labelled.first_index + offset, volume),
         stapes=surface,
-        frame_surface=surface,
+        frame_surface=coarse,
+        frame_blur_mm=blur,
         plate=plate_mesh,
         moments=moments,
         mesh_moments=surface.moments(),

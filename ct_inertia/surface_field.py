@@ -32,11 +32,17 @@ class Mesh:
 
     def part(self, keep: NDArray[np.bool_]) -> Mesh:
         """Return the faces whose three vertices are kept, with the vertices they use."""
-        faces = self.faces[np.all(keep[self.faces], axis=1)]
-        used = np.unique(faces)
+        return self.with_faces(np.all(keep[self.faces], axis=1))[0]
+
+    def with_faces(self, keep: NDArray[np.bool_]) -> tuple[Mesh, Indices]:
+        """Return some of the faces, with the vertices they use, and which vertices (n,) these are."""
+        faces = self.faces[keep]
+        mask = np.zeros(len(self.points), dtype=bool)
+        mask[faces] = True
+        used = np.flatnonzero(mask)
         place = np.zeros(len(self.points), dtype=np.intp)
         place[used] = np.arange(len(used))
-        return Mesh(self.points[used], place[faces])
+        return Mesh(self.points[used], place[faces]), used
 
 
 def refined(mesh: Mesh, edge_mm: float, most_faces: int = 2_000_000) -> Mesh:
@@ -125,20 +131,27 @@ class Diffusion:
         self._factors = splu(
             matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
-        self.vertex_area_vectors = np.column_stack(
-            [
-                np.bincount(mesh.faces.ravel(), np.repeat(vectors[:, k] / 3.0, 3), minlength=n)
-                for k in range(3)
-            ]
-        )
 
     def step(self, field: Array) -> Array:
         """Diffuse a field (n, k) by one step."""
         return np.asarray(self._factors.solve(self.mass[:, None] * field))
 
-    def normals(self) -> Array:
-        """Return outward normals (n, 3) at the vertices after two steps; not yet of unit length."""
-        return self.step(np.asarray(self._factors.solve(self.vertex_area_vectors)))
+    def normals(self, points: Array | None = None) -> Array:
+        """Return outward normals (n, 3) at the vertices after two steps; not yet of unit length.
+
+        Parameters
+        ----------
+        points : ndarray, (n, 3), optional
+            Vertices a little displaced, where the surface stands but not where its fields are diffused.
+        """
+        mesh = self.mesh if points is None else Mesh(points, self.mesh.faces)
+        vectors = mesh.area_vectors / 3.0
+        flat = mesh.faces.ravel()
+        at_vertices = np.stack(
+            [np.bincount(flat, np.repeat(vectors[:, k], 3), minlength=len(mesh.points)) for k in range(3)],
+            axis=1,
+        )
+        return self.step(np.asarray(self._factors.solve(at_vertices)))
 
 
 def unit(vectors: Array) -> Array:
@@ -159,6 +172,10 @@ class Patch:
     ----------
     triangles : ndarray, (k, 3, 3)
         Corners, mm.
+    areas : ndarray, (k,)
+        Their areas on the mesh that was cut, mm2.
+    vertices : ndarray, (i,)
+        Vertices of the mesh inside it.
     segments : ndarray, (s, 2, 3)
         Pieces of its boundary, mm.
     segment_keys : ndarray, (s, 2)
@@ -168,12 +185,14 @@ class Patch:
     """
 
     triangles: Array
+    areas: Array
+    vertices: Indices
     segments: Array
     segment_keys: Indices
     segment_slope: Array
 
 
-def positive_patch(mesh: Mesh, field: Array, areas: Array) -> Patch | None:
+def positive_patch(mesh: Mesh, field: Array, areas: Array, points: Array | None = None) -> Patch | None:
     """Return the largest connected set of ``field > 0``; None when there is none.
 
     Parameters
@@ -183,48 +202,74 @@ def positive_patch(mesh: Mesh, field: Array, areas: Array) -> Patch | None:
         Linear inside each triangle.
     areas : ndarray, (n,)
         Area of every vertex, mm2: says which set is the largest.
+    points : ndarray, (n, 3), optional
+        Where the vertices stand in the result, when not where the mesh has them.
     """
     inside = _largest_component(mesh, field > 0.0, areas)
     if inside is None:
         return None
     signs = inside[mesh.faces]
     count = np.count_nonzero(signs, axis=1)
-    whole = mesh.points[mesh.faces[count == 3]]
-    triangles, segments, keys, slopes = [whole], [], [], []
+    cut = _Cut(mesh, field)
+    corners, keys, slopes = [mesh.faces[count == 3]], [], []
     for number in (1, 2):
         chosen = count == number
         odd = signs[chosen] if number == 1 else ~signs[chosen]
         turn = (np.argmax(odd, axis=1)[:, None] + np.arange(3)) % 3
         corner = np.take_along_axis(mesh.faces[chosen], turn, axis=1)
-        a, b, c = (mesh.points[corner[:, k]] for k in range(3))
-        fa, fb, fc = (field[corner[:, k]] for k in range(3))
-        ab = _crossing(a, b, fa, fb)
-        ac = _crossing(a, c, fa, fc)
-        if number == 1:
-            triangles.append(np.stack([a, ab, ac], axis=1))
-            segments.append(np.stack([ab, ac], axis=1))
-        else:
-            triangles += [np.stack([ab, b, c], axis=1), np.stack([ab, c, ac], axis=1)]
-            segments.append(np.stack([ac, ab], axis=1))
-        n = len(mesh.points)
-        key_ab = np.minimum(corner[:, 0], corner[:, 1]) * n + np.maximum(corner[:, 0], corner[:, 1])
-        key_ac = np.minimum(corner[:, 0], corner[:, 2]) * n + np.maximum(corner[:, 0], corner[:, 2])
-        keys.append(np.column_stack([key_ab, key_ac] if number == 1 else [key_ac, key_ab]))
-        slopes.append(_gradient_length(a, b, c, fa, fb, fc))
-    return Patch(np.vstack(triangles), np.vstack(segments), np.vstack(keys), np.concatenate(slopes))
+        a, b, c = corner.T
+        ab, ac = cut.crossing(a, b), cut.crossing(a, c)
+        corners += [np.column_stack(t) for t in ([(a, ab, ac)] if number == 1 else [(ab, b, c), (ab, c, ac)])]
+        keys.append(np.column_stack([ab, ac] if number == 1 else [ac, ab]))
+        slopes.append(cut.slope(a, b, c))
+    triangles, segments = np.vstack(corners), np.vstack(keys)
+    seen = cut.points(mesh.points)
+    stands = seen if points is None else cut.points(points)
+    p, q, r = (seen[triangles[:, k]] for k in range(3))
+    return Patch(
+        stands[triangles],
+        0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1),
+        np.flatnonzero(inside),
+        stands[segments],
+        segments,
+        np.concatenate(slopes),
+    )
 
 
-def _crossing(start: Array, end: Array, f_start: Array, f_end: Array) -> Array:
-    difference = f_start - f_end
-    share = np.where(np.abs(difference) > 1e-300, f_start / np.where(difference == 0, 1.0, difference), 0.5)
-    return start + np.clip(share, 0.0, 1.0)[:, None] * (end - start)
+class _Cut:
+    """The points where a field changes sign along edges of a mesh, numbered after its vertices."""
 
+    def __init__(self, mesh: Mesh, field: Array) -> None:
+        self._mesh, self._field = mesh, field
+        n, faces, sign = len(mesh.points), mesh.faces, field > 0.0
+        pairs = [
+            faces[sign[faces[:, k]] != sign[faces[:, (k + 1) % 3]]][:, [k, (k + 1) % 3]] for k in range(3)
+        ]
+        edges = np.sort(np.vstack(pairs), axis=1)
+        self._known = np.unique(edges[:, 0] * n + edges[:, 1])
+        self._low, self._high = self._known // n, self._known % n
+        start, end = self._field[self._low], self._field[self._high]
+        difference = start - end
+        safe = np.where(np.abs(difference) > 1e-300, difference, 1.0)
+        share = np.where(np.abs(difference) > 1e-300, start / safe, 0.5)
+        self._share = np.clip(share, 0.0, 1.0)[:, None]
 
-def _gradient_length(a: Array, b: Array, c: Array, fa: Array, fb: Array, fc: Array) -> Array:
-    normal = np.cross(b - a, c - a)
-    double = np.linalg.norm(normal, axis=1)
-    around = fa[:, None] * (c - b) + fb[:, None] * (a - c) + fc[:, None] * (b - a)
-    return np.asarray(np.linalg.norm(around, axis=1) / np.maximum(double, 1e-12))
+    def crossing(self, a: Indices, b: Indices) -> Indices:
+        """Return the numbers of the points between vertices a (m,) and b (m,)."""
+        key = np.minimum(a, b) * len(self._mesh.points) + np.maximum(a, b)
+        return np.asarray(len(self._mesh.points) + np.searchsorted(self._known, key))
+
+    def points(self, places: Array) -> Array:
+        """Return vertices and crossing points together, where ``places`` (n, 3) has the vertices."""
+        start, end = places[self._low], places[self._high]
+        return np.vstack([places, start + self._share * (end - start)])
+
+    def slope(self, a: Indices, b: Indices, c: Indices) -> Array:
+        """Return the length of the field's gradient in triangles, 1/mm."""
+        f, p = self._field, self._mesh.points
+        around = f[a, None] * (p[c] - p[b]) + f[b, None] * (p[a] - p[c]) + f[c, None] * (p[b] - p[a])
+        double = np.linalg.norm(np.cross(p[b] - p[a], p[c] - p[a]), axis=1)
+        return np.asarray(np.linalg.norm(around, axis=1) / np.maximum(double, 1e-12))
 
 
 def _largest_component(mesh: Mesh, inside: NDArray[np.bool_], areas: Array) -> NDArray[np.bool_] | None:
@@ -233,9 +278,8 @@ def _largest_component(mesh: Mesh, inside: NDArray[np.bool_], areas: Array) -> N
 
     if not np.any(inside):
         return None
-    edges = np.vstack([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
-    edges = edges[inside[edges[:, 0]] & inside[edges[:, 1]]]
-    edges = np.vstack([edges, mesh.faces[:, [2, 0]][np.all(inside[mesh.faces[:, [2, 0]]], axis=1)]])
+    pairs = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    edges = pairs[inside[pairs[:, 0]] & inside[pairs[:, 1]]].astype(np.int32)
     n = len(mesh.points)
     graph = csr_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
     _, label = connected_components(graph, directed=False)

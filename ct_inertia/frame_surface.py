@@ -1,0 +1,88 @@
+"""The surface that the footplate frame is found on: the half level of the share of bone, coarse."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.isosurface import iso_surface
+from ct_inertia.surface import Surface
+
+Array = NDArray[np.float64]
+
+_GRID_MM = 0.05
+_SMOOTH_VOXELS = 0.7
+_LEAST_SHARE = 0.02
+
+
+def frame_surface(
+    share: NDArray[np.float32], scan_from_index: Array, sigma_mm: float
+) -> tuple[Surface, float]:
+    """Return the half level of a body's share of bone, and the blur with which it is seen, mm.
+
+    Parameters
+    ----------
+    share : ndarray of float32, [z, y, x]
+        1 inside the body, 0 outside, blurred.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+    sigma_mm : float
+        Standard deviation of the blur of the share, its voxels included.
+
+    Notes
+    -----
+    Grey values are averaged over blocks of at most 0.05 mm, or smoothed by 0.7 voxels where a voxel is
+    coarser than half of that; both widen the blur by what is known. The quantile of the normal
+    distribution makes a blurred edge a straight line along its normal, so that linear interpolation
+    between the coarse voxels meets the half level exactly.
+    """
+    from scipy.special import ndtri
+
+    spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
+    block = np.maximum(np.floor(_GRID_MM / spacing + 1e-6), 1.0).astype(np.int64)
+    first, part = _around(share, block)
+    if np.any(block > 1):
+        part = _block_means(part, block)
+        variance = spacing**2 * (block**2 - 1.0) / 12.0
+    else:
+        from scipy.ndimage import gaussian_filter
+
+        part = gaussian_filter(part, _SMOOTH_VOXELS, truncate=3.0)
+        variance = (_SMOOTH_VOXELS * spacing) ** 2
+    edge = (part > _LEAST_SHARE) & (part < 1.0 - _LEAST_SHARE)
+    limit = float(ndtri(_LEAST_SHARE))
+    steep = np.where(part > 0.5, np.float32(-limit), np.float32(limit))
+    steep[edge] = ndtri(part[edge])
+    transform = np.array(scan_from_index, dtype=float)
+    transform[:3, :3] = scan_from_index[:3, :3] * block
+    transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))
+    surface = iso_surface(steep, 0.0, transform)
+    return surface, float(np.sqrt(sigma_mm**2 + variance.mean()))
+
+
+def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:
+    """Return what holds more than a tenth of bone with air around, in whole blocks, and its first index."""
+    inside = share > 0.1
+    first, box, missing = [], [], []
+    for axis in range(3):
+        size = int(block[2 - axis])
+        place = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
+        low = max(int(place[0]) - 2 * size, 0) if len(place) else 0
+        count = -(-((int(place[-1]) if len(place) else 0) + 1 + 2 * size - low) // size)
+        first.append(low)
+        box.append(slice(low, low + count * size))
+        missing.append((0, max(low + count * size - share.shape[axis], 0)))
+    part = share[tuple(box)]
+    if any(after for _, after in missing):
+        part = np.pad(part, missing)
+    return np.array(first[::-1], dtype=float), part
+
+
+def _block_means(part: NDArray[np.float32], block: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return means over blocks of x, y, z voxels, axis after axis."""
+    for axis in range(3):
+        size = int(block[2 - axis])
+        if size > 1:
+            shape = (*part.shape[:axis], part.shape[axis] // size, size, *part.shape[axis + 1 :])
+            part = part.reshape(shape).mean(axis=axis + 1, dtype=np.float32)
+    return part
