@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FINE = 2
-_ROUNDS = 14
+_ROUNDS, _SHAPE_ROUNDS = 14, 3
 _SETTLED = 1e-4
 _INNER = 0.8
 _SHAPE_STEP = 0.7
@@ -19,7 +19,6 @@ _PAD = 4
 _PIECE = 30_000
 _SOFT = 0.25
 _CALM_PER_NOISE, _MOST_CALM = 8.0, 1.2
-_SETTLED_SHAPE = 0.02
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def fit_bodies(
     calm = _calmed(data, noise / contrast)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
-    rounds = _ROUNDS if fit_contrast else _ROUNDS // 2
+    rounds = _ROUNDS if fit_contrast else _SHAPE_ROUNDS
     for k in range(rounds):
         share = data / np.float32(contrast)
         body = body_share(calm / np.float32(contrast), level, own)
@@ -104,8 +103,6 @@ def fit_bodies(
         shift = gaussian_filter(rest * near, width, truncate=3.0) / np.maximum(weight, 1e-3)
         level = np.clip(level - np.float32(_SHAPE_STEP) * shift, _LOW, _HIGH).astype(np.float32)
         if not fit_contrast:
-            if k > 0 and float(np.sqrt(np.mean(shift[near > 0.0] ** 2))) < _SETTLED_SHAPE:
-                break
             continue
         inner = own & (model > _INNER)
         if np.count_nonzero(inner) < 50:

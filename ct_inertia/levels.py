@@ -131,7 +131,10 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     means = np.bincount(octant, values, minlength=8)[count > 200] / count[count > 200]
     correlation = _correlation(around.grey, shell, index, level, noise)
     random = noise * np.sqrt(correlation / values.size)
-    scatter = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 2 else noise / 10.0
+    scatter = noise / 10.0
+    if len(means) > 2:
+        weight = count[count > 200] / count[count > 200].sum()
+        scatter = float(np.sqrt(weight @ (means - weight @ means) ** 2 / (len(means) - 1.0)))
     sd = max(scatter, random)
     ones = values if around.single is None else around.single[shell].astype(np.float32)
     lowest = float(ones.min())

@@ -94,8 +94,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     share = _share(cut, parted, air, bone, blur[:2])
     moments = partial_volume_moments(share, volume.scan_from_index)
     if np.any(bone.slope):
-        middle = volume.index_points(moments.centroid_mm) - cut.first
-        bone = bone.moved_to(middle * spacing)
+        bone = bone.moved_to(_unweighted_centre(moments, bone, air.level, volume, cut))
         share = replace(share, bone=bone.level)
         moments = partial_volume_moments(share, volume.scan_from_index)
         moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
@@ -130,6 +129,17 @@ def _unclipped(
     body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
     expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
     return np.where(known, unclipped(cut.grey, own, air, expected), first)
+
+
+def _unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume, cut: Cut) -> Array:
+    """Return the centroid (3,), from the box's first voxel along its axes, as if bone were uniform.
+
+    A weight 1 + b . (r - c) moves the centroid by S b / V and has the mean 1 over the body: the level at c is
+    that of the body as a whole.
+    """
+    slope = volume.direction @ bone.slope / (bone.level - air)
+    centre = moments.centroid_mm - moments.second_mm5 @ slope / moments.volume_mm3
+    return np.asarray((volume.index_points(centre) - cut.first) * volume.spacing_mm)
 
 
 def _by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:

@@ -6,13 +6,24 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.footplate_face import without_blur
 from ct_inertia.partial_volume import as_vector
 from ct_inertia.read import read_volume
 from ct_inertia.search import SearchOptions
 from ct_inertia.segmentation import find_bodies
+from ct_inertia.surface import enclosed_volume
+from ct_inertia.surface_field import Diffusion, Mesh
 from ct_inertia.volume import Volume
 
 from .ears import AIR, BONE, ear, errors
+
+
+def unblurred_volume(bodies):
+    """Volume (mm3) of the frame surface, its shrinkage by the blur added: blur^2 times the mean curvature."""
+    surface = bodies.frame_surface
+    mesh = Mesh(surface.vertices_mm, surface.faces)
+    points = without_blur(Diffusion(mesh, 0.05), bodies.frame_blur_mm)
+    return enclosed_volume(points, surface.faces)
 
 
 def codes(bodies):
@@ -28,7 +39,7 @@ def test_a_stapes_in_air_within_a_tenth_of_a_percent():
     assert inertia < 2e-3
     assert bodies.stapes.euler_characteristic == 0
     assert bodies.stapes.volume_mm3 == pytest.approx(bodies.moments.volume_mm3, rel=1e-4)
-    assert bodies.frame_surface.volume_mm3 == pytest.approx(bodies.moments.volume_mm3, rel=1e-4)
+    assert unblurred_volume(bodies) == pytest.approx(bodies.moments.volume_mm3, rel=4e-3)
     assert bodies.plate is None
     assert bodies.psf_sigma_mm == pytest.approx(1.2 * 0.03, rel=0.05)
     assert bodies.levels.air == pytest.approx(AIR, abs=0.002 * (BONE - AIR))
@@ -258,11 +269,10 @@ def test_loud_noise_leaves_the_body_whole():
     scan = ear(h=0.05, noise=0.15, rays=4)
     bodies = find_bodies(scan.volume)
     assert bodies.stapes.euler_characteristic == 0
-    # the volume is 1.0 to 1.3 % high there: the stated uncertainty must say that such a scan tells no more
     error = errors(bodies.moments, scan.stapes)[0]
     stated = sum(part[0, 0] for part in bodies.moments.contributions.values()) ** 0.5
     assert abs(error) < 1.5 * stated / bodies.moments.volume_mm3
-    assert abs(error) < 1.5e-2
+    assert abs(error) < 6e-3
     assert bodies.evidence["stapes"]["holes"] == 1
 
 
