@@ -1,0 +1,42 @@
+"""What a person sees of long work: one live line on a terminal, nothing anywhere else."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Tell = Callable[[str], None]
+_CLEAR = "\r\x1b[2K"
+
+
+def untold(_stage: str) -> None:
+    """Tell nobody."""
+
+
+@contextmanager
+def told_on_terminal(shown: bool) -> Iterator[Tell]:
+    """Lend a function that shows the stage at work, and the time since the start, on standard error.
+
+    The line is wiped when the block ends, however it ends.
+
+    Parameters
+    ----------
+    shown : bool
+        False: nothing is shown, as when standard error is no terminal.
+    """
+    if not shown or not sys.stderr.isatty():
+        yield untold
+        return
+    start = time.perf_counter()
+
+    def tell(stage: str) -> None:
+        sys.stderr.write(f"{_CLEAR}{time.perf_counter() - start:5.1f} s  {stage} ...")
+        sys.stderr.flush()
+
+    try:
+        yield tell
+    finally:
+        sys.stderr.write(_CLEAR)
+        sys.stderr.flush()
