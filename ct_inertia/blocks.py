@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import product
+from threading import Lock
 from typing import Any, cast
 
 import numpy as np
@@ -14,6 +17,39 @@ from numpy.typing import NDArray
 Key = tuple[slice, slice, slice]
 ReadBlock = Callable[[int, int, int], NDArray[Any]]
 _LAYER_BYTES = 64 << 20
+_KEPT_BYTES = 64 << 20
+
+
+class _Kept:
+    """The blocks unpacked last, up to a number of bytes."""
+
+    def __init__(self, read: ReadBlock) -> None:
+        self.read, self._lock, self._bytes = read, Lock(), 0
+        self._blocks: OrderedDict[tuple[int, int, int], NDArray[Any]] = OrderedDict()
+
+    def __call__(self, z: int, y: int, x: int) -> NDArray[Any]:
+        with self._lock:
+            found = self._blocks.get((z, y, x))
+        if found is not None:
+            return found
+        block = self.read(z, y, x)
+        if block.nbytes > _KEPT_BYTES or isinstance(block, np.memmap):
+            return block
+        with self._lock:
+            if (z, y, x) not in self._blocks:
+                self._blocks[z, y, x] = block
+                self._bytes += block.nbytes
+            while self._bytes > _KEPT_BYTES:
+                self._bytes -= self._blocks.popitem(last=False)[1].nbytes
+        return block
+
+
+@dataclass(frozen=True)
+class Level:
+    """The picture at a coarser resolution: voxels of the fine one per voxel along z, y, x, and the array."""
+
+    factors: tuple[int, int, int]
+    array: BlockArray
 
 
 class BlockArray:
@@ -35,8 +71,8 @@ class BlockArray:
     Notes
     -----
     ``levels`` holds the same picture at coarser resolutions, finest first, where the file has them. Only
-    the blocks that an index touches are read, and nothing is kept: memory is that of the result and
-    of one block for each processor.
+    the blocks that an index touches are read; those of a slab thinner than its blocks are kept, up to
+    64 MiB.
     """
 
     ndim = 3
@@ -52,9 +88,9 @@ class BlockArray:
         self.dtype = np.dtype(dtype)
         self._stored = tuple(int(n) for n in shape)
         self._block = tuple(int(n) for n in block)
-        self._read = read
+        self._read = read if isinstance(read, _Kept) else _Kept(read)
         self._ranges = ranges or tuple(range(n) for n in self._stored)
-        self.levels: tuple[BlockArray, ...] = ()
+        self.levels: tuple[Level, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -115,12 +151,16 @@ class BlockArray:
 
     def _gathered(self) -> NDArray[Any]:
         out = np.empty(self.shape, dtype=self.dtype.newbyteorder("="))
+        # Only a slab thinner than its blocks is likely to be followed by the next one in the same blocks.
+        planes = self._ranges[0]
+        thin = len(planes) > 0 and abs(planes[-1] - planes[0]) + 1 < self._block[0]
+        read = self._read if thin else self._read.read
         touched = [_touched(r, n) for r, n in zip(self._ranges, self._block, strict=True)]
         tasks = list(product(*touched))
 
         def fill(task: tuple[_Touch, ...]) -> None:
             (bz, oz, iz), (by, oy, iy), (bx, ox, ix) = task
-            out[oz, oy, ox] = self._read(bz, by, bx)[iz, iy, ix]
+            out[oz, oy, ox] = read(bz, by, bx)[iz, iy, ix]
 
         workers = min(len(tasks), os.cpu_count() or 1)
         if workers > 1:
@@ -152,6 +192,27 @@ def _touched(wanted: range, block: int) -> list[_Touch]:
         chosen = slice(low, None if stop < 0 else stop, wanted.step)
         found.append((int(numbers[a]), slice(a, b), chosen))
     return found
+
+
+def sampled(array: NDArray[Any], steps: tuple[int, int, int]) -> tuple[NDArray[Any], bool]:
+    """Return every n-th voxel along z, y, x, and whether they come from a coarser level of the picture.
+
+    The first is the one in the middle of its step. From a coarser level the voxel around it is taken.
+    """
+    fit = [
+        level
+        for level in getattr(array, "levels", ())
+        if all(f <= s for f, s in zip(level.factors, steps, strict=True))
+    ]
+    if not fit:
+        z, y, x = (slice(s // 2, None, s) for s in steps)
+        return np.asarray(array[z, y, x]), False
+    level = max(fit, key=lambda found: int(np.prod(found.factors)))
+    places = [
+        np.minimum(np.arange(s // 2, n, s) // f, m - 1)
+        for s, n, f, m in zip(steps, array.shape, level.factors, level.array.shape, strict=True)
+    ]
+    return np.asarray(level.array)[np.ix_(*places)], True
 
 
 def part_of(array: NDArray[Any], key: Key) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray
+from ct_inertia.blocks import BlockArray, Level
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, settle_spacing
 from ct_inertia.readers.grid import check_dimensions
@@ -168,17 +168,27 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
     return BlockArray([array.shape[k] for k in order], array.dtype, [array.chunks[k] for k in order], block)
 
 
-def _levels(
-    where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...]
-) -> list[BlockArray]:
-    """Return the coarser levels that are whole: each smaller than the one before along some axis."""
-    found: list[BlockArray] = []
+def _levels(where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...]) -> list[Level]:
+    """Return the coarser levels that are whole and whose voxels are whole numbers of voxels of the finest."""
+    fine = _scale(scales["datasets"][0], len(axes))
+    found = []
     for level in scales["datasets"][1:]:
         try:
             array = zarr_array(where / str(level["path"]))
             coarse = _spatial(array, axes, folder)
         except (CtInertiaError, KeyError):
             continue
-        if all(c <= n for c, n in zip(coarse.shape, shape, strict=True)) and array.missing()[0] == 0:
-            found.append(coarse)
+        ratio = _scale(level, len(axes)) / fine
+        factors = [int(np.rint(ratio[axes.index(axis)])) for axis in _SPACE]
+        sizes = [-(-n // f) if f > 0 else 0 for n, f in zip(shape, factors, strict=True)]
+        near = all(abs(c - n) <= 1 for c, n in zip(coarse.shape, sizes, strict=True))
+        if near and np.max(np.abs(ratio - np.rint(ratio))) < 0.01 and array.missing()[0] == 0:
+            found.append(Level((factors[0], factors[1], factors[2]), coarse))
     return found
+
+
+def _scale(level: Meta, count: int) -> Array:
+    for transform in level.get("coordinateTransformations", []):
+        if transform.get("type") == "scale" and len(transform["scale"]) == count:
+            return np.array(transform["scale"], dtype=float)
+    return np.full(count, np.nan)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.blocks import BlockArray
+from ct_inertia.blocks import BlockArray, sampled
 from ct_inertia.read import read_labels, read_volume
 from ct_inertia.readers.raw import RawLayout
 from tests.ct_inertia import formats as f
@@ -187,8 +187,7 @@ def test_a_large_volume_is_looked_at_without_holding_it(tmp_path, name, write, o
     array = np.zeros((50, 1000, 1000), np.uint16)
     array[::50] = np.arange(1000)
     if name == "a.zarr":
-        array = array.reshape(50, 1000, 1000)
-        path = f.zarr_single(tmp_path / name, array, (25, 250, 250))
+        path = f.zarr_single(tmp_path / name, array, (10, 250, 250))
     else:
         path = write(tmp_path / name, array, **options)
     done = subprocess.run(
@@ -255,3 +254,31 @@ def test_real_folder_of_slices():
     volume = read_volume(SHARED / "lhdl_bone", 0.0195)
     assert volume.array.shape == (200, 200, 200)
     assert np.mean(np.asarray(volume.array) > 63) == pytest.approx(0.228, abs=0.001)
+
+
+def test_a_coarse_look_takes_the_level_that_fits(tmp_path):
+    array = np.arange(24**3, dtype=np.uint16).reshape(24, 24, 24)
+    path = f.ome_zarr(tmp_path / "a.zarr", array)
+    voxels = read_volume(path).array
+    for steps, averaged in (((3, 2, 5), True), ((1, 4, 4), False), ((4, 4, 4), True)):
+        part, coarser = sampled(voxels, steps)
+        fine = array[tuple(slice(s // 2, None, s) for s in steps)]
+        assert coarser is averaged
+        assert part.shape == fine.shape
+        # The level holds every second voxel: the one asked for or its neighbour before it.
+        away = fine.astype(int) - part
+        assert np.all(np.isin(away, [a * 576 + b * 24 + c for a in (0, 1) for b in (0, 1) for c in (0, 1)]))
+        assert averaged or np.all(away == 0)
+
+
+def test_thin_slabs_unpack_a_block_once():
+    reads = []
+
+    def read(z, y, x):
+        reads.append((z, y, x))
+        return np.zeros((8, 4, 4), np.uint8)
+
+    blocks = BlockArray((16, 4, 8), np.dtype("u1"), (8, 4, 4), read)
+    for z in range(16):
+        assert blocks[z : z + 1].shape == (1, 4, 8)
+    assert sorted(reads) == [(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1)]
