@@ -17,8 +17,10 @@ from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
 
-# Planes further apart than this many widths of the blur share less than 1e-4 of a width.
-_CLOSE_SIGMAS = 7.0
+# Bodies further apart than this many widths of the blur exchange less than 1e-4 of a stapes.
+_NEAR_SIGMAS = 3.2
+# Where they are nearer, planes up to this far apart are modelled: they share less than 0.005 of a width.
+_CLOSE_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,9 @@ def part_from_neighbours(
     markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
     basins = flooded(cut.grey, markers, (reach & near) | (markers > 0))
     own = reach & (~near | (basins == 1))
-    close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
-    if not np.any(close):
+    if not np.any(cut.stapes & (away < _NEAR_SIGMAS * sigma_mm)):
         return Parted(own)
+    close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
     return _modelled(cut, own, reach, close, reach_mm, spacing_mm, levels, sigma_mm)
 
 
