@@ -31,22 +31,14 @@ def marching_cubes(grey: Any, spacing: float, level: float) -> Found:
 
 def vtk_flying_edges(grey: Any, spacing: float, level: float) -> Found:
     """Mesh by VTK's flying edges, volume by vtkMassProperties, centre and inertia by trimesh."""
-    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
-    from vtkmodules.vtkCommonCore import vtkPoints
-    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+    import pyvista as pv
     from vtkmodules.vtkFiltersCore import vtkMassProperties
 
     points, faces = common.flying_edges(grey.astype(np.float32), spacing, level + 0.25)
-    _, centre, second = _of_mesh(points, faces)
     body = largest_piece(points, faces)
-    surface, places, cells = vtkPolyData(), vtkPoints(), vtkCellArray()
-    places.SetData(numpy_to_vtk(np.ascontiguousarray(body.vertices)))
-    corners = np.column_stack([np.full(len(body.faces), 3), body.faces]).astype(np.int64).ravel()
-    cells.SetCells(len(body.faces), numpy_to_vtkIdTypeArray(corners))
-    surface.SetPoints(places)
-    surface.SetPolys(cells)
+    _, centre, second = _of_mesh(points, faces)
     properties = vtkMassProperties()
-    properties.SetInputData(surface)
+    properties.SetInputData(pv.PolyData.from_regular_faces(body.vertices, body.faces))
     return properties.GetVolume(), centre, second
 
 

@@ -41,6 +41,8 @@ def main(scan: Path, folder: Path, level: float) -> None:
     vertices, faces, _, _ = marching_cubes(grey, level + 0.25, spacing=(spacing,) * 3)
     start = np.array([s.start for s in box]) * spacing
     mesh = trimesh.Trimesh((vertices + start)[:, ::-1], faces[:, ::-1], process=False)
+    if mesh.volume < 0.0:
+        mesh.invert()
     mesh.export(folder / "stapes.ply")
     common.write_labels(folder, part == stapes, box, spacing)
 
