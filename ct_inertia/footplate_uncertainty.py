@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 _RIM_DEG_PER_MM = 55.0
 _SEEN_RIM_DEG_PER_MM = 30.0
-_LEFT_UM, _LEFT_UM_MM2, _LEFT_ASIDE_UM = 0.5, 300.0, 0.3
+_LEFT_UM, _LEFT_UM_MM2, _LEFT_ASIDE_UM = 0.25, 250.0, 0.3
 _LEFT_RAD_MM, _LEFT_RAD_MM2 = 0.009, 0.25
 _BLUR_SHIFT_1_MM = 2.9
 _BLUR_TILT_RAD_MM2 = 0.84
@@ -67,8 +67,8 @@ def _remaining_blur(blur_mm: float) -> Array:
 
     Notes
     -----
-    What was found on phantoms of the real stapes and of an analytic one, 16 to 40 um. Along y: about 0.5 um,
-    and 300 um times the square of the blur in mm, as the next order in blur over radius asks; along x and
+    What was found on phantoms of the real stapes and of an analytic one, 16 to 40 um. Along y: about 0.25 um,
+    and 250 um times the square of the blur in mm, as the next order in blur over radius asks; along x and
     z 0.3 um from where the voxels lie; tilts and the turn about y with the blur and with its square.
     """
     square = blur_mm**2

@@ -1,0 +1,85 @@
+"""The surface for the footplate frame: a blurred ball in closed form, and taking the blur back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from ct_inertia.anatomy import AnatomyHints
+from ct_inertia.footplate import footplate_frame
+from ct_inertia.footplate_face import without_blur
+from ct_inertia.frame_surface import frame_surface
+from ct_inertia.surface import enclosed_volume
+from ct_inertia.surface_field import Diffusion, Mesh
+from kinematics.frames import vector_from_rotation
+from sample_volumes import phantom
+
+RADIUS = 0.5
+
+
+def blurred_ball(sigma, voxel, shift=(0.013, -0.004, 0.007)):
+    """Share (z, y, x) of a ball under a Gaussian blur, in closed form, and its grid (4, 4)."""
+    count = int(np.ceil((RADIUS + 5.0 * sigma) / voxel))
+    ticks = voxel * np.arange(-count, count + 1)
+    z, y, x = np.meshgrid(ticks, ticks, ticks, indexing="ij")
+    r = np.sqrt((x - shift[0]) ** 2 + (y - shift[1]) ** 2 + (z - shift[2]) ** 2) + 1e-9
+    near, far = (RADIUS - r) / sigma, (RADIUS + r) / sigma
+    share = 0.5 * (erf(near / np.sqrt(2.0)) + erf(far / np.sqrt(2.0)))
+    share -= sigma / (r * np.sqrt(2.0 * np.pi)) * (np.exp(-0.5 * near**2) - np.exp(-0.5 * far**2))
+    grid = np.diag([voxel, voxel, voxel, 1.0])
+    grid[:3, 3] = -count * voxel - np.array(shift)
+    return share.astype(np.float32), grid
+
+
+def radius(vertices, faces):
+    """Radius of the ball that holds as much as a surface."""
+    return (enclosed_volume(vertices, faces) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0)
+
+
+@pytest.mark.parametrize(("voxel", "sigma"), [(0.02, 0.024), (0.04, 0.05), (0.0125, 0.02)])
+def test_a_blurred_ball_shrinks_and_is_put_back(voxel, sigma):
+    surface, blur = frame_surface(*blurred_ball(sigma, voxel), sigma)
+    shrunk = blur**2 / RADIUS
+    assert blur > sigma
+    assert RADIUS - radius(surface.vertices_mm, surface.faces) == pytest.approx(shrunk, rel=0.05)
+    back = without_blur(Diffusion(Mesh(surface.vertices_mm, surface.faces), 0.05), blur)
+    assert abs(RADIUS - radius(back, surface.faces)) < 0.05 * shrunk
+
+
+def test_what_the_curvature_leaves_is_of_fourth_order_in_the_blur():
+    """A ball's half level stands at R - s^2 / R - 2 s^4 / (3 R^3) + O(s^6), by series of its closed form."""
+    for sigma in (0.08, 0.11):
+        surface, blur = frame_surface(*blurred_ball(sigma, 0.03), sigma)
+        shrunk = RADIUS - radius(surface.vertices_mm, surface.faces)
+        left = (shrunk - blur**2 / RADIUS) / (blur**4 / RADIUS**3)
+        assert left == pytest.approx(2.0 / 3.0, rel=0.3)
+
+
+def test_a_plane_between_the_voxels_is_met_everywhere():
+    voxel, sigma = 0.02, 0.024
+    for offset in (0.0, 0.003, 0.01, 0.017):
+        z = voxel * np.arange(40) - 0.4
+        share = np.zeros((40, 30, 30), dtype=np.float32)
+        share[...] = (0.5 * (1.0 - erf((z - offset) / (sigma * np.sqrt(2.0)))))[:, None, None]
+        surface, _ = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), sigma)
+        top = surface.vertices_mm[surface.vertices_mm[:, 2] > 0.3, 2] - 0.4
+        assert np.median(top) == pytest.approx(offset, abs=3e-4)
+
+
+@pytest.mark.parametrize(("voxel", "height_um"), [(0.03, 1.5), (0.04, 2.5)])
+def test_the_face_of_the_real_stapes_keeps_its_height(voxel, height_um):
+    ear = phantom.Ear(voxel_mm=(voxel,) * 3, plate=False, bone=False, pose_seed=7, noise_seed=7)
+    placed = phantom.scene(replace(ear, tilt_deg=80.0))
+    share = (phantom.render(placed).astype(np.float32) - ear.levels[0]) / (ear.levels[2] - ear.levels[0])
+    surface, blur = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), voxel * np.sqrt(1.44 + 1 / 12))
+    truth = placed.scan_from_footplate
+    frame = footplate_frame(surface, AnatomyHints(anterior=truth.rotation[:, 0]), blur)
+    between = truth.inverse() @ frame.scan_from_footplate
+    assert abs(between.translation_mm[1]) < 1e-3 * height_um
+    assert np.linalg.norm(between.translation_mm) < 0.006
+    assert np.degrees(np.linalg.norm(vector_from_rotation(between.rotation))) < 0.3
+    error = np.concatenate([1e-3 * between.translation_mm, vector_from_rotation(between.rotation)])
+    assert np.all(np.abs(error) < 3.0 * np.sqrt(np.diag(frame.covariance)))
