@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from threading import Lock
@@ -164,6 +163,8 @@ class BlockArray:
 
         workers = min(len(tasks), os.cpu_count() or 1)
         if workers > 1:
+            from concurrent.futures import ThreadPoolExecutor
+
             with ThreadPoolExecutor(workers) as pool:
                 for _ in pool.map(fill, tasks):
                     pass

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -210,6 +208,9 @@ def _filled(stream: BinaryIO, packing: str, skip: int, room: memoryview) -> int:
     """Unpack a stream into a buffer and return the number of bytes that came."""
     if packing == "zlib":
         return _inflated(stream, room)
+    import bz2
+    import gzip
+
     source: Any = bz2.BZ2File(stream) if packing == "bzip2" else gzip.GzipFile(fileobj=stream)
     source.read(skip)
     filled = 0

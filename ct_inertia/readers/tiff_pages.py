@@ -31,12 +31,14 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     _check_kind(series, page, path)
     kept = tuple(n for n in series.shape if n > 1)
     dtype = np.dtype(tif.byteorder + series.dtype.char)
-    files = _files(series, path)
-    size = sum(file.stat().st_size for file in set(files))
     packed = page.compression.name != "NONE" or dtype.kind == "b" or page.bitspersample < 8
+    # The offset is told where all pages lie in one piece; it spares looking at each of them.
+    start = None if packed else series.dataoffset
+    files = [path] if start is not None else _files(series, path)
+    size = sum(file.stat().st_size for file in set(files))
     check_size(kept, dtype, size, packed, path.name, held=False)
-    if series.dataoffset is not None and not packed:
-        return mapped(path, dtype, series.dataoffset, kept, path.name)
+    if start is not None:
+        return mapped(path, dtype, start, kept, path.name)
     _check_pages(series, files, path)
     return _planes(series, page, files, kept, dtype)
 
