@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from kinematics.command import Outcome, Parser, numbers, run, value_with_sd
 from kinematics.errors import StapeskitError, sentence
+from kinematics.memory import hold_little_memory
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
     from ct_inertia.readers.raw import RawLayout
+    from kinematics.provenance import Hashes
 
 _DESCRIPTION = """Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
 
@@ -26,7 +28,18 @@ examples:
   ct2mass scan.tif --density 1900+-60 --anterior -0.9,0.1,0 --side left
   ct2mass scan.tif --spacing 0.018 --mass-mg 3.1+-0.05
   ct2mass --labels corrected.seg.nrrd --density 1900
-  ct2mass stapes.stl --density 1900"""
+  ct2mass stapes.stl --density 1900
+  ct2mass scan.tif --mass-mg 3.1+-0.05 --calibration phantom.toml --density 1900   (compared; the mass leads)
+  ct2mass scan.tif --density 1900 --export mjcf,urdf,abaqus,mat --faces 20000
+
+FILE.toml of --calibration holds two or more points, air and a known material, or the inserts of a
+hydroxyapatite phantom with the line from mineral to bone density:
+  points = [[2000, 0], [20000, 1900]]                                  # grey value, kg/m3
+or
+  points_mg_ha_cm3 = [[3100, 0], [9800, 400], [16400, 800]]            # grey value, mg HA/cm3
+  kg_m3_at_zero = 1000                                                 # density of bone without mineral
+  kg_m3_per_mg_ha_cm3 = 0.75
+and, if known, sd_kg_m3 = 30, the standard deviation of a density read off the line."""
 
 _ENDINGS = (".nii.gz", ".seg.nrrd", ".ome.tiff", ".ome.tif", ".ome.zarr")
 
@@ -35,7 +48,9 @@ def parser() -> Parser:
     """Return the parser of the command's options."""
     made = Parser("ct2mass", _DESCRIPTION, _EPILOG)
     made.add_argument("scan", nargs="?", type=Path, metavar="SCAN", help="volume, folder of slices, or mesh")
-    mass = made.add_argument_group("mass (one of these)")
+    mass = made.add_argument_group(
+        "mass (at least one; a measured mass leads, then a calibration, then a density)"
+    )
     mass.add_argument("--density", type=value_with_sd, metavar="RHO[+-SD]", help="density of the bone, kg/m3")
     mass.add_argument(
         "--mass-mg", type=value_with_sd, metavar="M[+-SD]", help="mass of the bone from a balance, mg"
@@ -105,9 +120,26 @@ def parser() -> Parser:
     output = made.add_argument_group("output")
     output.add_argument("--out", type=Path, metavar="DIR", help="default <scan name>_mass")
     output.add_argument("--no-report", action="store_true", help="do not write report.html")
+    output.add_argument(
+        "--export",
+        type=_formats,
+        metavar="LIST|all",
+        default=(),
+        help="stl, obj (mm, scan axes), glb (m, footplate axes), mjcf (MuJoCo), urdf, abaqus, mat",
+    )
+    output.add_argument(
+        "--smooth", type=int, metavar="N", help="steps of smoothing of the surface shown and exported"
+    )
+    output.add_argument("--faces", type=int, metavar="N", help="triangles of the surface shown and exported")
     output.add_argument("--sha256", action="store_true", help="hash the inputs with SHA-256")
     made.add_config()
     return made
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    from ct_inertia.exports import parse_formats
+
+    return parse_formats(text)
 
 
 def _spacing(text: str) -> tuple[float, ...]:
@@ -226,30 +258,62 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     """Parse, compute, write, and return the outcome."""
     given = parser().parse(arguments)
     options = options_from(given)
+    if given.smooth is not None or given.faces is not None:
+        from ct_inertia.display import check_request
+
+        check_request(given.smooth, given.faces)
     from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.mass_json import mass_json, write_outputs
-    from kinematics.output import staged
+    from ct_inertia.progress import told_on_terminal
     from kinematics.provenance import Hashes
 
     folder = output_folder(given)
     hashes = Hashes(options.inputs.values(), given.sha256)
-    result = ct2mass(options)
-    content = mass_json(result, given.sha256, hashes, second=not given.no_report)
-    with staged(folder) as stage:
-        if not given.no_report:
-            from ct_inertia.report import write_report
-
-            content = write_report(stage / "report.html", result, content)
-        names = write_outputs(result, stage, content)
-    if not given.no_report:
-        names.append("report.html")
-    files = [folder / name for name in names]
+    with told_on_terminal(not given.quiet and not given.json) as progress:
+        result = ct2mass(options, progress)
+        progress("writing")
+        files, content = _write(given, folder, result, hashes)
     return given, Outcome(
-        f"ct2mass: {options.scan or options.labels}", _rows(result), result.notices, files, content
+        f"ct2mass: {options.scan or options.labels}", _rows(result, content), result.notices, files, content
     )
 
 
-def _rows(result: MassResult) -> Sequence[tuple[str, str]]:
+def _write(
+    given: argparse.Namespace, folder: Path, result: MassResult, hashes: Hashes
+) -> tuple[list[Path], dict[str, Any]]:
+    """Write every output; return their paths and the content of mass.json."""
+    from ct_inertia.mass_json import mass_json, write_outputs
+    from kinematics.output import staged
+
+    content = mass_json(result, given.sha256, hashes, second=not given.no_report)
+    shown = None
+    if given.smooth is not None or given.faces is not None:
+        from ct_inertia.display import display_mesh
+
+        mesh = display_mesh(result.stapes, given.smooth, given.faces)
+        content["display_mesh"] = mesh.as_json()
+        shown = mesh.surface
+    with staged(folder) as stage:
+        names = []
+        if shown is not None:
+            from ct_inertia.surface import write_surface
+
+            write_surface(stage / "stapes_display.ply", shown)
+            names.append("stapes_display.ply")
+        if given.export:
+            from ct_inertia.exports import export, units_of
+
+            content["exports"] = units_of(given.export)
+            names += export(result, stage, given.export, shown)
+        if not given.no_report:
+            from ct_inertia.report import write_report
+
+            content = write_report(stage / "report.html", result, content, shown)
+            names.append("report.html")
+        names = [*write_outputs(result, stage, content), *names]
+    return [folder / name for name in names], content
+
+
+def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     import numpy as np
 
     body, footplate, matrix = result.body, result.footplate, result.matrix
@@ -280,6 +344,25 @@ def _rows(result: MassResult) -> Sequence[tuple[str, str]]:
     ]
     if result.plate_frame is not None:
         rows.append(("plate frame (scan)", _vector(result.plate_frame.scan_from_plate.translation_mm, "mm")))
+    for way in content["mass_alternatives"]:
+        worst = max(abs(value) for row in way["matrix_change_percent"] for value in row)
+        shift = float(np.linalg.norm(way["center_of_mass_change_m"])) * 1e6
+        rows.append(
+            (
+                f"by {way['by']} instead",
+                f"{way['mass_kg'] * 1e6:.4f} mg ({way['mass_change_percent']:+.2f} %) at "
+                f"{way['density_kg_m3']:.0f} kg/m3; centre {shift:.1f} um off; M within {worst:.2f} %",
+            )
+        )
+    for step in content.get("display_mesh", {}).get("steps", []):
+        shift = float(np.linalg.norm(step["center_of_mass_change_mm"])) * 1e3
+        rows.append(
+            (
+                f"display: {step['step']} {step['asked']}",
+                f"{step['faces']} faces; would change the mass by {step['mass_change_percent']:+.3f} %, "
+                f"its centre by {shift:.2f} um, M by {step['mass_matrix_change_percent']:.3f} %",
+            )
+        )
     return rows
 
 
@@ -289,4 +372,5 @@ def _vector(values: Any, unit: str) -> str:
 
 def main() -> NoReturn:
     """Run `ct2mass`."""
+    hold_little_memory()
     run("ct2mass", work)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,14 +17,15 @@ from ct_inertia.mass_options import MassOptions
 from ct_inertia.mass_properties import (
     MassProperties,
     footplate_mass_matrix,
-    from_density,
-    from_mass,
     plate_axes_mass_matrix,
     with_added,
 )
+from ct_inertia.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
 from ct_inertia.moments import Moments
 from ct_inertia.plausibility import check_mesh, implausible, size_notice, unsuitable
+from ct_inertia.progress import Tell, untold
 from ct_inertia.surface import Surface, read_surface
+from kinematics.background import Later
 from kinematics.errors import sentence
 from kinematics.mass_record import MassMatrix
 from kinematics.notices import Notice, unique
@@ -64,6 +65,8 @@ class MassResult:
     bodies : Bodies or None
         The segmentation; None for a mesh.
     notices : tuple of Notice
+    ways : tuple of MassByWay
+        The mass matrix by every way to a mass that was given; the leading one, which is ``matrix``, first.
     """
 
     options: MassOptions
@@ -79,6 +82,7 @@ class MassResult:
     mesh_matrix: MassMatrix
     bodies: Bodies | None = None
     notices: tuple[Notice, ...] = field(default=())
+    ways: tuple[MassByWay, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,12 +94,14 @@ class _Known:
     calibration: Calibration | None
 
 
-def ct2mass(options: MassOptions) -> MassResult:
+def ct2mass(options: MassOptions, progress: Tell = untold) -> MassResult:
     """Find the stapes, its frames and its mass matrix.
 
     Parameters
     ----------
     options : MassOptions
+    progress : callable
+        Called with a few words at the beginning of each stage.
 
     Raises
     ------
@@ -103,6 +109,7 @@ def ct2mass(options: MassOptions) -> MassResult:
         Anything that is wrong with the options or the files, in one sentence.
     """
     known = _known(options)
+    progress("reading and finding the stapes")
     if options.is_mesh:
         surface = read_surface(Path(str(options.scan)))
         check_mesh(surface, Path(str(options.scan)).name)
@@ -112,7 +119,9 @@ def ct2mass(options: MassOptions) -> MassResult:
             "frame only.",
         )
         return _result(options, known, None, surface, surface, None, (*surface.notices, exact))
-    bodies = _bodies(options)
+    bodies = _bodies(options, progress)
+    progress("finding the frames")
+    _ = bodies.labels.packed  # goes on in the background
     return _result(options, known, bodies, bodies.stapes, bodies.frame_surface, bodies.plate, bodies.notices)
 
 
@@ -137,7 +146,7 @@ def _known(options: MassOptions) -> _Known:
     return _Known(hints, fiducials, calibration)
 
 
-def _bodies(options: MassOptions) -> Bodies:
+def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     from ct_inertia.read import read_labels, read_volume
     from ct_inertia.search import SearchOptions
     from ct_inertia.segmentation import find_bodies
@@ -162,7 +171,7 @@ def _bodies(options: MassOptions) -> Bodies:
         stapes_label=options.stapes_label,
         plate_label=options.plate_label,
     )
-    return find_bodies(volume, search)
+    return find_bodies(volume, search, progress)
 
 
 def _result(
@@ -176,12 +185,14 @@ def _result(
 ) -> MassResult:
     mesh_moments = stapes.moments() if bodies is None else bodies.mesh_moments
     moments = mesh_moments if bodies is None else bodies.moments
-    footplate, doubts = _footplate(options, known, frame_surface, moments, notices)
-    frame = _plate_frame(known, bodies, stapes, plate)
-    bare = _mass_properties(options, known, bodies, moments, mesh_moments)
-    body = with_added(bare, options.added)
-    matrix = _matrix(options, body, footplate)
-    by_mesh = with_added(_by_mesh(bare, mesh_moments), options.added)
+    later = Later(_plate_frame, known, bodies, stapes, plate)
+    footplate, doubts = _footplate(options, known, frame_surface, bodies, moments, notices)
+    found_by = masses_by_way(options, known.calibration, bodies, moments)
+    bodies_by = {way: with_added(bare, options.added) for way, bare in found_by.items()}
+    ways = tuple(MassByWay(way, body, _matrix(options, body, footplate)) for way, body in bodies_by.items())
+    body, matrix = ways[0].body, ways[0].matrix
+    by_mesh = with_added(at_uniform_density(body, mesh_moments), options.added)
+    frame = later.result()
     plate_matrix = None
     if frame is not None:
         plate_from_footplate = frame.scan_from_plate.inverse() @ footplate.scan_from_footplate
@@ -193,7 +204,8 @@ def _result(
         *doubts,
         *footplate.notices,
         *(() if frame is None else frame.notices),
-        *_gaps(options, matrix),
+        *not_stated(matrix.contributions, ways[0].way),
+        *disagreements(ways),
     ]
     return MassResult(
         options,
@@ -209,19 +221,26 @@ def _result(
         _matrix(options, by_mesh, footplate),
         bodies,
         unique(found),
+        ways,
     )
 
 
 def _footplate(
-    options: MassOptions, known: _Known, surface: Surface, moments: Moments, notices: Sequence[Notice]
+    options: MassOptions,
+    known: _Known,
+    surface: Surface,
+    bodies: Bodies | None,
+    moments: Moments,
+    notices: Sequence[Notice],
 ) -> tuple[FootplateFrame, list[Notice]]:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
+    blur = 0.0 if bodies is None else bodies.frame_blur_mm
     named = options.is_mesh or options.seed_mm is not None or options.labels is not None
     try:
-        footplate = footplate_frame(surface, known.hints)
+        footplate = footplate_frame(surface, known.hints, blur)
     except CtInertiaError:
         # Landmarks that do not fit a wrong body are not at fault: tell of the body first.
-        found = [] if named else implausible(footplate_frame(surface), moments.volume_mm3)
+        found = [] if named else implausible(footplate_frame(surface, blur_mm=blur), moments.volume_mm3)
         if found:
             raise unsuitable(found, notices) from None
         raise
@@ -235,34 +254,6 @@ def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFram
     return footplate_mass_matrix(
         body, footplate.scan_from_footplate, footplate.covariance, options.voxel_size_sd
     )
-
-
-def _mass_properties(
-    options: MassOptions, known: _Known, bodies: Bodies | None, moments: Moments, mesh_moments: Moments
-) -> MassProperties:
-    if options.density is not None:
-        return from_density(moments, *options.density)
-    if options.mass_mg is not None:
-        value, sd = options.mass_mg
-        return from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
-    from ct_inertia.calibration import from_calibration
-
-    if bodies is None or bodies.levels is None or known.calibration is None:
-        raise CtInertiaError(
-            sentence(
-                "--calibration",
-                "used with grey values",
-                "labels alone",
-                next_step="Give the scan as well, or --density",
-            )
-        )
-    return from_calibration(moments, mesh_moments, bodies.levels.air, bodies.levels.bone, known.calibration)
-
-
-def _by_mesh(body: MassProperties, mesh_moments: Moments) -> MassProperties:
-    """Return the surface's own properties, at the density of the body."""
-    exact = replace(mesh_moments, contributions={})
-    return from_density(exact, body.density_kg_m3, None)
 
 
 def _plate_frame(
@@ -284,19 +275,3 @@ def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:
     """Return which vertices (n,) of the plate lie at the border of the scan."""
     index = bodies.volume.index_points(plate.vertices_mm)
     return np.asarray(np.any((index < 0.6) | (index > bodies.volume.size - 1.6), axis=1))
-
-
-_GAPS = {
-    "density": ("density_sd_not_given", "the density", "--density RHO+-SD", "density"),
-    "mass": ("mass_sd_not_given", "the mass", "--mass-mg M+-SD", "mass"),
-    "calibration": ("calibration_sd_not_given", "the calibration", "sd_kg_m3 in its file", "calibration"),
-}
-
-
-def _gaps(options: MassOptions, matrix: MassMatrix) -> list[Notice]:
-    """Say what nobody gave an uncertainty of."""
-    if options.mass_known_by in matrix.contributions:
-        return []
-    code, thing, way, name = _GAPS[options.mass_known_by]
-    text = f"No standard deviation of {thing} was given ({way}): {name} not included in the budget."
-    return [Notice(code, text)]

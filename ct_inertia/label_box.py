@@ -79,11 +79,16 @@ def label_box(
     """
     regions = []
     if plate is not None:
-        regions += _coarse(PLATE, _grown(plate.mask), plate.middle, plate.step)
-    others = [piece.label for piece in sight.others]
-    if others:
-        bone = _grown(np.isin(sight.pieces, others))
-        regions += _coarse(OTHER_BONE, bone, sight.between, sight.scan.step)
+        box = used_box(plate.mask)
+        if box is not None:
+            regions.append(_coarse(PLATE, plate.mask, box, plate.middle, plate.step))
+    if sight.others:
+        low = np.min([piece.low for piece in sight.others], axis=0)
+        high = np.max([piece.high for piece in sight.others], axis=0)
+        box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+        bone = np.zeros(sight.pieces.shape, dtype=bool)
+        bone[box] = np.isin(sight.pieces[box], [piece.label for piece in sight.others])
+        regions.append(_coarse(OTHER_BONE, bone, box, sight.between, sight.scan.step))
     regions.append(_stapes(cut, measured, level))
     first = np.maximum(np.min([region.first for region in regions], axis=0), 0)
     last = np.minimum(np.max([region.end for region in regions], axis=0), volume.size)
@@ -95,17 +100,17 @@ def label_box(
     return LabelledVolume(first, last, volume, read)
 
 
-def _coarse(number: int, mask: NDArray[np.bool_], above: float, step: Index) -> list[_Region]:
-    """Make a region of a coarse mask, whose voxels are the middle ones of their steps."""
-    box = used_box(mask)
-    if box is None:
-        return []
-    cells = mask[box]
+def _coarse(
+    number: int, mask: NDArray[np.bool_], box: tuple[slice, ...], above: float, step: Index
+) -> _Region:
+    """Make a region of a coarse mask in a box, grown by one voxel; coarse voxels are the middle of steps."""
+    wide = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in box)
+    cells = _grown(mask[wide])
     # What the steps leave over at the end of the scan belongs to the last cell.
-    ends = [part.stop == n for part, n in zip(box, mask.shape, strict=True)]
+    ends = [part.stop >= n for part, n in zip(wide, mask.shape, strict=True)]
     cells = np.pad(cells, [(0, int(end)) for end in ends], mode="edge")
-    first = np.array([part.start for part in reversed(box)], dtype=np.int64) * step
-    return [_Region(number, cells, above, first, step)]
+    first = np.array([part.start for part in reversed(wide)], dtype=np.int64) * step
+    return _Region(number, cells, above, first, step)
 
 
 def _stapes(cut: Cut, measured: Measured, level: float) -> _Region:

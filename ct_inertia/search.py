@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.candidates import POSSIBLE_MM3, Piece, count_holes, labelled_pieces
-from ct_inertia.coarse import CoarseScan, calmed, coarse_scan, material_levels
+from ct_inertia.coarse import CoarseScan, Glance, calmed, coarse_scan, material_levels, take_glance
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.separate import separations
 from ct_inertia.volume import Volume
@@ -90,8 +90,15 @@ class Sight:
     notices: tuple[Notice, ...] = field(default=())
 
 
-def look(volume: Volume, options: SearchOptions) -> Sight:
+def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -> Sight:
     """Find the piece of bone that can be a stapes.
+
+    Parameters
+    ----------
+    volume : Volume
+    options : SearchOptions
+    glance : Glance, optional
+        The coarse view, when it was taken before.
 
     Raises
     ------
@@ -99,8 +106,8 @@ def look(volume: Volume, options: SearchOptions) -> Sight:
         None can be one, or several can equally, or the seed lies in no bone; a wrong voxel size and
         inverted grey values are named as such.
     """
-    scan = coarse_scan(volume)
-    levels = material_levels(scan)
+    glance = glance or take_glance(volume)
+    scan, levels = glance.scan, glance.levels
     tried: list[Sight] = []
     for air, plastic, bone in _readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else _between(air, plastic, bone)

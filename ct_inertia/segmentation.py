@@ -4,30 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Bodies
-from ct_inertia.coarse import calmed
+from ct_inertia.coarse import calmed, take_glance
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.frame_surface import frame_surface
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
 from ct_inertia.measure import Measured, border_notices, measure
 from ct_inertia.partial_volume import with_voxel_size
 from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
+from ct_inertia.progress import Tell, untold
 from ct_inertia.search import SearchOptions, Sight, look
+from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
+from kinematics.background import Later
 from kinematics.notices import unique
 
 Array = NDArray[np.float64]
-_SMOOTH_VOXELS = 1.0
+
+# Slow to import, needed soon: imported while the coarse view is taken.
+_NEEDED = (
+    "scipy.ndimage",
+    "scipy.special",
+    "scipy.sparse.csgraph",
+    "scipy.sparse.linalg",
+    "vtkmodules.util.numpy_support",
+    "vtkmodules.vtkCommonDataModel",
+    "vtkmodules.vtkFiltersCore",
+)
 
 
-def find_bodies(volume: Volume | None, options: SearchOptions | None = None) -> Bodies:
+def find_bodies(
+    volume: Volume | None, options: SearchOptions | None = None, progress: Tell = untold
+) -> Bodies:
     """Find stapes, plate and other bone in a scan, and measure the stapes.
 
     Parameters
@@ -35,6 +52,8 @@ def find_bodies(volume: Volume | None, options: SearchOptions | None = None) -> 
     volume : Volume or None
         Grey values; None to take the bodies from ``options.labels`` alone.
     options : SearchOptions, optional
+    progress : callable
+        Called with a few words at the beginning of each stage.
 
     Returns
     -------
@@ -54,14 +73,28 @@ def find_bodies(volume: Volume | None, options: SearchOptions | None = None) -> 
         raise CtInertiaError("the scan must be given; got none. Give a volume or labels.")
     if options.box_mm is not None:
         volume = volume.cropped(options.box_mm)
-    sight = look(volume, options)
+    glance = Later(take_glance, volume)
+    for name in _NEEDED:
+        import_module(name)
+    sight = look(volume, options, glance.result())
     plate = find_plate(sight)
+    plate_mesh = None if plate is None else Later(plate_surface, volume, sight, plate)
+    # The coarse grey values have done their work: the working copy takes their place in memory.
+    del glance
+    sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
+    progress("cutting the stapes out")
     cut = cut_out(volume, sight, plate)
-    return assembled(volume, sight, plate, cut, options)
+    progress("measuring the stapes")
+    return _assembled(volume, sight, plate, plate_mesh, cut, options)
 
 
-def assembled(
-    volume: Volume, sight: Sight, plate: PlateRegion | None, cut: Cut, options: SearchOptions
+def _assembled(
+    volume: Volume,
+    sight: Sight,
+    plate: PlateRegion | None,
+    plate_mesh: Later[Surface | None] | None,
+    cut: Cut,
+    options: SearchOptions,
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
     grid = volume if cut.working is None else cut.working.volume
@@ -71,9 +104,7 @@ def assembled(
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
     stapes, level = volume_matched(share, moments.volume_mm3, cut.scan_from_box(grid))
-    smooth = _smoothed(share)
-    frame_surface, _ = volume_matched(smooth, moments.volume_mm3, cut.scan_from_box(grid), level)
-    plate_mesh = None if plate is None else plate_surface(volume, sight, plate)
+    coarse, blur = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
@@ -81,8 +112,9 @@ def assembled(
         volume=volume,
         labels=label_box(volume, sight, plate, cut, replace(measured, share=share), level),
         stapes=stapes,
-        frame_surface=frame_surface,
-        plate=plate_mesh,
+        frame_surface=coarse,
+        frame_blur_mm=blur,
+        plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,
         mesh_moments=stapes.moments(),
         levels=levels,
@@ -91,12 +123,6 @@ def assembled(
         evidence=_evidence(sight, cut, measured, level),
         notices=unique(notices),
     )
-
-
-def _smoothed(share: NDArray[np.float32]) -> NDArray[np.float32]:
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(share, _SMOOTH_VOXELS, truncate=4.0))
 
 
 def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
