@@ -160,12 +160,11 @@ def body_share(
     return result
 
 
-def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask grown by a voxel in all 26 directions."""
-    grown = mask
+def spread(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
+    """Return a mask grown by a voxel in all 26 directions, or in the 6 across faces only."""
+    grown = mask.copy()
     for axis in range(3):
-        before = grown
-        grown = before.copy()
+        before = grown.copy() if corners else mask
         ahead: list[slice] = [slice(None)] * 3
         back: list[slice] = [slice(None)] * 3
         ahead[axis], back[axis] = slice(1, None), slice(None, -1)

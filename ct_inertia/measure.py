@@ -15,7 +15,7 @@ from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
-from ct_inertia.plate_face import face_near, plate_share
+from ct_inertia.plate_face import displaced_share, face_near, plate_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
@@ -87,7 +87,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
         blur = (fit.sigma_mm, _FITTED_BLUR_SD * fit.sigma_mm, "fit of body, level and blur")
-    cut, face = _without_plate(volume, cut, distance, reach, (air.level, guess.plastic, blur[0]))
+    cut, face = _without_plate(
+        volume, cut, (distance, reach), (air.level, guess.plastic, blur[0]), bone.level
+    )
     if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
     parted = part_from_neighbours(cut, distance, reach, spacing, (air.level, bone.level), blur[0])
@@ -187,12 +189,12 @@ def _bone(
 def _without_plate(
     volume: Volume,
     cut: Cut,
-    distance_mm: NDArray[np.float32],
-    reach_mm: float,
+    within: tuple[NDArray[np.float32], float],
     start: tuple[float, float | None, float],
+    bone: float,
 ) -> tuple[Cut, PlateFace | None]:
     """Subtract the plate's blurred face from the grey values within reach of the stapes."""
-    air, plastic, sigma = start
+    (air, plastic, sigma), (distance_mm, reach_mm) = start, within
     if plastic is None:
         return cut, None
     face = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
@@ -201,6 +203,9 @@ def _without_plate(
     near = distance_mm <= reach_mm
     grey = cut.grey.copy()
     grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
+    missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air)
+    if missing is not None:
+        grey[near] += missing[near]
     return replace(cut, grey=grey), face
 
 

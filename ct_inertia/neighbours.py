@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
-from ct_inertia.level_fit import blurred, fit_bodies
+from ct_inertia.level_fit import blurred, fit_bodies, spread
 from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import sensitivity
 from ct_inertia.separate import flooded
@@ -127,11 +127,11 @@ def cut_through_bone(
 
     bone = cut.grey > middle
     outside = cut.others & bone & ~parted.own
-    edge = parted.own & bone & cut.stapes & ndimage.binary_dilation(outside)
+    edge = parted.own & bone & cut.stapes & spread(outside, corners=False)
     covariance = np.zeros((10, 10))
-    patches, count = ndimage.label(edge, structure=np.ones((3, 3, 3)))
-    if count == 0:
+    if not np.any(edge):
         return 0.0, covariance
+    patches, count = ndimage.label(edge, structure=np.ones((3, 3, 3)))
     index = np.argwhere(edge)
     away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
     steps = sensitivity(away, moments.volume_mm3, 0.0) * volume.voxel_mm3

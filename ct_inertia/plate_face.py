@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
+from ct_inertia.level_fit import blurred, body_share
 from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
@@ -17,6 +18,7 @@ _MOST = 6000
 _LEAST = 300
 _ROUNDS = 12
 _WIDTHS = 3.5
+_LEAST_SUNK = 20
 
 
 def face_near(
@@ -71,6 +73,67 @@ def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.boo
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
     away = points @ face.normal - face.offset_mm
     return np.asarray((face.plastic - face.air) * ndtr(-away / face.sigma_mm))
+
+
+def displaced_share(
+    face: PlateFace, volume: Volume, cut: Cut, above_plate: NDArray[np.float32], contrast: float
+) -> NDArray[np.float32] | None:
+    """Return the grey values [z, y, x] of plastic that is not there because bone stands in its place.
+
+    Parameters
+    ----------
+    face : PlateFace
+    volume : Volume
+    cut : Cut
+    above_plate : ndarray of float32, [z, y, x]
+        Grey values minus air and minus those of the whole half space behind the face.
+    contrast : float
+        Bone minus air.
+
+    Returns
+    -------
+    ndarray or None
+        To be added to ``above_plate``; None when no bone reaches behind the face.
+
+    Notes
+    -----
+    The body is where the grey values exceed half the contrast; what of it lies behind the face is blurred,
+    times the plastic's contrast, and added; that moves the body's surface a little, so it is done thrice.
+    """
+    sunk = _sunk_box(face, volume, cut)
+    if sunk is None:
+        return None
+    box, away = sunk
+    spacing = volume.spacing_mm[::-1]
+    along = np.abs(face.normal @ (volume.direction * volume.spacing_mm)).sum()
+    behind = np.clip(0.5 - away / along, 0.0, 1.0).astype(np.float32)
+    plastic = np.float32((face.plastic - face.air) / contrast)
+    share = above_plate[box] / np.float32(contrast)
+    half, every = np.full(share.shape, 0.5, dtype=np.float32), np.ones(share.shape, dtype=bool)
+    missing = np.zeros_like(share)
+    for _ in range(3):
+        body = body_share(share + missing, half, every)
+        missing = plastic * blurred(body * behind, face.sigma_mm, spacing)
+    result = np.zeros_like(above_plate)
+    result[box] = missing * np.float32(contrast)
+    return result
+
+
+def _sunk_box(face: PlateFace, volume: Volume, cut: Cut) -> tuple[tuple[slice, ...], Array] | None:
+    """Return a box around the stapes' voxels behind the face, and the distances to the face in it, mm."""
+    matrix = volume.direction * volume.spacing_mm
+    along = (face.normal @ matrix)[::-1]
+    start = float(face.normal @ volume.scan_points(cut.first)) - face.offset_mm
+    axes = np.meshgrid(*(np.arange(n) for n in cut.grey.shape), indexing="ij", sparse=True)
+    away = start + sum(k * axis for k, axis in zip(along, axes, strict=True))
+    index = np.nonzero(cut.stapes & (away < 0.0))
+    if len(index[0]) < _LEAST_SUNK:
+        return None
+    margin = np.ceil(5.0 * face.sigma_mm / volume.spacing_mm[::-1]).astype(int) + 1
+    box = tuple(
+        slice(max(0, int(k.min()) - m), int(k.max()) + m + 1) for k, m in zip(index, margin, strict=True)
+    )
+    return box, np.asarray(away[box])
 
 
 def _edge_points(
