@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass_properties import MassProperties, from_density, unit_parameters
+from ct_inertia.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.moments import Moments
 from kinematics.errors import sentence
 from kinematics.mass_record import parameter_transfer
@@ -147,7 +147,7 @@ def from_calibration(
     grey : Moments
         Integral of (g - air) / (bone - air): the partial-volume moments.
     shape : Moments
-        Of the closed surface.
+        Of the bone's shape, every part of it counted alike.
     air, bone : float
         Grey levels.
     line : Calibration
@@ -157,10 +157,26 @@ def from_calibration(
     A voxel with the share s of bone of grey value b has g = (1 - s) air + s b and the mass
     s (intercept + slope b) = slope (g - air) + s (intercept + slope air), so that the mass moments are
     slope (bone - air) times the grey moments plus the line's density at air times the moments of the shape.
+    The air in a voxel of the boundary has no weight, and bone that varies from place to place is weighed
+    where it lies.
+
+    Raises
+    ------
+    CtInertiaError
+        The mean density lies outside 500 to 4000 kg/m3, where no bone is.
     """
     inner = line.slope_kg_m3 * (bone - air)
     rest = line.density(air)
     density = (inner * grey.volume_mm3 + rest * shape.volume_mm3) / shape.volume_mm3
+    if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
+        raise CtInertiaError(
+            sentence(
+                "--calibration",
+                "a line that gives the stapes a density of 500 to 4000 kg/m3",
+                f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})",
+                next_step="Check the grey values and units of its points",
+            )
+        )
     main = from_density(grey, density, None)
     share = inner / density
     shift_m = (grey.centroid_mm - shape.centroid_mm) * 1e-3

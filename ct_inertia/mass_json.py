@@ -80,6 +80,8 @@ def mass_json(
             **budget(matrix),
             "not_included": not_included(matrix.contributions, result.options.mass_known_by),
         },
+        "mass_known_by": result.options.mass_known_by,
+        "mass_alternatives": [way.as_json(matrix) for way in result.ways[1:]],
         "found": _found(result),
         "cross_check": _cross_check(result, second),
         "segmentation": _segmentation(result),

@@ -26,7 +26,7 @@ class MassOptions:
     scan : Path or None
         Volume, folder of slices or closed surface mesh (mm); None with ``labels`` alone.
     density, mass_mg : (value, sd or None) or None
-        kg/m3 and mg. One of these or ``calibration``.
+        kg/m3 and mg. At least one of these and ``calibration``; the mass leads, then the calibration.
     calibration : Path or None
     spacing_mm : tuple of 1 or 3 floats, or None
     raw : RawLayout or None
@@ -75,22 +75,13 @@ class MassOptions:
     raw: RawLayout | None = None
 
     def __post_init__(self) -> None:
-        known = [
-            name
-            for name, value in (
-                ("--density", self.density),
-                ("--mass-mg", self.mass_mg),
-                ("--calibration", self.calibration),
-            )
-            if value is not None
-        ]
-        if len(known) != 1:
+        if self.density is None and self.mass_mg is None and self.calibration is None:
             raise CtInertiaError(
                 sentence(
                     "the mass of the stapes",
-                    "given by exactly one of --density, --mass-mg and --calibration",
-                    " and ".join(known) or "none of them",
-                    next_step="" if known else "Bone has 1400 to 2200 kg/m3",
+                    "given by at least one of --density, --mass-mg and --calibration",
+                    "none of them",
+                    next_step="Bone has 1400 to 2200 kg/m3",
                 )
             )
         if self.scan is None and self.labels is None:
@@ -151,10 +142,10 @@ class MassOptions:
 
     @property
     def mass_known_by(self) -> str:
-        """``density``, ``mass`` or ``calibration``."""
-        if self.density is not None:
-            return "density"
-        return "mass" if self.mass_mg is not None else "calibration"
+        """Which of those given leads: ``mass``, then ``calibration``, then ``density``."""
+        if self.mass_mg is not None:
+            return "mass"
+        return "density" if self.calibration is None else "calibration"
 
     @property
     def inputs(self) -> dict[str, Path | None]:

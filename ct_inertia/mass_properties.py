@@ -17,7 +17,7 @@ from kinematics.spatial import central_tensor
 
 Array = NDArray[np.float64]
 
-_PLAUSIBLE_DENSITY = (500.0, 4000.0)
+PLAUSIBLE_DENSITY = (500.0, 4000.0)
 _POWERS_OF_LENGTH = np.array([3.0, 4.0, 4.0, 4.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0])
 
 
@@ -110,7 +110,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
     CtInertiaError
         The density lies outside 500 to 4000 kg/m3, where no bone is (a wrong unit).
     """
-    if not _PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= _PLAUSIBLE_DENSITY[1]:
+    if not PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
             sentence(
                 "--density",
@@ -148,7 +148,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
         Mass and volume give a density outside 500 to 4000 kg/m3.
     """
     density = mass_kg / (moments.volume_mm3 * 1e-9)
-    if not _PLAUSIBLE_DENSITY[0] <= density <= _PLAUSIBLE_DENSITY[1]:
+    if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
             sentence(
                 "--mass-mg",

@@ -75,7 +75,6 @@ def masses_by_way(
     calibration: Calibration | None,
     bodies: Bodies | None,
     moments: Moments,
-    mesh_moments: Moments,
 ) -> dict[str, MassProperties]:
     """Return the mass properties of the bone by every way that was given, the leading one first.
 
@@ -88,8 +87,8 @@ def masses_by_way(
     calibration : Calibration or None
     bodies : Bodies or None
         None for a mesh.
-    moments, mesh_moments : Moments
-        Of the grey values, and of the closed surface.
+    moments : Moments
+        Of the grey values, or of the closed surface where there are none.
 
     Raises
     ------
@@ -112,8 +111,11 @@ def masses_by_way(
                     next_step="Give the scan as well, or --density",
                 )
             )
-        levels = bodies.levels
-        found["calibration"] = from_calibration(moments, mesh_moments, levels.air, levels.bone, calibration)
+        from ct_inertia.bone_shape import shape_moments
+
+        air, bone = bodies.levels.air, bodies.levels.bone
+        shape = shape_moments(bodies, air, bone)
+        found["calibration"] = from_calibration(moments, shape, air, bone, calibration)
     if options.density is not None:
         found["density"] = from_density(moments, *options.density)
     return found

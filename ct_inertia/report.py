@@ -89,10 +89,22 @@ def mass_sections(
     return sections, notices
 
 
-def write_report(path: Path, result: MassResult, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Write report.html; return ``content`` with the notices that drawing added."""
+def write_report(
+    path: Path, result: MassResult, content: Mapping[str, Any], shown: Surface | None = None
+) -> dict[str, Any]:
+    """Write report.html; return ``content`` with the notices that drawing added.
+
+    Parameters
+    ----------
+    path : Path
+    result : MassResult
+    content : mapping
+        Of mass.json.
+    shown : Surface, optional
+        A lighter surface for the pictures.
+    """
     labelled = None if result.bodies is None else result.bodies.labels
-    sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
+    sections, notices = mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
     full = dict(content)
     full["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
     source = result.options.scan or result.options.labels

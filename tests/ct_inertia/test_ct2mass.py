@@ -238,8 +238,7 @@ class TestFaults:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            ("", "the mass of the stapes must be given by exactly one of .*; got none of them"),
-            ("--density 1900 --mass-mg 3", "got --density and --mass-mg"),
+            ("", "the mass of the stapes must be given by at least one of .*; got none of them"),
             ("--density -5", "argument --density"),
             ("--density 1900+-x", "positive number, or number\\+-sd; got 1900"),
             ("--density 1.9", "--density must be between 500 and 4000 kg/m3"),
@@ -281,7 +280,7 @@ class TestFaults:
         assert str(told.value).endswith(step)
 
     def test_options_are_checked_before_content(self, tmp_path):
-        with pytest.raises(CtInertiaError, match="exactly one of --density"):
+        with pytest.raises(CtInertiaError, match="at least one of --density"):
             run([tmp_path / "none.tif"])
         with pytest.raises(CtInertiaError, match="the landmark file"):
             run([tmp_path / "none.tif", "--density", "1900", "--landmarks", tmp_path / "none.csv"])
