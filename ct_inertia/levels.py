@@ -136,7 +136,7 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
         weight = count[count > 200] / count[count > 200].sum()
         scatter = float(np.sqrt(weight @ (means - weight @ means) ** 2 / (len(means) - 1.0)))
     sd = max(scatter, random)
-    ones = values if around.single is None else around.single[shell].astype(np.float32)
+    ones = values if around.single is None else around.single.ravel()[index].astype(np.float32)
     lowest = float(ones.min())
     pile = float(np.mean(ones == lowest))
     if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
