@@ -17,6 +17,8 @@ from kinematics.errors import sentence
 if TYPE_CHECKING:
     import tifffile
 
+_ROWS = 64
+
 
 def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     """Return the first stack of a TIFF file [z, y, x] in its own type.
@@ -40,6 +42,10 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     if start is not None:
         return mapped(path, dtype, start, kept, path.name)
     _check_pages(series, files, path)
+    if len(series.pages) != kept[0]:
+        # A page of its own depth: tiles that are boxes.
+        check_size(kept, dtype, size, packed, path.name)
+        return np.asarray(series.asarray()).reshape(kept)
     return _planes(series, page, files, kept, dtype)
 
 
@@ -60,26 +66,31 @@ def _planes(
     if stepped is not None:
         return stepped
     out_type = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("=")
-    decode = page.decode
+    decode, tables = page.decode, page.jpegtables
     bytes_of = {file: np.memmap(file, dtype=np.uint8, mode="r") for file in set(files)}
+    step = page.tilelength if page.is_tiled else page.rowsperstrip
+    across = -(-shape[2] // page.tilewidth) if page.is_tiled else 1
+    # Rows are unpacked in groups, so that a part of a plane does not cost the whole of it.
+    group = max(1, -(-_ROWS // step))
+    rows = min(step * group, shape[1])
 
-    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
-        out = np.zeros(shape[1:], dtype=out_type)
-        for index, (offset, count) in enumerate(segments[z]):
+    def part(z: int, number: int, _x: int) -> NDArray[Any]:
+        top = number * step * group
+        out = np.zeros((min(rows, shape[1] - top), shape[2]), dtype=out_type)
+        first = number * group * across
+        for index, (offset, count) in list(enumerate(segments[z]))[first : first + group * across]:
             if count == 0:
                 continue
             try:
                 data = bytes_of[files[z]][offset : offset + count].tobytes()
-                piece, (_, _, y, x, _), (_, height, width, _) = decode(data, index)
+                piece, (_, _, y, x, _), (_, height, width, _) = decode(data, index, jpegtables=tables)
             except Exception as fault:
                 raise not_readable(files[z], "TIFF", fault) from fault
-            part = out[y : y + height, x : x + width]
-            part[...] = np.asarray(piece).reshape(-1, *piece.shape[-3:])[
-                0, : part.shape[0], : part.shape[1], 0
-            ]
+            place = out[y - top : y - top + height, x : x + width]
+            place[...] = piece[0, : place.shape[0], : place.shape[1], 0]
         return out[None]
 
-    return BlockArray(shape, out_type, (1, *shape[1:]), plane).as_array()
+    return BlockArray(shape, out_type, (1, rows, shape[2]), part).as_array()
 
 
 def _evenly_stepped(

@@ -282,3 +282,26 @@ def test_thin_slabs_unpack_a_block_once():
     for z in range(16):
         assert blocks[z : z + 1].shape == (1, 4, 8)
     assert sorted(reads) == [(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"compression": "lzw", "rowsperstrip": 7},
+        {"compression": "zlib", "rowsperstrip": 100, "predictor": True},
+        {"compression": "packbits", "rowsperstrip": 300},
+        {"tile": (32, 48)},
+        {"tile": (96, 16), "compression": "lzw", "byteorder": ">"},
+        {"tile": (4, 32, 32), "compression": "zlib", "volumetric": True},
+    ],
+)
+def test_a_part_of_a_packed_plane_is_that_part(tmp_path, options):
+    array = np.random.default_rng(3).integers(0, 60000, (8, 150, 200)).astype(np.uint16)
+    if "volumetric" in options:
+        f.plain(tmp_path / "a.tif", array, metadata=None, **options)
+    else:
+        f.pages(tmp_path / "a.tif", array, **options)
+    voxels = read_volume(tmp_path / "a.tif", 0.02).array
+    assert np.array_equal(np.asarray(voxels), array)
+    for key in (np.s_[1:3, 60:70, 5:9], np.s_[-1, ::-1, ::3], np.s_[:, 149, :], np.s_[2:5, 63:129:5, 199]):
+        assert np.array_equal(voxels[key], array[key])
