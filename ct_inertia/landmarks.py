@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.anatomy import LANDMARK_NAMES
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import mm_per_unit
 from kinematics.csv_table import read_table
 from kinematics.errors import raise_all, sentence
 
@@ -39,8 +41,8 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     Raises
     ------
     CtInertiaError
-        The file is missing, of another kind, damaged, in another unit than mm, names a point twice, or
-        holds none of the names anterior, posterior, superior, inferior, head, footplate_centre.
+        The file is missing, of another kind, damaged, in no unit of length, names a point twice, or holds
+        none of the names anterior, posterior, superior, inferior, head, footplate_centre.
 
     Notes
     -----
@@ -151,31 +153,41 @@ def _signs(system: object, file: str) -> Array:
 
 def _slicer_json(path: Path) -> Named:
     try:
-        content = json.loads(_text(path))
-        lists = content["markups"]
-    except (ValueError, KeyError, TypeError) as fault:
+        return [
+            (str(control.get("label", "")), signs * _point(control.get("position"), path.name))
+            for markups in json.loads(_text(path))["markups"]
+            for signs in [_markups_signs(markups, path.name)]
+            for control in markups.get("controlPoints", [])
+            if control.get("positionStatus", "defined") == "defined"
+        ]
+    except CtInertiaError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError) as fault:
         raise CtInertiaError(
             sentence(
                 "the landmark file",
                 "a markups file of 3D Slicer",
-                f"no usable {fault}",
+                "a file without a list of markups",
                 path.name,
                 "Save the markups as .mrk.json",
             )
         ) from fault
-    points: Named = []
-    for markups in lists:
-        signs = _signs(markups.get("coordinateSystem", "LPS"), path.name)
-        unit = markups.get("coordinateUnits", "mm")
-        if (unit[0] if isinstance(unit, list) else unit) != "mm":
-            raise CtInertiaError(
-                sentence("coordinateUnits", "mm", unit, path.name, next_step="Save the markups in mm")
-            )
-        for control in markups.get("controlPoints", []):
-            if control.get("positionStatus", "defined") != "defined":
-                continue
-            points.append((str(control.get("label", "")), signs * _point(control.get("position"), path.name)))
-    return points
+
+
+def _markups_signs(markups: dict[str, Any], file: str) -> Array:
+    """Return what leads the points of one list to LPS in mm."""
+    factor = _mm_per_unit(markups.get("coordinateUnits", "mm"), file)
+    return _signs(markups.get("coordinateSystem", "LPS"), file) * factor
+
+
+def _mm_per_unit(told: object, file: str) -> float:
+    units = {str(unit) for unit in (told if isinstance(told, list) else [told])}
+    factor = mm_per_unit(units.pop()) if len(units) == 1 else None
+    if factor is None:
+        raise CtInertiaError(
+            sentence("coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm")
+        )
+    return factor
 
 
 def _point(values: Any, file: str) -> Array:
@@ -210,7 +222,8 @@ def _slicer_fcsv(path: Path) -> Named:
             continue
         if not line.strip():
             continue
-        cells = dict(zip(columns, line.split(","), strict=False))
+        # Labels with commas stand in quotes.
+        cells = dict(zip(columns, next(csv.reader([line])), strict=False))
         if "label" not in cells:
             raise CtInertiaError(
                 sentence(

@@ -27,6 +27,13 @@ FCSV = """# Markups fiducial file version = 4.11
 # columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
 vtkMRMLMarkupsFiducialNode_0,{x},{y},{z},0,0,0,1,1,1,0,head,,
 """
+# As Slicer wrote it up to 4.10; the label of another point holds a comma.
+OLD_FCSV = """# Markups fiducial file version = 4.10
+# CoordinateSystem = 0
+# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
+vtkMRMLMarkupsFiducialNode_1,9,9,9,0,0,0,1,1,1,0,"nose, left",,vtkMRMLScalarVolumeNode1
+vtkMRMLMarkupsFiducialNode_0,-1.25,2.5,3.0,0,0,0,1,1,1,0,head,,vtkMRMLScalarVolumeNode1
+"""
 PICKED = """<!DOCTYPE PickedPoints>
 <PickedPoints><DocumentData/>
  <point name="head" active="1" x="1.25" y="-2.5" z="3.0"/>
@@ -40,11 +47,15 @@ PICKED = """<!DOCTYPE PickedPoints>
     [
         ("f.mrk.json", slicer("LPS", POINT)),
         ("f.mrk.json", slicer("RAS", IN_RAS)),
+        ("f.mrk.json", slicer("ras", IN_RAS)),
+        ("f.mrk.json", slicer("LPS", [1250.0, -2500.0, 3000.0]).replace('"mm"', '"um"')),
+        ("f.mrk.json", slicer("RAS", [-0.125, 0.25, 0.3]).replace('"mm"', '["cm", "cm", "cm"]')),
         ("f.fcsv", FCSV.format(system="LPS", x=1.25, y=-2.5, z=3.0)),
         ("f.fcsv", FCSV.format(system="RAS", x=-1.25, y=2.5, z=3.0)),
         ("f.fcsv", FCSV.format(system="0", x=-1.25, y=2.5, z=3.0)),
         ("f.fcsv", FCSV.format(system="1", x=1.25, y=-2.5, z=3.0)),
         ("f.fcsv", "\n".join(FCSV.format(system="", x=-1.25, y=2.5, z=3.0).splitlines()[2:])),
+        ("f.fcsv", OLD_FCSV),
         ("f.pp", PICKED),
         ("f.csv", "name,x_mm,y_mm,z_mm\nhead,1.25,-2.5,3.0\n"),
         ("f.csv", "name;x_mm;y_mm;z_mm\r\nhead;1,25;-2,5;3,0\r\n"),
@@ -77,7 +88,18 @@ def test_undefined_control_points_are_left_out(tmp_path):
         ("f.txt", "head 1 2 3", r"must be a .mrk.json, .fcsv, .pp or .csv file; got f.txt"),
         ("f.json", "{", "must be a markups file of 3D Slicer"),
         ("f.json", "[]", "must be a markups file of 3D Slicer"),
-        ("f.mrk.json", slicer("LPS", POINT).replace('"mm"', '"um"'), "coordinateUnits must be mm; got um"),
+        ("f.json", '{"markups": [1]}', "must be a markups file of 3D Slicer"),
+        ("f.json", '{"markups": [{"controlPoints": null}]}', "must be a markups file of 3D Slicer"),
+        (
+            "f.mrk.json",
+            slicer("LPS", POINT).replace('"mm"', '"pixel"'),
+            "coordinateUnits must be one unit of length; got pixel",
+        ),
+        (
+            "f.mrk.json",
+            slicer("LPS", POINT).replace('"mm"', '["mm", "um", "mm"]'),
+            "coordinateUnits must be one unit of length",
+        ),
         ("f.mrk.json", slicer("XYZ", POINT), "the coordinate system must be LPS or RAS; got XYZ"),
         ("f.mrk.json", slicer("LPS", [1, 2]), "a landmark's position must be three numbers"),
         ("f.mrk.json", slicer("LPS", POINT, label="nose"), "the landmarks must be named out of anterior"),
