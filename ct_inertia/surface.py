@@ -87,10 +87,13 @@ class Surface:
     @property
     def euler_characteristic(self) -> int:
         """V - E + F; 0 for one body with one hole (a stapes), 2 for one without."""
-        used = len(np.unique(self.faces))
-        edges = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        keys = np.unique(edges[:, 0] * np.int64(len(self.vertices_mm)) + edges[:, 1])
-        return int(used - len(keys) + len(self.faces))
+        used = int(np.count_nonzero(np.bincount(self.faces.ravel())))
+        start, end = self.faces.ravel(), self.faces[:, [1, 2, 0]].ravel()
+        # Closed: every edge is walked upwards as often as downwards, so that one direction tells all.
+        up = start < end
+        keys = np.sort(start[up] * np.int64(len(self.vertices_mm)) + end[up])
+        edges = 1 + int(np.count_nonzero(keys[1:] != keys[:-1]))
+        return used - edges + len(self.faces)
 
     def moments(self) -> Moments:
         """Return the exact moments of the enclosed polyhedron in scan coordinates.
