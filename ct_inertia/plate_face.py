@@ -19,6 +19,8 @@ _LEAST = 300
 _ROUNDS = 12
 _WIDTHS = 3.5
 _LEAST_SUNK = 20
+_CLEAR_WIDTHS = 3.0
+_KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.005, 0.03
 
 
 def face_near(
@@ -55,7 +57,8 @@ def face_near(
         return None
     air, plastic, sigma = start
     bone = cut.stapes | cut.others
-    free = capped_distance(bone, volume.spacing_mm, reach_mm) >= 0.999 * reach_mm
+    clear = _CLEAR_WIDTHS * sigma + 0.5 * float(volume.spacing_mm.max())
+    free = capped_distance(bone, volume.spacing_mm, clear) >= 0.999 * clear
     points, normals = _edge_points(volume, cut, free, air, plastic)
     if len(points) < _LEAST:
         return None
@@ -63,7 +66,7 @@ def face_near(
     plane = _agreed_plane(points, normals, body, 0.7 * float(volume.spacing_mm.max()))
     if plane is None:
         return None
-    return _refined(volume, cut, free, plane, (air, plastic, sigma))
+    return _refined(volume, cut, free, plane, (air, plastic, sigma), points)
 
 
 def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.bool_]) -> Array:
@@ -193,20 +196,31 @@ def _refined(
     free: NDArray[np.bool_],
     plane: tuple[Array, float],
     start: tuple[float, float, float],
-) -> PlateFace | None:
-    """Fit plane, levels and blur to the voxels across the face (Gauss-Newton with Tukey's weights)."""
+    edges: Array,
+) -> PlateFace:
+    """Fit plane, levels and blur to the voxels across the face (Gauss-Newton with Tukey's weights).
+
+    Where bone leaves too little of the face free, the plane through the edge points (n, 3) stands.
+    """
     from scipy.special import ndtr
 
     (normal, offset), (air, plastic, sigma) = plane, start
     under = _over_the_face(volume, cut, normal, offset, sigma)
     index = np.argwhere(free & under)
-    if len(index) < _LEAST:
-        return None
     points = volume.scan_points(index[:, ::-1] + cut.first)
+    supported = _over_plastic(volume, cut, points, (normal, offset), sigma)
+    index, points = index[supported], points[supported]
+    if len(index) < _LEAST:
+        away = edges @ normal - offset
+        rms = float(np.sqrt(np.median(away[np.abs(away) < sigma] ** 2)))
+        return PlateFace(normal, offset, sigma, air, plastic, rms)
     grey = cut.grey[tuple(index.T)].astype(float)
     centre = points.mean(axis=0)
     basis = np.linalg.svd(normal[None, :])[2][1:].T
     scale = 1.0
+    # What is known before: blur and levels, so that a small free part of the face does not bend them.
+    contrast = abs(plastic - air)
+    known = np.array([np.inf, np.inf, np.inf, _KNOWN_BLUR * sigma, _KNOWN_AIR * contrast, _KNOWN * contrast])
     for _ in range(_ROUNDS):
         z = (points @ normal - offset) / sigma
         cover, bell = ndtr(-z), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
@@ -218,8 +232,10 @@ def _refined(
         design = np.column_stack(
             [slope, -slope * flat[:, 0], -slope * flat[:, 1], slope * z, 1.0 - cover, cover]
         )
-        normal_matrix = (design * weight[:, None]).T @ design
-        step = np.linalg.lstsq(normal_matrix, design.T @ (weight * rest), rcond=None)[0]
+        normal_matrix = (design * weight[:, None]).T @ design + np.diag(scale**2 / known**2)
+        away = np.array([0.0, 0.0, 0.0, start[2] - sigma, start[0] - air, start[1] - plastic])
+        right = design.T @ (weight * rest) + away * scale**2 / known**2
+        step = np.linalg.lstsq(normal_matrix, right, rcond=None)[0]
         height = offset - float(normal @ centre) + step[0]
         turned = normal + basis @ step[1:3]
         normal = turned / np.linalg.norm(turned)
@@ -233,6 +249,27 @@ def _refined(
     slope = (plastic - air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / sigma
     rms = float(np.sqrt(np.median((rest[middle] / slope[middle]) ** 2))) if np.any(middle) else 0.0
     return PlateFace(normal, offset, sigma, float(air), float(plastic), rms)
+
+
+def _over_plastic(
+    volume: Volume, cut: Cut, points: Array, plane: tuple[Array, float], sigma: float
+) -> NDArray[np.bool_]:
+    """Return which points (n, 3) have plate below the face under them and around, as far as blur reaches.
+
+    Where the box ends nothing is known of the plate's edge: points so near to it are left out too.
+    """
+    normal, offset = plane
+    basis = np.linalg.svd(normal[None, :])[2][1:]
+    below = points - (points @ normal - offset + 1.2 * _WIDTHS * sigma)[:, None] * normal
+    good = np.ones(len(points), dtype=bool)
+    size = np.array(cut.plate.shape)
+    for turn in (None, *np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)):
+        aside = 0.0 if turn is None else _WIDTHS * sigma * (np.array([np.cos(turn), np.sin(turn)]) @ basis)
+        index = np.rint(volume.index_points(below + aside) - cut.first).astype(np.int64)[:, ::-1]
+        inside = np.all((index >= 0) & (index < size), axis=1)
+        good &= inside
+        good[inside] &= cut.plate[tuple(index[inside].T)]
+    return good
 
 
 def _over_the_face(volume: Volume, cut: Cut, normal: Array, offset: float, sigma: float) -> NDArray[np.bool_]:
