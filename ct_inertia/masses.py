@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 
 WAYS = ("mass", "calibration", "density")
 WORDS = {
-    "mass": "measured mass (balance)",
-    "calibration": "calibrated grey values, voxel by voxel",
-    "density": "density given",
+    "mass": "the balance",
+    "calibration": "calibrated grey values",
+    "density": "the density given",
 }
 _LIKELY_SDS = 3.0
 _UNSTATED = 0.05

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.budget import described
+from ct_inertia.report_evidence import evidence_rows
+from ct_inertia.report_masses import cross_check_section, files_blocks, masses_section
 from ct_inertia.surface import Surface, read_surface
 from kinematics import page
 from kinematics.frames import RigidTransform
@@ -77,15 +79,18 @@ def mass_sections(
     Returns
     -------
     sections : list of page.Section
-        What was found; the bodies in their frames; the segmentation; the mass matrix; its uncertainty.
+        Result; how the stapes was cut out; the bodies in their frames; the mass matrix; its uncertainty;
+        the ways to the mass; the cross-check.
     notices : tuple of Notice
         What went wrong with the pictures.
     """
     picture, notices = _bodies_section(content, pictured)
-    sections = [_found_section(content), picture]
+    sections = [_found_section(content)]
     if pictured.labelled is not None:
-        sections.append(_segmentation_section(content, pictured))
-    sections += [_matrix_section(content), _budget_section(content)]
+        sections.append(_cut_section(content, pictured))
+    sections += [picture, _matrix_section(content), _budget_section(content)]
+    ways = masses_section(content)
+    sections += [cross_check_section(content)] if ways is None else [ways, cross_check_section(content)]
     return sections, notices
 
 
@@ -112,8 +117,9 @@ def write_report(
         f"Mass matrix of {Path(str(source)).name}",
         "A stapes from micro-CT: its volume, frames and generalized mass matrix about the footplate centre.",
         [
+            sections[0],
             page.Section("Warnings", [page.notices(from_json(full["warnings"]))]),
-            *sections,
+            *sections[1:],
             inputs_section(full),
         ],
     )
@@ -132,19 +138,20 @@ def inputs_section(content: Mapping[str, Any]) -> page.Section:
             page.inputs_table(provenance),
             page.table(("option", "value"), options, words=True),
             page.text(f"{provenance['command']} — {provenance['date']}. {versions}."),
+            *files_blocks(content),
         ],
     )
 
 
 def _found_section(content: Mapping[str, Any]) -> page.Section:
-    found, check = content["found"], content["cross_check"]
+    found = content["found"]
     com = np.array(content["inertial_parameters"]["values_si"])
     com = com[1:4] / com[0] * 1e3
     deviation = content["uncertainty"]["total"]
     com_sd = ", ".join(f"{value * 1e6:.2g}" for value in deviation["center_of_mass_m"])
     rows = [
         (
-            "mass",
+            "mass with what was added" if found["added_masses"] else "mass",
             f"{content['mass_kg'] * 1e6:.4f} ± {deviation['mass_kg'] * 1e6:.2g} mg",
             _ANATOMY["mass_mg"] + " mg",
         ),
@@ -176,32 +183,11 @@ def _found_section(content: Mapping[str, Any]) -> page.Section:
     ]
     for mass in found["added_masses"]:
         place = ", ".join(f"{value:g}" for value in mass["position_mm"])
-        rows.append(("added mass", f"{mass['mass_kg'] * 1e6:g} mg at {place} (scan, mm)", ""))
+        sd = f" ± {mass['sd_kg'] * 1e6:g}" if mass["sd_kg"] else ""
+        rows.append(("added mass", f"{mass['mass_kg'] * 1e6:g}{sd} mg at {place} (scan, mm)", ""))
     blocks = [page.table(("", "found", "published human stapes"), rows)]
     blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
-    if check["used"] != check["other"]:
-        apart = np.linalg.norm(check["centroid_difference_mm"]) * 1e3
-        worst = float(np.max(np.abs(check["mass_matrix_difference_percent"])))
-        blocks.append(
-            page.text(
-                f"Cross-check: the {check['used']} gives the numbers used; the closed surface's own volume "
-                f"differs by {check['volume_difference_percent']:+.3f} %, its centroid by {apart:.2f} µm, "
-                f"and the largest difference of the mass matrix is {worst:.3f} % of √(Mii Mjj)."
-            )
-        )
-    blocks.append(page.text(_second_opinion(check["surface_by_pymeshlab"])))
     return page.Section("What was found", blocks)
-
-
-def _second_opinion(found: Mapping[str, Any] | None) -> str:
-    if found is None:
-        return "The surface has no second opinion: pymeshlab or its GL libraries are missing here."
-    worst = max(abs(found["volume_difference"]), abs(found["inertia_difference"]))
-    shape = "closed and two-manifold" if found["two_manifold"] else "NOT closed and two-manifold"
-    return (
-        f"Second opinion by pymeshlab: the surface is {shape}, of genus {found['genus']}; volume and inertia "
-        f"of the surface agree with ours within {worst:.1e}."
-    )
 
 
 def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
@@ -268,7 +254,7 @@ def _listed(values: Array, digits: int) -> str:
     return ", ".join(f"{value:+.{digits}f}" for value in values)
 
 
-def _segmentation_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
+def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
     from ct_inertia.slices_figure import slices_figure
 
     footplate = _frame(content, "footplate")
@@ -286,33 +272,16 @@ def _segmentation_section(content: Mapping[str, Any], pictured: Pictured) -> pag
             vector=False,
         )
     )
-    told = content.get("segmentation") or {}
-    rows = [(key, value) for key, value in _flat(told).items() if value is not None]
+    rows = evidence_rows(content.get("segmentation") or {})
     if rows:
-        section.add(page.subheading("Evidence"), page.table(("", "value"), rows, words=True))
+        section.add(page.subheading("Evidence"), page.table(("", "found"), rows, words=True))
+    section.add(
+        page.text(
+            "Where the cut looks wrong: --seed, --threshold and --box correct it, and --labels takes a label "
+            "volume corrected in 3D Slicer or ITK-SNAP (labels.nrrd is a start)."
+        )
+    )
     return section
-
-
-def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    flat: dict[str, str] = {}
-    for key, entry in value.items():
-        name = f"{prefix}{key}".replace("_", " ")
-        if isinstance(entry, Mapping):
-            flat |= _flat(entry, f"{name}: ")
-        elif isinstance(entry, list) and entry and isinstance(entry[0], Mapping):
-            for place, part in enumerate(entry):
-                flat |= _flat(part, f"{name} {place + 1}: ")
-        else:
-            flat[name] = _short(entry)
-    return flat
-
-
-def _short(entry: Any) -> str:
-    if isinstance(entry, float):
-        return f"{entry:.5g}"
-    if isinstance(entry, list):
-        return ", ".join(_short(part) for part in entry)
-    return str(entry)
 
 
 def _matrix_section(content: Mapping[str, Any]) -> page.Section:
@@ -365,7 +334,8 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
         "Uncertainty budget",
         [
             page.text(
-                "One standard deviation that each source adds; centre of mass along x, y, z of the footplate."
+                "One standard deviation that each source adds, carried linearly to every number; the total "
+                "takes the sources as independent. Centre of mass along x, y, z of the footplate."
             ),
             page.table(header, rows),
         ],
