@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
+from ct_inertia.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
-from ct_inertia.levels import Air, Bone, Guess, Surroundings, as_levels, measure_air, measure_bone, unclipped
+from ct_inertia.levels import Air, Guess, Surroundings, measure_air, unclipped
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
-from ct_inertia.plate_face import displaced_share, face_near, plate_share
+from ct_inertia.plate_face import FaceFit, displaced_share, face_covariance, face_near, plate_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
@@ -27,6 +28,7 @@ _TAIL_SIGMAS = 4.2
 _DEFAULT_SIGMA_VOXELS = 1.0
 _FITTED_BLUR_SD = 0.03
 _FEW_EDGES = 800
+_TAIL_SD = 0.15
 _GOOD_INSIDE = 1e-3
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
@@ -87,9 +89,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
         blur = (fit.sigma_mm, _FITTED_BLUR_SD * fit.sigma_mm, "fit of body, level and blur")
-    cut, face = _without_plate(
+    cut, fitted = _without_plate(
         volume, cut, (distance, reach), (air.level, guess.plastic, blur[0]), bone.level
     )
+    face = None if fitted is None else fitted.face
     if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
     parted = part_from_neighbours(cut, distance, reach, spacing, (air.level, bone.level), blur[0])
@@ -102,8 +105,12 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
     levels = (air.level, bone.level)
     area, covariance = cut_through_bone(cut, parted, 0.5 * (air.level + bone.level), volume, moments)
-    if area > 0.0:
+    covariance = covariance + _by_tails(parted, cut, volume, moments)
+    if np.any(covariance):
         moments = with_contribution(moments, "separation", covariance)
+    if fitted is not None:
+        covariance = face_covariance(fitted, volume, cut, distance <= reach, bone.level - air.level, moments)
+        moments = with_contribution(moments, "plate", covariance)
     return Measured(
         moments,
         as_levels(air, bone, guess.plastic),
@@ -131,6 +138,28 @@ def _unclipped(
     body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
     expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
     return np.where(known, unclipped(cut.grey, own, air, expected), first)
+
+
+def _by_tails(parted: Parted, cut: Cut, volume: Volume, moments: Moments) -> Array:
+    """Return the covariance (10, 10) of what blur carries between close bodies, known to a part of itself.
+
+    Each eighth of the border stands for itself.
+    """
+    covariance = np.zeros((10, 10))
+    for share in (parted.foreign, parted.behind):
+        if share is None:
+            continue
+        index = np.argwhere(share > 1e-4)
+        if len(index) == 0:
+            continue
+        away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+        amount = share[tuple(index.T)].astype(float) * volume.voxel_mm3 * _TAIL_SD
+        steps = sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None]
+        octant = (away > np.median(away, axis=0)) @ np.array([1, 2, 4])
+        for part in range(8):
+            step = steps[octant == part].sum(axis=0)
+            covariance += np.outer(step, step)
+    return covariance
 
 
 def _unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume, cut: Cut) -> Array:
@@ -192,21 +221,22 @@ def _without_plate(
     within: tuple[NDArray[np.float32], float],
     start: tuple[float, float | None, float],
     bone: float,
-) -> tuple[Cut, PlateFace | None]:
+) -> tuple[Cut, FaceFit | None]:
     """Subtract the plate's blurred face from the grey values within reach of the stapes."""
     (air, plastic, sigma), (distance_mm, reach_mm) = start, within
     if plastic is None:
         return cut, None
-    face = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
-    if face is None:
+    fit = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
+    if fit is None:
         return cut, None
+    face = fit.face
     near = distance_mm <= reach_mm
     grey = cut.grey.copy()
     grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
     missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air)
     if missing is not None:
         grey[near] += missing[near]
-    return replace(cut, grey=grey), face
+    return replace(cut, grey=grey), fit
 
 
 def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,9 +11,33 @@ from ct_inertia.bodies import PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import blurred, body_share
+from ct_inertia.moments import Moments
+from ct_inertia.partial_volume import sensitivity
 from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FaceFit:
+    """A fitted face and how well it is known.
+
+    Attributes
+    ----------
+    face : PlateFace
+    centre : ndarray, (3,)
+        Where the fit is best, scan coordinates, mm.
+    basis : ndarray, (3, 2)
+        Directions in the face.
+    covariance : ndarray, (6, 6)
+        Of height at the centre (mm), slopes along the basis, blur (mm), air, plastic.
+    """
+
+    face: PlateFace
+    centre: Array
+    basis: Array
+    covariance: Array
+
 
 _TRIALS = 150
 _MOST = 6000
@@ -19,6 +45,8 @@ _LEAST = 300
 _ROUNDS = 12
 _WIDTHS = 3.5
 _LEAST_SUNK = 20
+# A plane through edge points alone: its height in their scatter, its tilt in radians.
+_EDGE_PLANE, _EDGE_TILT = 0.15, 2e-3
 _CLEAR_WIDTHS = 3.0
 _KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.005, 0.03
 
@@ -29,7 +57,7 @@ def face_near(
     distance_mm: NDArray[np.float32],
     reach_mm: float,
     start: tuple[float, float, float],
-) -> PlateFace | None:
+) -> FaceFit | None:
     """Fit the plate's face that the stapes stands over, when it is within reach of the stapes' blur.
 
     Parameters
@@ -44,7 +72,7 @@ def face_near(
 
     Returns
     -------
-    PlateFace or None
+    FaceFit or None
         None when the plate is far, or shows no plane face away from bone.
 
     Notes
@@ -76,6 +104,39 @@ def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.boo
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
     away = points @ face.normal - face.offset_mm
     return np.asarray((face.plastic - face.air) * ndtr(-away / face.sigma_mm))
+
+
+def face_covariance(
+    fit: FaceFit, volume: Volume, cut: Cut, where: NDArray[np.bool_], contrast: float, moments: Moments
+) -> Array:
+    """Return the covariance (10, 10) of the stapes' moments from what is not known of the plate's face.
+
+    Parameters
+    ----------
+    fit : FaceFit
+    volume : Volume
+    cut : Cut
+    where : ndarray of bool, [z, y, x]
+        Voxels that the face was subtracted from.
+    contrast : float
+        Bone minus air.
+    moments : Moments
+    """
+    from scipy.special import ndtr
+
+    face = fit.face
+    points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
+    z = (points @ face.normal - face.offset_mm) / face.sigma_mm
+    touched = z < _WIDTHS
+    points, z = points[touched], z[touched]
+    slope = (face.plastic - face.air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / face.sigma_mm
+    flat = (points - fit.centre) @ fit.basis
+    cover = ndtr(-z)
+    design = np.column_stack([slope, -slope * flat[:, 0], -slope * flat[:, 1], slope * z, -cover, cover])
+    voxel = volume.voxel_mm3 / contrast
+    f = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0)
+    linear = voxel * f.T @ design
+    return np.asarray(linear @ fit.covariance @ linear.T)
 
 
 def displaced_share(
@@ -197,7 +258,7 @@ def _refined(
     plane: tuple[Array, float],
     start: tuple[float, float, float],
     edges: Array,
-) -> PlateFace:
+) -> FaceFit:
     """Fit plane, levels and blur to the voxels across the face (Gauss-Newton with Tukey's weights).
 
     Where bone leaves too little of the face free, the plane through the edge points (n, 3) stands.
@@ -213,7 +274,12 @@ def _refined(
     if len(index) < _LEAST:
         away = edges @ normal - offset
         rms = float(np.sqrt(np.median(away[np.abs(away) < sigma] ** 2)))
-        return PlateFace(normal, offset, sigma, air, plastic, rms)
+        face = PlateFace(normal, offset, sigma, air, plastic, rms)
+        contrast = abs(plastic - air)
+        sds = [_EDGE_PLANE * rms, _EDGE_TILT, _EDGE_TILT, _KNOWN_BLUR * sigma]
+        sds += [_KNOWN_AIR * contrast, _KNOWN * contrast]
+        basis = np.linalg.svd(normal[None, :])[2][1:].T
+        return FaceFit(face, edges.mean(axis=0), basis, np.diag(np.square(sds)))
     grey = cut.grey[tuple(index.T)].astype(float)
     centre = points.mean(axis=0)
     basis = np.linalg.svd(normal[None, :])[2][1:].T
@@ -248,7 +314,9 @@ def _refined(
     rest = grey - (air + (plastic - air) * ndtr(-z))
     slope = (plastic - air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / sigma
     rms = float(np.sqrt(np.median((rest[middle] / slope[middle]) ** 2))) if np.any(middle) else 0.0
-    return PlateFace(normal, offset, sigma, float(air), float(plastic), rms)
+    covariance = scale**2 * np.linalg.inv(normal_matrix)
+    face = PlateFace(normal, offset, sigma, float(air), float(plastic), rms)
+    return FaceFit(face, centre, basis, covariance)
 
 
 def _over_plastic(
