@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def box_around(
     return first, tuple(slice(int(a), int(b)) for a, b in zip(first[::-1], last[::-1], strict=True))
 
 
-def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
+def cut_out(volume: Volume, sight: Sight, plate: Callable[[], PlateRegion | None]) -> Cut:
     """Take the piece of bone that the coarse view chose, on a working grid.
 
     Connected bone that holds other pieces too is flooded from the cores of the pieces, on a finer grid
@@ -81,23 +82,26 @@ def cut_out(volume: Volume, sight: Sight, plate: PlateRegion | None) -> Cut:
     ----------
     volume : Volume
     sight : Sight
-    plate : PlateRegion or None
+    plate : callable
+        Returns the plate's region or None; called last, so that it may still be looked for.
     """
     view = _view(_box(volume, sight, WORKING_MM if sight.markers is None else PARTING_MM), sight)
     if view.touching and np.any(block_for(volume.spacing_mm, PARTING_MM) < view.working.block):
         view = _view(_box(volume, sight, PARTING_MM), sight)
     method, own, bone = sight.method, view.own, view.bone
-    rest = bone & ~own
+    rest = view.rest
     if view.touching:
         own, rest = _flooded_apart(view)
+        rest = _without_dust(rest)
         if sight.markers is None:
             method = "flooded by grey value from the cores of the pieces"
     working = view.working
     plastic = np.zeros(bone.shape, dtype=bool)
-    if plate is not None:
-        plastic = working.from_coarse(plate.mask, plate.step) & (view.quiet > plate.middle) & ~bone
+    region = plate()
+    if region is not None:
+        plastic = working.from_coarse(region.mask, region.step) & (view.quiet > region.middle) & ~bone
     first = np.zeros(3, dtype=np.int64)
-    return Cut(first, working.grey, own, _without_dust(rest), plastic, method, (), working)
+    return Cut(first, working.grey, own, rest, plastic, method, (), working)
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
@@ -105,12 +109,13 @@ Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class _View:
-    """Bone on a working grid: its connected piece that holds most cores of the stapes, and all cores."""
+    """Bone on a working grid: the connected piece with most cores of the stapes, the rest, and the cores."""
 
     working: Working
     quiet: NDArray[np.float32]
     bone: NDArray[np.bool_]
     own: NDArray[np.bool_]
+    rest: NDArray[np.bool_]
     own_cores: Places
     other_cores: Places
 
@@ -135,7 +140,10 @@ def _view(working: Working, sight: Sight) -> _View:
     own_cores, other_cores = _cores(sight, working)
     votes = np.bincount(labels[own_cores], minlength=count + 1)
     votes[0] = 0
-    return _View(working, quiet, bone, labels == int(np.argmax(votes)), own_cores, other_cores)
+    own = int(np.argmax(votes))
+    kept = np.bincount(labels[bone], minlength=count + 1) >= _DUST_VOXELS
+    kept[[0, own]] = False
+    return _View(working, quiet, bone, labels == own, kept[labels], own_cores, other_cores)
 
 
 def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:

@@ -6,7 +6,6 @@ import zlib
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
 

@@ -30,15 +30,14 @@ from kinematics.notices import unique
 
 Array = NDArray[np.float64]
 
-# Slow to import, needed soon: imported while the coarse view is taken.
-_NEEDED = (
-    "scipy.ndimage",
-    "scipy.special",
-    "scipy.sparse.csgraph",
-    "scipy.sparse.linalg",
+# Slow to import, needed soon: imported while the coarse view is taken, and while the stapes is cut out.
+_NEEDED = ("scipy.special", "scipy.ndimage")
+_NEEDED_LATER = (
     "vtkmodules.util.numpy_support",
     "vtkmodules.vtkCommonDataModel",
     "vtkmodules.vtkFiltersCore",
+    "scipy.sparse.csgraph",
+    "scipy.sparse.linalg",
 )
 
 
@@ -74,18 +73,25 @@ def find_bodies(
     if options.box_mm is not None:
         volume = volume.cropped(options.box_mm)
     glance = Later(take_glance, volume)
-    for name in _NEEDED:
-        import_module(name)
+    _import(_NEEDED)
     sight = look(volume, options, glance.result())
-    plate = find_plate(sight)
+    del glance
+    imports = Later(_import, _NEEDED_LATER)
+    progress("cutting the stapes out")
+    finding = Later(find_plate, sight)
+    cut = cut_out(volume, sight, finding.result)
+    plate = finding.result()
     plate_mesh = None if plate is None else Later(plate_surface, volume, sight, plate)
     # The coarse grey values have done their work: the working copy takes their place in memory.
-    del glance
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
-    progress("cutting the stapes out")
-    cut = cut_out(volume, sight, plate)
+    imports.result()
     progress("measuring the stapes")
     return _assembled(volume, sight, plate, plate_mesh, cut, options)
+
+
+def _import(names: Sequence[str]) -> None:
+    for name in names:
+        import_module(name)
 
 
 def _assembled(
@@ -103,10 +109,11 @@ def _assembled(
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
-    stapes, level = volume_matched(share, moments.volume_mm3, cut.scan_from_box(grid))
+    mesh = Later(volume_matched, share, moments.volume_mm3, cut.scan_from_box(grid))
     coarse, blur = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
+    stapes, level = mesh.result()
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
     return Bodies(
         volume=volume,
