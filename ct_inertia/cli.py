@@ -270,7 +270,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     hashes = Hashes(options.inputs.values(), given.sha256)
     with told_on_terminal(not given.quiet and not given.json) as progress:
         result = ct2mass(options, progress)
-        progress("writing")
+        progress("writing" if given.no_report else "drawing the report")
         files, content = _write(given, folder, result, hashes)
     return given, Outcome(
         f"ct2mass: {options.scan or options.labels}", _rows(result, content), result.notices, files, content
