@@ -268,10 +268,17 @@ def _plate_frame(
         return None
     from ct_inertia.plate_frame import plate_frame
 
-    return plate_frame(plate, stapes, None if bodies is None else _on_border(bodies, plate))
+    if bodies is None:
+        return plate_frame(plate, stapes)
+    grey = None if bodies.levels is None else bodies.volume
+    return plate_frame(plate, stapes, _on_border(bodies, plate), grey, bodies.psf_sigma_mm)
 
 
 def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:
     """Return which vertices (n,) of the plate lie at the border of the scan."""
+    from ct_inertia.plate_region import PlateSurface
+
+    if isinstance(plate, PlateSurface):
+        return plate.on_border
     index = bodies.volume.index_points(plate.vertices_mm)
     return np.asarray(np.any((index < 0.6) | (index > bodies.volume.size - 1.6), axis=1))

@@ -1,13 +1,14 @@
 """The plate frame: +y out of the plate's large face towards the stapes, x along its longest straight edge.
 
 The edges are the lines where the fitted plane of the face meets those of the plate's sides, so that bone
-and glue on the face do not matter. Where the field of view crops the plate, its border ends the face.
+and glue on the face do not matter. Edges that are parallel or square to the longest one within what is known
+of them help to tell its direction. Where the field of view crops the plate, its border ends the face.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate import SurfaceLike
 from ct_inertia.plane_faces import PlaneFace, plane_faces
+from ct_inertia.plane_fit import fitted_to_grey
 from ct_inertia.surface_field import Mesh
+from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.frames import RigidTransform, axes_matrix, vector_from_rotation
 from kinematics.notices import Notice
@@ -29,6 +32,7 @@ _RIM_MM = 0.15
 _COVERED = 0.9
 _CURVED_1_MM = 0.15
 _AMBIGUOUS = 0.95
+_AGREEING_SD, _AGREEING_RAD = 3.0, 2e-3
 _UNKNOWN_TURN_RAD = 1.0
 
 
@@ -60,7 +64,11 @@ class PlateFrame:
 
 
 def plate_frame(
-    plate: SurfaceLike, stapes: SurfaceLike, on_border: NDArray[np.bool_] | None = None
+    plate: SurfaceLike,
+    stapes: SurfaceLike,
+    on_border: NDArray[np.bool_] | None = None,
+    volume: Volume | None = None,
+    sigma_mm: float = 0.0,
 ) -> PlateFrame:
     """Find the frame of the plate from its surface.
 
@@ -70,6 +78,10 @@ def plate_frame(
         Closed, outward; scan coordinates, mm.
     on_border : ndarray of bool, (n,), optional
         Vertices of the plate at the border of the field of view, where the scan crops it.
+    volume : Volume, optional
+        Its grey values, for planes fitted to them.
+    sigma_mm : float
+        Standard deviation of their blur.
 
     Raises
     ------
@@ -78,10 +90,16 @@ def plate_frame(
     """
     mesh = Mesh(np.asarray(plate.vertices_mm, dtype=float), np.asarray(plate.faces, dtype=np.intp))
     faces = plane_faces(mesh, 0.01 * float(np.linalg.norm(mesh.area_vectors, axis=1).sum()), on_border)
+    if volume is not None:
+        faces = [_placed_border(face, volume) for face in faces]
     main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))
     sides = _sides(faces, main)
+    if volume is not None and sigma_mm > 0.0:
+        main, *sides = fitted_to_grey([main, *sides], faces, volume, sigma_mm)
     found = _frame(main, sides)
-    covariance = _propagated(main, sides, found)
+    weights = _agreeing(main, sides, found)
+    found = _frame(main, sides, found.along, weights)
+    covariance = _propagated(main, sides, found, weights)
     notices = _notices(found, sides)
     transform = RigidTransform.from_parts(found.axes, found.origin, "scan", "plate")
     return PlateFrame(
@@ -99,6 +117,21 @@ class _Found:
     lengths: Array
     owners: NDArray[np.int_]
     along: int
+
+
+def _placed_border(face: PlaneFace, volume: Volume) -> PlaneFace:
+    """Return a face at the border of the field of view where that border is: half a voxel outside."""
+    if not face.at_border:
+        return face
+    inner = face.normal @ volume.direction
+    axis = int(np.argmax(np.abs(inner)))
+    normal = volume.direction[:, axis] * np.sign(inner[axis])
+    index = volume.index_points(face.point_mm)
+    index[axis] = -0.5 if inner[axis] < 0.0 else float(volume.size[axis]) - 0.5
+    basis = np.delete(volume.direction, axis, axis=1)
+    return replace(
+        face, normal=normal, point_mm=volume.scan_points(index), basis=basis, covariance=np.zeros((3, 3))
+    )
 
 
 def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
@@ -129,8 +162,10 @@ def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
     return kept
 
 
-def _frame(main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None) -> _Found:
-    """Build the frame from the planes; ``along`` names the side whose edge gives x."""
+def _frame(
+    main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None, weights: Array | None = None
+) -> _Found:
+    """Build the frame from the planes; ``along`` names the side whose edge gives x, with others by weight."""
     normal = main.normal
     u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     u = u / np.linalg.norm(u)
@@ -144,6 +179,8 @@ def _frame(main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None
         along = int(owners[longest]) if edge[longest] and lengths[longest] > _LEAST_EDGE_MM else -1
     if along >= 0:
         direction = np.cross(normal, sides[along].normal)
+        if weights is not None:
+            direction = _mean_direction(normal, sides, direction, weights)
     else:
         direction = np.eye(3)[int(abs(normal[0]) > _COVERED)]
         direction = direction - (direction @ normal) * normal
@@ -151,6 +188,48 @@ def _frame(main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None
     corners = main.point_mm + polygon @ plane.T
     origin = main.point_mm + plane @ _centroid(polygon)
     return _Found(axes, origin, corners, np.where(edge, lengths, 0.0), owners, along)
+
+
+def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, weights: Array) -> Array:
+    """Return the mean of the directions of edges, each turned by quarters to lie near the first."""
+    total = np.zeros(3)
+    for side, weight in zip(sides, weights, strict=True):
+        edge = np.cross(normal, side.normal)
+        edge = edge / np.linalg.norm(edge)
+        turns = [edge, np.cross(normal, edge), -edge, -np.cross(normal, edge)]
+        total += weight * max(turns, key=lambda turned: float(turned @ first))
+    return total
+
+
+def _agreeing(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found) -> Array:
+    """Return the weights (n,) with which the sides tell the direction of x; they sum to 1.
+
+    A side that is parallel or square to the longest edge within what is known of both says the same as it,
+    and counts by its precision; others do not count.
+    """
+    weights = np.zeros(len(sides))
+    if found.along < 0:
+        return weights
+    first = np.cross(main.normal, sides[found.along].normal)
+    first = first / np.linalg.norm(first)
+    variances = np.array([_turn_variance(main, side) for side in sides])
+    for place, side in enumerate(sides):
+        one = np.zeros(len(sides))
+        one[place] = 1.0
+        edge = _mean_direction(main.normal, sides, first, one)
+        angle = float(np.arcsin(np.clip(np.cross(first, edge) @ main.normal, -1.0, 1.0)))
+        limit = _AGREEING_SD * float(np.sqrt(variances[place] + variances[found.along]))
+        if not side.at_border and abs(angle) <= min(limit, _AGREEING_RAD):
+            weights[place] = 1.0 / max(variances[place], 1e-16)
+    weights[found.along] = 1.0 / max(variances[found.along], 1e-16)
+    return np.asarray(weights / weights.sum())
+
+
+def _turn_variance(main: PlaneFace, side: PlaneFace) -> float:
+    """Return the variance of the direction of a side's edge about the normal of the main face, rad2."""
+    edge = np.cross(main.normal, side.normal)
+    slopes = side.basis.T @ (edge / np.linalg.norm(edge))
+    return float(slopes @ side.covariance[1:, 1:] @ slopes)
 
 
 def positive_sense(direction: Array) -> Array:
@@ -220,7 +299,7 @@ def _centroid(polygon: Array) -> Array:
     return np.asarray(np.array([(x + x2) @ cross, (y + y2) @ cross]) / (3.0 * cross.sum()))
 
 
-def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found) -> Array:
+def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found, weights: Array) -> Array:
     """Carry the covariance of every plane to the frame by finite differences, (6, 6), m and rad."""
     covariance = np.zeros((6, 6))
     planes = [main, *sides]
@@ -231,7 +310,7 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found) -> A
             for sign in (1.0, -1.0):
                 moved = [*planes]
                 moved[place] = plane.moved(sign * step)
-                motions.append(_displacement(found, _frame(moved[0], moved[1:], found.along)))
+                motions.append(_displacement(found, _frame(moved[0], moved[1:], found.along, weights)))
             columns.append((motions[0] - motions[1]) / 2e-5)
         jacobian = np.column_stack(columns)
         covariance += jacobian @ plane.covariance @ jacobian.T

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.coarse import calmed, finite
+from ct_inertia.coarse import calmed
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.isosurface import iso_surface
 from ct_inertia.search import Sight
@@ -17,8 +17,9 @@ from ct_inertia.volume import Volume
 Array = NDArray[np.float64]
 _LEAST_MM3 = 0.5
 _RIM_MM = 0.11
-_SURFACE_MM = 0.025
-_MOST_VOXELS = 30_000_000
+_GRID_MM = 0.0625
+_BEYOND = 0.02
+_SMOOTH_VOXELS = 0.7
 _LEAST_DEEP = 300
 _STRAY = 30
 
@@ -45,6 +46,19 @@ class PlateRegion:
     step: NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class PlateSurface(Surface):
+    """The closed surface of a plate.
+
+    Attributes
+    ----------
+    on_border : ndarray of bool, (n,)
+        Vertices where it is not the plate that ends but the scan.
+    """
+
+    on_border: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+
 def find_plate(sight: Sight) -> PlateRegion | None:
     """Find the largest body of plastic grey that is no blurred rim of bone.
 
@@ -57,9 +71,11 @@ def find_plate(sight: Sight) -> PlateRegion | None:
         return None
     scan = sight.scan
     middle = 0.5 * (sight.air + sight.plastic)
-    rim = max(1, int(np.ceil(_RIM_MM / float(scan.spacing_mm.mean()))))
-    box = _crowded(scan.grey > middle, 3 * rim + 4)
-    grey = scan.grey[box]
+    thin = max(1, int(_GRID_MM / float(scan.spacing_mm.mean())))
+    rim = max(1, int(np.ceil(_RIM_MM / (thin * float(scan.spacing_mm.mean())))))
+    coarse = _thinned(scan.grey, thin)
+    box = _crowded(coarse > middle, 3 * rim + 4)
+    grey = coarse[box]
     bone = calmed(grey, scan.noise / (sight.bone - sight.air)) > sight.between
     near_bone = ndimage.binary_dilation(bone, iterations=rim)
     smooth = ndimage.gaussian_filter(grey, 0.7)
@@ -68,15 +84,21 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     if count == 0:
         return None
     sizes = np.bincount(labels.ravel())[1:]
-    if sizes.max() * scan.voxel_mm3 < _LEAST_MM3:
+    if sizes.max() * scan.voxel_mm3 * thin**3 < _LEAST_MM3:
         return None
     core = labels == int(np.argmax(sizes)) + 1
     grown = ndimage.binary_dilation(core, mask=(smooth > middle) & ~bone, iterations=rim + 1)
     plastic = _pure(grey, core, rim, sight.plastic)
     air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
-    mask = np.zeros(scan.grey.shape, dtype=bool)
+    mask = np.zeros(coarse.shape, dtype=bool)
     mask[box] = grown
-    return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step)
+    return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin)
+
+
+def _thinned(grey: NDArray[np.float32], thin: int) -> NDArray[np.float32]:
+    """Return every ``thin``-th voxel along each axis."""
+    start = slice(thin // 2, None, thin)
+    return grey[start, start, start]
 
 
 def _crowded(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
@@ -110,57 +132,36 @@ def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess
 def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface | None:
     """Return the closed surface of the plate, cut out of the bone glued to it.
 
-    On a grid of about 0.025 mm (means over blocks of voxels when the scan is finer), at the level half way
-    between air and plastic; None when nothing closed can be made of it.
+    On the grid of the coarse view, at the level half way between air and plastic; None when nothing closed
+    can be made of it.
     """
     from scipy import ndimage
 
-    rim = np.stack(np.nonzero(plate.mask)[::-1], axis=1)
-    low = np.maximum((rim.min(axis=0) - 2) * plate.step, 0)
-    high = np.minimum((rim.max(axis=0) + 3) * plate.step, volume.size)
-    block = np.maximum(np.floor(_SURFACE_MM / volume.spacing_mm + 0.01), 1).astype(np.int64)
-    while np.prod((high - low) // block) > _MOST_VOXELS:
-        block = block + 1
-    grey = _block_means(volume, low, high, block)
-    if sight.scan.noise > 0.12 * (plate.plastic - plate.air):
-        grey = ndimage.gaussian_filter(grey, 0.8)
-    count = np.array(grey.shape[::-1])
-    centre = low + (block - 1) / 2.0
-    wide = ndimage.binary_dilation(plate.mask, iterations=2)
-    region = _lookup(wide, (centre[None, :] + np.arange(count.max())[:, None] * block), count, plate.step)
-    field = np.clip((grey - plate.air) / (plate.plastic - plate.air), -1.0, 1.0)
+    index = np.nonzero(plate.mask)
+    low = [max(int(k.min()) - 2, 0) for k in index]
+    high = [int(k.max()) + 3 for k in index]
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    coarse = _thinned(sight.scan.grey, int(plate.step[0] // sight.scan.step[0]))
+    grey = ndimage.gaussian_filter(coarse[box], _SMOOTH_VOXELS, truncate=3.0)
+    region = ndimage.binary_dilation(plate.mask[box], iterations=2)
+    share = np.clip((grey - plate.air) / (plate.plastic - plate.air), -1.0, 1.0)
     bone = ndimage.binary_dilation(grey > sight.between)
-    field[~region | bone] = np.minimum(field[~region | bone], 0.0)
+    share[~region | bone] = np.minimum(share[~region | bone], 0.0)
     transform = volume.scan_from_index.copy()
-    transform[:3, 3] = volume.scan_points(centre)
-    transform[:3, :3] = transform[:3, :3] * block
+    first = _first(sight.scan.step, plate.step)
+    transform[:3, :3] = transform[:3, :3] * plate.step
+    transform[:3, 3] = volume.scan_points(first + np.array(low[::-1]) * plate.step)
     try:
-        return iso_surface(field, 0.5, transform)
+        surface = iso_surface(share, 0.5, transform)
     except CtInertiaError:
         return None
+    # What closes the surface where the scan ends lies beyond the outermost voxels of the view.
+    place = (volume.index_points(surface.vertices_mm) - first) / plate.step
+    last = np.array(coarse.shape[::-1]) - 1
+    capped = np.any((place < -_BEYOND) | (place > last + _BEYOND), axis=1)
+    return PlateSurface(surface.vertices_mm, surface.faces, on_border=capped)
 
 
-def _block_means(
-    volume: Volume, low: NDArray[np.int64], high: NDArray[np.int64], block: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    bx, by, bz = (int(b) for b in block)
-    nx, ny, nz = (int(n) for n in (high - low) // block)
-    x, y, z = (int(v) for v in low)
-    if (bx, by, bz) == (1, 1, 1):
-        return finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
-    means = np.empty((nz, ny, nx), dtype=np.float32)
-    for k in range(nz):
-        slab = finite(volume.array[z + k * bz : z + (k + 1) * bz, y : y + ny * by, x : x + nx * bx], volume)
-        means[k] = slab.reshape(bz, ny, by, nx, bx).mean(axis=(0, 2, 4))
-    return means
-
-
-def _lookup(
-    mask: NDArray[np.bool_], index: Array, count: NDArray[np.int64], step: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    places = []
-    for axis in range(3):
-        k = 2 - axis
-        fine = index[: count[k], k]
-        places.append(np.clip(np.round((fine - step[k] // 2) / step[k]).astype(int), 0, mask.shape[axis] - 1))
-    return np.asarray(mask[np.ix_(*places)])
+def _first(step: NDArray[np.int64], wide: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the index x, y, z in the scan of the first voxel of a view thinned from ``step`` to ``wide``."""
+    return np.asarray(step // 2 + (wide // step // 2) * step)

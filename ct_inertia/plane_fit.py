@@ -1,0 +1,198 @@
+"""Plane faces fitted to the grey values themselves: edges along voxel columns, far below voxel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.plane_faces import PlaneFace, fitted_plane
+from ct_inertia.volume import Volume
+
+Array = NDArray[np.float64]
+
+_WINDOW = 5.5
+_PURE = 3.0
+_CLEAR = 1.0
+_CELL_MM = 0.1
+_MOST_COLUMNS = 16000
+_LEVEL_VALUES = 8000
+_LEAST_COLUMNS = 60
+_FAR = 0.2
+_MOST_MOVE_MM = 0.03
+_DIRT = 6.0
+
+
+def fitted_to_grey(
+    faces: Sequence[PlaneFace], known: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> list[PlaneFace]:
+    """Return faces fitted to grey values; one that cannot be stays as it is.
+
+    Parameters
+    ----------
+    faces : sequence of PlaneFace
+        Found on a surface; those at the border of the scan stay as they are.
+    known : sequence of PlaneFace
+        All plane faces of the body, for where they end each other.
+    volume : Volume
+    sigma_mm : float
+        Standard deviation of the blur.
+
+    Notes
+    -----
+    In every voxel column that crosses the face, the shift of a blurred step that fits best (least squares,
+    linear about the last plane). Near an edge the step is lower, by what the blur takes across the other
+    face. The levels on both sides come from the ends of all columns together; columns with something else
+    at an end (bone, glue, a hole) do not count.
+    """
+    result = list(faces)
+    rest = [other for other in known if all(other is not face for face in faces)]
+    for place, face in enumerate(faces):
+        others = [*result[:place], *result[place + 1 :], *rest]
+        found = None if face.at_border else _fitted(face, others, volume, sigma_mm)
+        if found is not None and abs(face.distance(found.point_mm[None])[0]) > _FAR * sigma_mm:
+            found = _fitted(found, others, volume, sigma_mm)
+        result[place] = face if found is None else found
+    return result
+
+
+def _fitted(
+    face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> PlaneFace | None:
+    columns = _columns(face, others, volume, sigma_mm)
+    if columns is None:
+        return None
+    points, grey, away, beside = columns
+    profile = _below(away / sigma_mm)
+    inner, outer = away < -_PURE * sigma_mm, away > _PURE * sigma_mm
+    clear = beside > 0.99
+    if np.count_nonzero(clear) < _LEAST_COLUMNS:
+        return None
+    low, high = _level(grey[clear], outer[clear]), _level(grey[clear], inner[clear])
+    if not high > low:
+        return None
+    clean = _clean(grey, outer, low) & _clean((grey - low) / beside[:, None], inner, high - low)
+    share = (grey - low) / (high - low)
+    slope = np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
+    shift = np.sum((share / beside[:, None] - profile) * slope, axis=1) / np.sum(slope**2, axis=1)
+    clean &= np.abs(shift) < _MOST_MOVE_MM + 2.0 * sigma_mm
+    if np.count_nonzero(clean) < _LEAST_COLUMNS:
+        return None
+    edge = points[clean] + shift[clean, None] * face.normal
+    found = fitted_plane(edge, np.full(len(edge), face.area_mm2 / len(edge)), face.normal)
+    turn = float(np.arccos(np.clip(found.normal @ face.normal, -1.0, 1.0)))
+    reach = float(np.max(np.linalg.norm(face.samples_mm - face.point_mm, axis=1)))
+    if abs(face.distance(found.point_mm[None])[0]) + turn * reach > 2.0 * _MOST_MOVE_MM:
+        return None
+    return replace(
+        found,
+        area_mm2=face.area_mm2,
+        samples_mm=face.samples_mm,
+        turning_1_mm=face.turning_1_mm,
+    )
+
+
+def _columns(
+    face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> tuple[Array, Array, Array, Array] | None:
+    """Return columns across a face: points (n, 3) on it, grey values (n, k), heights (n, k) over it in mm.
+
+    And what the blur across the other faces leaves of the step (n,).
+    """
+    steps = volume.direction * volume.spacing_mm
+    across = face.normal @ steps
+    axis = int(np.argmax(np.abs(face.normal @ volume.direction)))
+    beside = [k for k in range(3) if k != axis]
+    half = int(np.ceil(_WINDOW * sigma_mm / abs(across[axis])))
+    index = volume.index_points(face.samples_mm)
+    low = np.maximum(np.floor(index.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(index.max(axis=0)).astype(int) + 1, volume.size)
+    low[axis] = max(low[axis] - half - 2, 0)
+    high[axis] = min(high[axis] + half + 2, int(volume.size[axis]))
+    if np.any(high - low < 2) or high[axis] - low[axis] < 2 * half + 1:
+        return None
+    count = face.area_mm2 * abs(face.normal @ volume.direction[:, axis]) / np.prod(volume.spacing_mm[beside])
+    stride = np.ones(3, dtype=int)
+    stride[beside] = max(1, round(float(np.sqrt(count / _MOST_COLUMNS))))
+    ticks = [np.arange(low[k], high[k], stride[k]) for k in range(3)]
+    flat = np.stack(np.meshgrid(ticks[beside[0]], ticks[beside[1]], indexing="ij"), axis=-1).reshape(-1, 2)
+    crossing = np.zeros((len(flat), 3))
+    crossing[:, beside] = flat
+    offset = (face.point_mm - volume.origin_mm) @ face.normal
+    crossing[:, axis] = (offset - flat @ across[beside]) / across[axis]
+    points = volume.scan_points(crossing)
+    first = np.round(crossing[:, axis]).astype(int) - half
+    keep = (first >= low[axis]) & (first + 2 * half < high[axis])
+    keep &= _covered(face, points)
+    beside_others = np.ones(len(points))
+    for other in others:
+        if _ends(face, other):
+            height = other.distance(points)
+            keep &= height < -_CLEAR * sigma_mm
+            if other.at_border:
+                keep &= height < -half * volume.spacing_mm.max()
+            else:
+                beside_others *= _below(height / sigma_mm)
+    if np.count_nonzero(keep) < _LEAST_COLUMNS:
+        return None
+    box = tuple(slice(int(low[k]), int(high[k]), int(stride[k])) for k in (2, 1, 0))
+    block = np.asarray(volume.array[box])
+    stack = np.moveaxis(block, 2 - axis, 2).transpose(1, 0, 2)
+    rows = np.flatnonzero(keep)
+    place = (first[keep] - low[axis])[:, None] + np.arange(2 * half + 1)
+    shape = (len(ticks[beside[0]]), len(ticks[beside[1]]))
+    grey = stack[(*np.unravel_index(rows, shape),)][np.arange(len(rows))[:, None], place].astype(float)
+    height = (first[keep][:, None] + np.arange(2 * half + 1) - crossing[keep, axis][:, None]) * across[axis]
+    finite = np.all(np.isfinite(grey), axis=1)
+    return points[keep][finite], grey[finite], height[finite], beside_others[keep][finite]
+
+
+def _ends(face: PlaneFace, other: PlaneFace) -> bool:
+    """Say whether another face bounds this one: not parallel to it, and with nearly all of it inside."""
+    if abs(face.normal @ other.normal) > 0.995:
+        return False
+    return float(np.mean(other.distance(face.samples_mm) < 0.05)) > 0.9
+
+
+def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
+    """Say which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
+    from scipy.ndimage import binary_closing
+
+    flat = (face.samples_mm - face.point_mm) @ face.basis
+    start = flat.min(axis=0) - 2.0 * _CELL_MM
+    cells = np.floor((flat - start) / _CELL_MM).astype(int)
+    seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
+    seen[cells[:, 0], cells[:, 1]] = True
+    inner = binary_closing(seen, np.ones((3, 3)))
+    place = np.floor(((points - face.point_mm) @ face.basis - start) / _CELL_MM).astype(int)
+    valid = np.all((place >= 0) & (place < np.array(seen.shape)), axis=1)
+    result = np.zeros(len(points), dtype=bool)
+    result[valid] = inner[place[valid, 0], place[valid, 1]]
+    return result
+
+
+def _below(height: Array) -> Array:
+    """Return the share that a step blurred by 1 leaves at heights over it."""
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(-height))
+
+
+def _level(grey: Array, where: NDArray[np.bool_]) -> float:
+    """Return the grey value of the material at one end of the columns, safe from a minority of others."""
+    values = grey[where]
+    values = values[:: max(1, len(values) // _LEVEL_VALUES)]
+    middle = float(np.median(values))
+    spread = 1.4826 * float(np.median(np.abs(values - middle)))
+    near = np.abs(values - middle) <= 2.0 * spread
+    return float(values[near].mean())
+
+
+def _clean(grey: Array, where: NDArray[np.bool_], level: float) -> NDArray[np.bool_]:
+    """Say in which columns the mean at one end is that of the material, but for noise."""
+    count = np.maximum(where.sum(axis=1), 1)
+    mean = np.where(where, grey, 0.0).sum(axis=1) / count
+    spread = 1.4826 * float(np.median(np.abs(mean - np.median(mean))))
+    return np.asarray(np.abs(mean - level) <= _DIRT * max(spread, 1e-12))
