@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 # Slow to import, needed soon: imported while the coarse view is taken, and while the stapes is cut out.
 _NEEDED = ("scipy.special", "scipy.ndimage")
 _NEEDED_LATER = (
+    "skimage.segmentation._watershed",
     "vtkmodules.util.numpy_support",
     "vtkmodules.vtkCommonDataModel",
     "vtkmodules.vtkFiltersCore",
@@ -84,9 +85,10 @@ def find_bodies(
     plate_mesh = None if plate is None else Later(plate_surface, volume, sight, plate)
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
-    imports.result()
     progress("measuring the stapes")
-    return _assembled(volume, sight, plate, plate_mesh, cut, options)
+    bodies = _assembled(volume, sight, plate, plate_mesh, cut, options)
+    imports.result()
+    return bodies
 
 
 def _import(names: Sequence[str]) -> None:

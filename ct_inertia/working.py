@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.coarse import finite, noise_of
+from ct_inertia.interior import in_threads
 from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
@@ -18,6 +19,7 @@ Index = NDArray[np.int64]
 WORKING_MM = 0.024
 # Where bones touch, the narrow gap between them is kept.
 PARTING_MM = 0.0124
+_LAYERS = 16
 
 
 @dataclass(frozen=True)
@@ -144,18 +146,23 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
         return finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
     means = np.empty((nz, ny, nx), dtype=np.float32)
     share = np.float32(1.0 / (bx * by * bz))
-    for k in range(nz):
-        slab = finite(volume.array[z + k * bz : z + (k + 1) * bz, y : y + ny * by, x : x + nx * bx], volume)
-        layer = slab[0]
-        for other in slab[1:]:
-            layer += other
-        rows = layer[::by].copy()
-        for j in range(1, by):
-            rows += layer[j::by]
-        out = means[k]
-        np.multiply(rows[:, ::bx], share, out=out)
-        for i in range(1, bx):
-            out += rows[:, i::bx] * share
+
+    def layers(start: int) -> None:
+        for k in range(start, min(start + _LAYERS, nz)):
+            part = volume.array[z + k * bz : z + (k + 1) * bz, y : y + ny * by, x : x + nx * bx]
+            slab = finite(part, volume)
+            layer = slab[0]
+            for other in slab[1:]:
+                layer += other
+            rows = layer[::by].copy()
+            for j in range(1, by):
+                rows += layer[j::by]
+            rows *= share
+            np.copyto(means[k], rows[:, ::bx])
+            for i in range(1, bx):
+                means[k] += rows[:, i::bx]
+
+    in_threads(layers, range(0, nz, _LAYERS))
     return means
 
 
