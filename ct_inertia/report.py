@@ -130,7 +130,7 @@ def write_report(
 def inputs_section(content: Mapping[str, Any]) -> page.Section:
     """Return inputs with hashes, options and versions."""
     provenance = content["provenance"]
-    options = [(key, value) for key, value in provenance["parameters"].items()]
+    options = [(key.replace("_", " "), _given(key, value)) for key, value in provenance["parameters"].items()]
     versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
     return page.Section(
         "Inputs",
@@ -141,6 +141,15 @@ def inputs_section(content: Mapping[str, Any]) -> page.Section:
             *files_blocks(content),
         ],
     )
+
+
+def _given(key: str, value: Any) -> str:
+    """Return the words for the value of an option."""
+    if key in ("density", "mass_mg") and isinstance(value, list | tuple):
+        return f"{value[0]:g}" if value[1] is None else f"{value[0]:g} ± {value[1]:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_given("", entry) for entry in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _found_section(content: Mapping[str, Any]) -> page.Section:

@@ -15,7 +15,8 @@ notes = "incus removed, cochlea closed"
 file = "scan.tif"
 # Voxel size, mm: one number, or [x, y, z]. Needed where the file does not say it.
 # spacing_mm = 0.020
-# Exactly one of density_kg_m3, mass_mg, calibration; "value+-sd" states its standard deviation.
+# At least one of density_kg_m3, mass_mg, calibration; "value+-sd" states its standard deviation.
+# With several, mass_mg leads, then calibration, and the report compares them.
 density_kg_m3 = "1900+-60"
 # mass_mg = "3.1+-0.05"
 # calibration = "calibration.toml"

@@ -6,6 +6,7 @@ import tomllib
 import pytest
 
 from pipeline.errors import PipelineError
+from pipeline.options import mass_options
 from pipeline.study import About, Fit, Ldv, Scan, parse_study, read_study
 from pipeline.template import TEMPLATE
 
@@ -54,6 +55,13 @@ def test_every_optional_line_of_the_template_is_valid(tmp_path):
 )
 def test_density_as_text_or_number(given, value, tmp_path):
     assert parsed(GOOD.replace('"1382+-14"', given), tmp_path).scan.density_kg_m3 == value
+
+
+def test_several_ways_to_the_mass_may_be_given(tmp_path):
+    scan = parsed(GOOD.replace("[ldv]", 'mass_mg = "3.1+-0.05"\n[ldv]'), tmp_path).scan
+    options = mass_options(scan)
+    assert options.mass_known_by == "mass"
+    assert options.density == (1382.0, 14.0)
 
 
 def test_paths_are_relative_to_the_study_file(tmp_path, monkeypatch):
@@ -118,9 +126,8 @@ band_hz = [5000, 400]
         ("name = 'x'\n" + GOOD, "Did you mean name in [study]"),
         (
             GOOD.replace('density_kg_m3 = "1382+-14"\n', ""),
-            "exactly one of density_kg_m3, mass_mg and calibration",
+            "at least one of density_kg_m3, mass_mg and calibration",
         ),
-        (GOOD.replace("[ldv]", "mass_mg = 3.1\n[ldv]"), "got density_kg_m3 and mass_mg"),
         (GOOD.replace('file = "scan.tif"\n', ""), "scan.file must be given, or scan.labels"),
         (GOOD + 'fiducials = "f.csv"\nframe = "plate"\n', "ldv.frame must be left out"),
         (GOOD + '[fit]\nestimator = "pinv"\nrobust = "t4"\n', "fit.robust must be none unless"),
