@@ -12,7 +12,6 @@ from ct_inertia.distance import capped_distance
 
 Array = NDArray[np.float64]
 
-_SHELL_VOXELS = 9.0
 _LEAST_AIR = 400
 _CLIPPED = 0.01
 _MOST_CLIPPED = 0.9
@@ -82,7 +81,7 @@ class Air:
 
 
 def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float, guess: float) -> Air:
-    """Measure the air in a shell outside the reach of the stapes' blur and of every other body's.
+    """Measure the air of the box, outside the reach of the stapes' blur and of every other body's.
 
     Parameters
     ----------
@@ -97,12 +96,10 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     Notes
     -----
     The mean is taken, and where noise is clipped at 0 the level from before the clipping. Its uncertainty
-    comes from the scatter between the eight octants of the shell, so that shading and streaks count, not
+    comes from the scatter between the eight octants of the box, so that shading and streaks count, not
     from the noise alone.
     """
-    step = float(np.max(around.spacing_mm))
-    outer = reach_mm + _SHELL_VOXELS * step
-    shell = (distance_mm > reach_mm) & (distance_mm < outer * 0.999)
+    shell = distance_mm > reach_mm
     if np.any(around.foreign):
         shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
     index = np.flatnonzero(shell)

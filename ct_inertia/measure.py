@@ -80,7 +80,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     reach = _TAIL_SIGMAS * sigma + float(spacing.max())
     single = None if cut.working is None else cut.working.single
     around = Surroundings(cut.grey, cut.stapes, cut.others | cut.plate, spacing, single)
-    distance = capped_distance(cut.stapes, spacing, reach + 9.5 * float(spacing.max()))
+    distance = capped_distance(cut.stapes, spacing, 2.0 * reach)
     air = measure_air(around, distance, reach, guess.air)
     if air.clipped:
         cut = replace(cut, grey=_unclipped(cut, around, distance <= reach, air, guess.bone, sigma))

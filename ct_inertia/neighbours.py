@@ -66,21 +66,24 @@ def part_from_neighbours(
 
     Notes
     -----
-    The border is the watershed of the grey values. Where two bodies are alike their tails swap across it
-    and cancel; a thin rim beside a thick bone gives more than it gets (0.1 % of a stapes at a gap of two
-    voxels). Within a few widths of the blur both are therefore modelled as two-valued bodies fitted to the
-    grey values: the neighbour's tail is subtracted on this side, the stapes' own added on the other.
+    The border runs half way between the bodies, and where they are a few widths of the blur apart along the
+    watershed of the grey values; in a wide gap noise would lead a watershed astray. Where two bodies are
+    alike their tails swap across it and cancel; a thin rim beside a thick bone gives more than it gets (0.1 %
+    of a stapes at a gap of two voxels). Within a few widths of the blur both are therefore modelled as
+    two-valued bodies fitted to the grey values: the neighbour's tail is subtracted on this side, the stapes'
+    own added on the other.
     """
     reach = distance_mm <= reach_mm
     if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
         return Parted(reach)
     away = capped_distance(cut.others, spacing_mm, 2.0 * reach_mm)
-    near = away <= reach_mm
-    markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
-    basins = flooded(cut.grey, markers, (reach & near) | (markers > 0))
-    own = reach & (~near | (basins == 1))
+    own = reach & (distance_mm <= away)
     if not np.any(cut.stapes & (away < _NEAR_SIGMAS * sigma_mm)):
         return Parted(own)
+    tight = reach & (distance_mm + away < _CLOSE_SIGMAS * sigma_mm)
+    markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
+    basins = flooded(cut.grey, markers, tight | (markers > 0))
+    own = np.where(tight, basins == 1, own)
     close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
     return _modelled(cut, own, reach, close, reach_mm, spacing_mm, levels, sigma_mm)
 
