@@ -19,6 +19,8 @@ from ct_inertia.search import Sight
 from ct_inertia.volume import Volume
 
 Index = NDArray[np.int64]
+# Layers that the smoothing of loud scans looks at beside its own.
+_HALO = 3
 
 
 @dataclass(frozen=True)
@@ -145,14 +147,16 @@ def _labels(
             y, x = window
             index = np.ix_(places[0][y], places[1][x])
             inside = region.cells[cell][index]
-            part = volume.array[
-                start:stop, low[1] + y.start : low[1] + y.stop, low[0] + x.start : low[0] + x.stop
-            ]
+            rows = slice(int(low[1]) + y.start, int(low[1]) + y.stop)
+            columns = slice(int(low[0]) + x.start, int(low[0]) + x.stop)
             above = region.above if isinstance(region.above, float) else region.above[cell][index]
             if whole:
+                part = volume.array[start:stop, rows, columns]
                 hit = part > _whole(above, part.dtype)
             else:
-                hit = calmed(finite(part, volume), noise_share) > above
+                begin = max(0, start - _HALO)
+                part = finite(volume.array[begin : stop + _HALO, rows, columns], volume)
+                hit = calmed(part, noise_share)[start - begin : stop - begin] > above
             hit &= inside
             target = labels[start - low[2] : stop - low[2], y, x]
             np.copyto(target, np.uint8(region.number), where=hit)
