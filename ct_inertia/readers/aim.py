@@ -61,6 +61,8 @@ def read_aim(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
     with path.open("rb") as stream:
         start = stream.read(4096)
         found = _new(start, path) if start.startswith(_V030) else _old(start, path)
+        if not 0 <= found.log <= found.data <= path.stat().st_size:
+            raise header_fault(path, "AIM file", f"data at byte {found.data}")
         stream.seek(found.log)
         log = stream.read(min(_LONGEST_LOG, max(0, found.data - found.log))).decode("latin-1")
     if found.kind not in _TYPES:

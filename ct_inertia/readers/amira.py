@@ -10,7 +10,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
-from ct_inertia.readers.grid import Grid, grid_volume
+from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 
@@ -66,11 +66,14 @@ def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
     factor = mm_per_unit(unit[1]) if unit else None
     spacing, origin, known = None, np.zeros(3), "the lattice has no unit of length"
     if box and len(box[1].split()) == 6:
-        ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
+        try:
+            ends = np.array([float(word) for word in box[1].split()]).reshape(3, 2)
+        except ValueError as fault:
+            raise header_fault(path, "Amira lattice", f"BoundingBox {box[1].strip()}") from fault
         steps = (ends[:, 1] - ends[:, 0]) / (np.array(size) - 1)
-        if factor is not None:
+        if factor is not None and np.all(np.isfinite(steps)) and np.all(steps > 0.0):
             spacing, origin = steps * factor, ends[:, 0] * factor
-        else:
+        elif factor is None:
             known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
     grid = Grid(size, np.dtype(order + _TYPES[field[1]]), ((path, end.end()),), spacing, origin, known=known)
     return grid_volume(grid, path, spacing_mm, mirror)
@@ -80,4 +83,6 @@ def _sizes(text: str, path: Path) -> tuple[int, int, int]:
     found = re.search(r"define\s+Lattice\s+(\d+)\s+(\d+)\s+(\d+)", text)
     if found is None or re.search(r'CoordType\s+"(?!uniform)', text):
         raise header_fault(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
-    return int(found[1]), int(found[2]), int(found[3])
+    size = int(found[1]), int(found[2]), int(found[3])
+    check_dimensions(size, path.name)
+    return size

@@ -190,6 +190,8 @@ def _place(
     scale = told[0] if told and min(told) == max(told) else 1.0
     if "space directions" in fields:
         vectors = [_vector(part, path) for part in re.findall(r"\([^)]*\)", fields["space directions"])]
+        if len(vectors) != 3:
+            raise header_fault(path, "NRRD volume", f"{len(vectors)} space directions")
         matrix = np.array(vectors).T * signs[:, None] * scale
         spacing = np.linalg.norm(matrix, axis=0)
         if np.any(spacing <= 0.0) or not np.all(np.isfinite(spacing)):
@@ -200,7 +202,10 @@ def _place(
         return spacing, matrix / spacing, origin, anatomical, ()
     if "spacings" not in fields:
         return None, np.eye(3), np.zeros(3), anatomical, ()
-    values = np.array([float(w) for w in fields["spacings"].split()])[axes]
+    told_spacings = _numbers(fields, "spacings", path)
+    if len(told_spacings) != len(sizes):
+        raise header_fault(path, "NRRD volume", f"{len(told_spacings)} spacings for {len(sizes)} axes")
+    values = np.array(told_spacings)[axes]
     factor = np.array([f if f is not None else 1.0 for f in factors])
     steps = np.abs(values) * (factor[axes] if factor.size == len(sizes) else scale)
     if not np.all(np.isfinite(steps)) or np.any(steps <= 0.0):

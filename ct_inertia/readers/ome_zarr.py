@@ -179,6 +179,8 @@ def _levels(where: Path, scales: Meta, axes: list[str], folder: Path, shape: tup
         except (CtInertiaError, KeyError):
             continue
         ratio = _scale(level, len(axes)) / fine
+        if not np.all(np.isfinite(ratio)):
+            continue
         factors = [int(np.rint(ratio[axes.index(axis)])) for axis in _SPACE]
         sizes = [-(-n // f) if f > 0 else 0 for n, f in zip(shape, factors, strict=True)]
         near = all(abs(c - n) <= 1 for c, n in zip(coarse.shape, sizes, strict=True))

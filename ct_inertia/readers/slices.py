@@ -16,6 +16,7 @@ from ct_inertia.blocks import BlockArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
 from ct_inertia.readers.skyscan import log_spacing
+from ct_inertia.readers.tiff_log import listening
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -172,7 +173,7 @@ def _look(path: Path) -> _Look:
 def _tiff_look(path: Path) -> _Look | None:
     import tifffile
 
-    with tifffile.TiffFile(path) as tif:
+    with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
         page: Any = tif.pages[0]
         if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
             return None
@@ -200,11 +201,14 @@ def _slice(path: Path) -> NDArray[Any]:
         if path.suffix.lower() in _TIFF:
             import tifffile
 
-            image = tifffile.imread(path)
+            with listening(path, "slice image"):
+                image = tifffile.imread(path)
         else:
             from imageio.v3 import imread
 
             image = imread(path)
+    except CtInertiaError:
+        raise
     except Exception as fault:
         raise not_readable(path, "slice image", fault) from fault
     image = np.asarray(image)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import mm_per_unit, not_readable, settle_spacing
+from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.ome import Calibration, ome_calibration
+from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array
 from ct_inertia.volume import Volume
-from kinematics.errors import sentence
 from kinematics.notices import Notice
 
 if TYPE_CHECKING:
@@ -40,54 +38,12 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
     """
     import tifffile
 
-    told = _Listener()
-    logger = logging.getLogger("tifffile")
-    logger.addHandler(told)
-    propagate, logger.propagate = logger.propagate, False
-    try:
-        with tifffile.TiffFile(path) as tif:
-            array = stack_array(tif, path)
-            place = _calibration(tif)
-            notices = _notices(tif, path)
-            told.check(path)
-    except CtInertiaError:
-        told.check(path)
-        raise
-    except Exception as fault:
-        raise not_readable(path, "TIFF", fault) from fault
-    finally:
-        logger.removeHandler(told)
-        logger.propagate = propagate
+    with listening(path, "TIFF"), tifffile.TiffFile(path) as tif:
+        array = stack_array(tif, path)
+        place = _calibration(tif)
+        notices = _notices(tif, path)
     spacing, settled = settle_spacing(place.spacing_mm, spacing_mm, path.name, place.known)
     return Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
-
-
-class _Listener(logging.Handler):
-    """Collects what tifffile only logs about damaged files."""
-
-    _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.faults: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        text = record.getMessage()
-        if any(word in text.lower() for word in self._WORDS):
-            self.faults.append(text.replace("\n", " ")[:200])
-
-    def check(self, path: Path) -> None:
-        """Raise when something was told."""
-        if self.faults:
-            raise CtInertiaError(
-                sentence(
-                    "the TIFF",
-                    "complete",
-                    f"a truncated or damaged file of {path.stat().st_size} bytes",
-                    path.name,
-                    "Copy or export it again",
-                )
-            ) from None
 
 
 def _calibration(tif: tifffile.TiffFile) -> Calibration:

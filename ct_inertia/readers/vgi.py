@@ -59,7 +59,7 @@ def read_vgi(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
     grid = Grid(
         (sizes[0][0], sizes[0][1], sum(size[2] for size in sizes)),
         _dtype(first, sections, path),
-        tuple((_beside(path, part), int(float(part.get("skipheader", "0")))) for part in files),
+        tuple((_beside(path, part), _skipped(part, path)) for part in files),
         *_spacing(sections),
         slab=sizes[0][2],
         notices=tuple(_notices(sections, path)),
@@ -124,6 +124,13 @@ def _dtype(part: dict[str, str], sections: Sections, path: Path) -> np.dtype:
 def _beside(path: Path, part: dict[str, str]) -> Path:
     name = part.get("name") or path.with_suffix(".vol").name
     return path.parent / name.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def _skipped(part: dict[str, str], path: Path) -> int:
+    told = part.get("skipheader", "0")
+    if not told.isdigit():
+        raise header_fault(path, "VGI header", f"SkipHeader = {told}")
+    return int(told)
 
 
 def _spacing(sections: Sections) -> tuple[NDArray[np.float64] | None]:

@@ -85,11 +85,15 @@ def zarr_array(folder: Path) -> ZarrArray:
         if (folder / name).is_file():
             meta = metadata(folder / name)
             try:
-                return opened(folder, meta)
-            except (KeyError, TypeError, ValueError, AttributeError) as fault:
+                array = opened(folder, meta)
+            except (KeyError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as fault:
                 if isinstance(fault, CtInertiaError):
                     raise
                 raise header_fault(folder, "Zarr array", f"metadata without usable {fault}") from fault
+            lengths = {len(array.shape), len(array.chunks), len(array.stored)}
+            if len(lengths) > 1 or min(*array.chunks, *array.stored, *array.shape) < 1:
+                raise header_fault(folder, "Zarr array", f"chunks of {array.chunks} for {array.shape}")
+            return array
     raise header_fault(folder, "Zarr array", "a folder without .zarray or zarr.json")
 
 
@@ -165,6 +169,8 @@ class _Shard:
 
     def __init__(self, meta: Meta, stored: tuple[int, ...], chunks: tuple[int, ...], folder: Path) -> None:
         self._grid = tuple(s // c for s, c in zip(stored, chunks, strict=True))
+        if any(s % c or s < c for s, c in zip(stored, chunks, strict=True)):
+            raise header_fault(folder, "Zarr array", f"shards of {stored} for chunks of {chunks}")
         self._count = int(np.prod(self._grid))
         names = [codec["name"] for codec in meta.get("index_codecs", [])]
         if any(name not in ("bytes", "crc32c") for name in names):
@@ -190,6 +196,8 @@ class _Shard:
             )
             if offset == _ABSENT:
                 return None
+            if offset + count > file.stat().st_size:
+                raise not_readable(file, "Zarr shard", EOFError())
             stream.seek(offset)
             data = stream.read(count)
         if len(data) < count:

@@ -195,7 +195,8 @@ def test_a_large_volume_is_looked_at_without_holding_it(tmp_path, name, write, o
     )
     grown, total = done.stdout.split()
     assert int(total) == int(array[::50, ::10, ::10].astype(np.int64).sum())
-    assert float(grown) < 40.0  # MiB, of which the format's library takes a part; the voxels are 95 MiB
+    # MiB, of which the format's library and two layers of chunks take a part; the voxels are 95 MiB.
+    assert float(grown) < 55.0
 
 
 def test_segmentations_are_held_in_memory(tmp_path):

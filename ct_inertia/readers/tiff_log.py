@@ -1,0 +1,66 @@
+"""What tifffile only logs about damaged files, turned into a fault."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.checks import not_readable
+from kinematics.errors import sentence
+
+_WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
+
+
+class _Listener(logging.Handler):
+    """Collects the messages that speak of damage."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.faults: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage().lower()
+        if any(word in text for word in _WORDS):
+            self.faults.append(text)
+
+
+@contextmanager
+def listening(path: Path, kind: str) -> Iterator[None]:
+    """Read with tifffile: whatever it raises or logs about damage becomes one sentence.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    told = _Listener()
+    logger = logging.getLogger("tifffile")
+    logger.addHandler(told)
+    propagate, logger.propagate = logger.propagate, False
+    try:
+        yield
+    except CtInertiaError as fault:
+        if told.faults:
+            raise _damaged(path, kind) from fault
+        raise
+    except Exception as fault:
+        raise not_readable(path, kind, fault) from fault
+    finally:
+        logger.removeHandler(told)
+        logger.propagate = propagate
+    if told.faults:
+        raise _damaged(path, kind)
+
+
+def _damaged(path: Path, kind: str) -> CtInertiaError:
+    return CtInertiaError(
+        sentence(
+            f"the {kind}",
+            "complete",
+            f"a truncated or damaged file of {path.stat().st_size} bytes",
+            path.name,
+            "Copy or export it again",
+        )
+    )
