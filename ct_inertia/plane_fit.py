@@ -150,8 +150,11 @@ def _columns(
 
 
 def _ends(face: PlaneFace, other: PlaneFace) -> bool:
-    """Say whether another face bounds this one: not parallel to it, and with nearly all of it inside."""
-    if abs(face.normal @ other.normal) > 0.995:
+    """Say whether another face bounds this one: at a fair angle, and with nearly all of it inside.
+
+    What looks like a narrow face at a smaller angle is an edge rounded by the blur.
+    """
+    if abs(face.normal @ other.normal) > (0.995 if other.at_border else 0.5):
         return False
     return float(np.mean(other.distance(face.samples_mm) < 0.05)) > 0.9
 

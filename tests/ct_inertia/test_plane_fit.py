@@ -1,0 +1,106 @@
+"""Planes fitted to grey values: a blurred box in closed form, whole and cut by the border of the scan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from ct_inertia.isosurface import iso_surface
+from ct_inertia.plate_frame import plate_frame
+from ct_inertia.volume import Volume
+from kinematics.frames import rotation_from_vector, vector_from_rotation
+from tests.ct_inertia.shapes import box, moved
+
+HALF = np.array([1.6, 0.25, 1.1])
+VOXEL, SIGMA = 0.025, 0.031
+AIR, PLASTIC = 8000.0, 15000.0
+
+
+def scanned_box(rotation, centre, size, noise, seed=1, voxel=VOXEL, half=HALF, bone=None):
+    """Grey values of a box in the scan: blurred by a Gaussian in closed form, with noise."""
+    z, y, x = np.meshgrid(*(voxel * np.arange(n) for n in size[::-1]), indexing="ij")
+    points = np.stack([x, y, z], axis=-1) - centre
+    local = points @ rotation
+    edges = ndtr((half - local) / SIGMA) - ndtr((-half - local) / SIGMA)
+    grey = AIR + (PLASTIC - AIR) * edges.prod(axis=-1)
+    if bone is not None:
+        grey[np.linalg.norm(local - bone, axis=-1) < 0.4] = 30000.0
+    grey += np.random.default_rng(seed).normal(0.0, noise, grey.shape)
+    return Volume(np.round(grey).astype(np.uint16), np.full(3, voxel), np.zeros(3), np.eye(3))
+
+
+def surface_of(volume, step=3):
+    """Coarse closed surface of the box, and which of its vertices cap it at the border."""
+    from scipy.ndimage import gaussian_filter
+
+    coarse = volume.array[step // 2 :: step, step // 2 :: step, step // 2 :: step].astype(np.float32)
+    share = np.clip((gaussian_filter(coarse, 0.7) - AIR) / (PLASTIC - AIR), -1.0, 1.0)
+    scale = np.diag([*(volume.spacing_mm * step), 1.0])
+    scale[:3, 3] = volume.spacing_mm * (step // 2)
+    surface = iso_surface(share, 0.5, scale)
+    index = (surface.vertices_mm - scale[:3, 3]) / (volume.spacing_mm * step)
+    last = np.array(share.shape[::-1]) - 1
+    return surface, np.any((index < -0.02) | (index > last + 0.02), axis=1)
+
+
+def frame_of(volume, rotation, centre):
+    surface, border = surface_of(volume)
+    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    return plate_frame(surface, above, border, volume, SIGMA)
+
+
+def deviation(frame, rotation, top):
+    found = rotation.T @ frame.scan_from_plate.rotation
+    turn = np.diag([np.sign(found[0, 0]), 1.0, np.sign(found[0, 0])])
+    return rotation.T @ (frame.scan_from_plate.translation_mm - top), vector_from_rotation(found @ turn)
+
+
+@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (0.05, 0.2, -0.1), (0.4, -0.7, 0.2)])
+def test_a_noisy_box_is_found_far_below_a_voxel(vector):
+    rotation = rotation_from_vector(vector)
+    reach = np.abs(rotation) @ HALF + 0.3
+    size = np.ceil(2.0 * reach / VOXEL).astype(int)
+    centre = 0.5 * size * VOXEL + [0.004, -0.007, 0.003]
+    frame = frame_of(scanned_box(rotation, centre, size, 400.0), rotation, centre)
+    origin, turn = deviation(frame, rotation, centre + rotation @ [0.0, HALF[1], 0.0])
+    assert np.abs(origin).max() < 1e-3
+    assert np.abs(turn).max() < 2e-4
+    sd = np.sqrt(np.diag(frame.covariance))
+    assert np.all(np.abs(np.concatenate([1e-3 * origin, turn])) < 3.5 * sd)
+    assert not frame.cropped
+
+
+def test_bone_on_the_face_does_not_count():
+    rotation = rotation_from_vector((0.05, 0.2, -0.1))
+    reach = np.abs(rotation) @ HALF + 0.4
+    size = np.ceil(2.0 * reach / VOXEL).astype(int)
+    centre = 0.5 * size * VOXEL
+    volume = scanned_box(rotation, centre, size, 400.0, bone=np.array([0.6, 0.3, 0.2]))
+    surface, border = surface_of(scanned_box(rotation, centre, size, 400.0))
+    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    frame = plate_frame(surface, above, border, volume, SIGMA)
+    origin, turn = deviation(frame, rotation, centre + rotation @ [0.0, HALF[1], 0.0])
+    assert np.abs(origin).max() < 1e-3
+    assert np.abs(turn).max() < 2e-4
+
+
+@pytest.mark.parametrize("degrees", [8.0, 11.0, 30.0])
+def test_a_border_that_cuts_the_plate_at_a_small_angle_is_kept_apart(degrees):
+    """The scan ends on a plane that leaves the plate's face by a few degrees and crops a sixth of it."""
+    rotation = rotation_from_vector(np.radians([0.0, 0.0, degrees]))
+    reach = np.abs(rotation) @ HALF + 0.3
+    size = np.ceil(2.0 * reach / VOXEL).astype(int)
+    centre = 0.5 * size * VOXEL
+    top = centre + rotation @ [0.0, HALF[1], 0.0]
+    cut = top + rotation @ [1.0, 0.0, 0.0]
+    size[1] = int(cut[1] / VOXEL)
+    frame = frame_of(scanned_box(rotation, centre, size, 400.0), rotation, centre)
+    assert frame.cropped
+    origin, turn = deviation(frame, rotation, top)
+    assert np.abs(turn).max() < 3e-4
+    assert abs(origin[1]) < 1e-3
+    # What is left of the face ends where its plane leaves the scan, half a voxel behind the last centre.
+    edge = (VOXEL * (size[1] - 0.5) - top[1]) / np.sin(np.radians(degrees))
+    assert origin[0] == pytest.approx(0.5 * (edge - HALF[0]), abs=2e-3)
+    assert abs(origin[2]) < 2e-3
