@@ -1,0 +1,41 @@
+"""Work in the background: results and faults come back; the memory choices do no harm."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from kinematics.background import Later
+from kinematics.errors import KinematicsError
+from kinematics.memory import hold_little_memory
+
+
+def test_results_come_back_and_the_caller_goes_on():
+    started, go_on = threading.Event(), threading.Event()
+
+    def work(a, b):
+        started.set()
+        assert go_on.wait(10.0)
+        return a + b
+
+    later = Later(work, 2, 3)
+    assert started.wait(10.0)
+    go_on.set()
+    assert later.result() == 5
+    assert later.result() == 5
+
+
+def test_a_fault_is_raised_where_the_result_is_wanted():
+    def work():
+        raise KinematicsError("the scan must be whole; got half of it.")
+
+    later = Later(work)
+    for _ in range(2):
+        with pytest.raises(KinematicsError, match="half of it"):
+            later.result()
+
+
+def test_memory_choices_leave_arrays_as_they_are():
+    hold_little_memory()
+    arrays = [np.full(n, 7, dtype=np.uint8) for n in (10, 1 << 20, 1 << 25)]
+    assert all(array.min() == array.max() == 7 for array in arrays)
