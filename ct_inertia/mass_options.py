@@ -149,11 +149,15 @@ class MassOptions:
 
     @property
     def inputs(self) -> dict[str, Path | None]:
-        """Every input file by its role."""
-        return {
-            "scan": self.scan,
-            "labels": self.labels,
-            "calibration": self.calibration,
-            "landmarks": self.landmarks,
-            "plate_fiducials": self.plate_fiducials,
-        }
+        """Every input file by its role, the data files of headers among them."""
+        from ct_inertia.readers.companions import with_data_files
+
+        return with_data_files(
+            {
+                "scan": self.scan,
+                "labels": self.labels,
+                "calibration": self.calibration,
+                "landmarks": self.landmarks,
+                "plate_fiducials": self.plate_fiducials,
+            }
+        )

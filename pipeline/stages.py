@@ -44,10 +44,12 @@ class Scan:
 
     @staticmethod
     def inputs(study: Study) -> dict[str, Path | None]:
-        """Return the files by role."""
+        """Return the files by role, the data files of headers among them."""
+        from ct_inertia.readers.companions import with_data_files
+
         scan = study.scan
         names = ("labels", "calibration", "landmarks", "plate_fiducials")
-        return {"scan": scan.file} | {name: getattr(scan, name) for name in names}
+        return with_data_files({"scan": scan.file} | {name: getattr(scan, name) for name in names})
 
     @staticmethod
     def parameters(study: Study, _work: Workspace) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -201,6 +202,18 @@ def density_notice(name: str, scaling: float, slope: float, intercept: float, un
         f"file of --calibration."
     )
     return [Notice("density_in_header", text)]
+
+
+def numbered_names(words: Sequence[str], path: Path, kind: str) -> list[str]:
+    """Return the file names that ``pattern first last [step]`` stands for, as in ``s%03d.raw 0 99 1``."""
+    pattern, *rest = words
+    if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):
+        raise header_fault(path, kind, f"data files {' '.join(words)}")
+    step = int(rest[2]) if len(rest) > 2 else 1
+    directive = re.search(r"%0?(\d*)d", pattern)
+    if step < 1 or directive is None or pattern.count("%") != 1:
+        raise header_fault(path, kind, f"data files {' '.join(words)}")
+    return [pattern % number for number in range(int(rest[0]), int(rest[1]) + 1, step)]
 
 
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:

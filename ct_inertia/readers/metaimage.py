@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -68,6 +68,12 @@ def read_metaimage(
             )
         )
     return grid_volume(_grid(path, fields, size, start, rest), path, spacing_mm, mirror)
+
+
+def voxel_files(path: Path) -> list[Path]:
+    """Return the files that hold the voxels of a header."""
+    fields, start, rest = _header(path)
+    return [file for file, _ in _files(path, fields, start, rest)]
 
 
 def _header(path: Path) -> tuple[dict[str, str], int, list[str]]:
@@ -147,16 +153,14 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
 
 def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> list[tuple[Path, int]]:
     named = fields["ElementDataFile"]
-    head = int(float(fields.get("HeaderSize", "0") or 0))
+    head = _values(fields, ("HeaderSize",), path)
+    skip = int(head[0]) if head and abs(head[0]) < 1e15 else 0
     if named.upper() in ("LOCAL", ""):
         return [(path, start)]
     if named.upper().startswith("LIST"):
         names = rest
     elif "%" in named:
-        words = named.split()
-        low, high = int(words[1]), int(words[2])
-        step = int(words[3]) if len(words) > 3 else 1
-        names = [words[0] % number for number in range(low, high + 1, step)]
+        names = numbered_names(named.split(), path, "MetaImage volume")
     else:
         names = [named]
     pictures = [
@@ -172,4 +176,4 @@ def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> l
                 "Give the folder of slices itself, with --spacing",
             )
         )
-    return [(path.parent / name, head) for name in names]
+    return [(path.parent / name, skip) for name in names]

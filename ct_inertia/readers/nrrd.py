@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -70,6 +70,12 @@ def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str
     labels, notice = _flattened(grid_array(grid, path), segments)
     volume = grid_volume(grid, path, spacing_mm, mirror, labels)
     return _noted(volume, notice)
+
+
+def voxel_files(path: Path) -> list[Path]:
+    """Return the files that hold the voxels of a header."""
+    fields, _, start = _header(path)
+    return [file for file, _ in _files(path, fields, start, "raw")]
 
 
 def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
@@ -173,7 +179,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
         packing,
         anatomical,
         layers=extra,
-        skip=0 if packing == "raw" else max(0, _integer(fields, "byte skip", "byteskip")),
+        skip=0 if packing == "raw" else max(0, _integer(fields, path, "byte skip", "byteskip")),
         notices=notices,
     )
 
@@ -241,8 +247,8 @@ def _vector(text: str, path: Path) -> Array:
 
 def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list[tuple[Path, int]]:
     """Return the data files, each with the offset of its first voxel (or of its packed stream)."""
-    skip = _integer(fields, "byte skip", "byteskip") if packing == "raw" else 0
-    lines = _integer(fields, "line skip", "lineskip")
+    skip = _integer(fields, path, "byte skip", "byteskip") if packing == "raw" else 0
+    lines = _integer(fields, path, "line skip", "lineskip")
     named = fields.get("data file")
     if not named:
         return [(path, -1 if skip == -1 else start + max(skip, 0))]
@@ -250,8 +256,7 @@ def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list
     if named.upper().startswith("LIST"):
         names = fields.get("list", "").splitlines()
     elif re.search(r"%\d*d", named):
-        pattern, low, high, step = named.split()[:4]
-        names = [pattern % number for number in range(int(low), int(high) + 1, int(step))]
+        names = numbered_names(named.split(), path, "NRRD volume")
     else:
         names = [named]
     found = []
@@ -269,8 +274,11 @@ def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list
     return found
 
 
-def _integer(fields: dict[str, str], *names: str) -> int:
-    return next((int(fields[name]) for name in names if fields.get(name)), 0)
+def _integer(fields: dict[str, str], path: Path, *names: str) -> int:
+    told = next((fields[name] for name in names if fields.get(name)), "0")
+    if not re.fullmatch(r"-1|\d{1,15}", told):
+        raise header_fault(path, "NRRD volume", f"{names[0]} {told}")
+    return int(told)
 
 
 def _segments(keys: dict[str, str]) -> list[tuple[int, int, str]]:

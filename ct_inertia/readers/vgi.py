@@ -67,6 +67,12 @@ def read_vgi(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
     return grid_volume(grid, path, spacing_mm, mirror)
 
 
+def voxel_files(path: Path) -> list[Path]:
+    """Return the files that hold the voxels of a header."""
+    sections = _sections(path)
+    return [_beside(path, part) for name, part in sections.items() if re.fullmatch(r"file\d*", name)]
+
+
 def _sections(path: Path) -> Sections:
     """Return the sections of the first volume, names and keys in lower case."""
     with path.open("rb") as stream:

@@ -139,6 +139,31 @@ def test_header_without_spacing_or_data(tmp_path):
         read_volume(tmp_path / "a.vgi", 0.02)
 
 
+@pytest.mark.parametrize(
+    ("write", "fields", "message"),
+    [
+        (f.nrrd, {"data file": "s%03d.raw 0 x 1"}, "data files s%03d.raw 0 x 1"),
+        (f.nrrd, {"data file": "s%03d%03d.raw 0 6 1"}, "data files s%03d%03d.raw 0 6 1"),
+        (f.nrrd, {"data file": "a.raw", "byte skip": "some"}, "byte skip some"),
+        (f.nrrd, {"data file": "LIST"}, "an empty list of data files"),
+        (f.nrrd, {"spacings": "1 2"}, "2 spacings for 3 axes"),
+        (f.nrrd, {"spacings": None, "space directions": "(1,0,0) (0,1,0) (0,0,x)"}, r"the vector \(0,0,x\)"),
+        (f.nrrd, {"encoding": "hex"}, "encoding must be raw, gzip or bzip2; got hex"),
+        (f.nrrd, {"type": "block"}, "got type block"),
+        (f.meta, {"data": "s%03d.raw 0"}, "data files s%03d.raw 0"),
+        (f.meta, {"data": "s%03d.raw 0 6 0"}, "data files s%03d.raw 0 6 0"),
+        (f.meta, {"ElementSpacing": "1 2 x"}, "ElementSpacing = 1 2 x"),
+        (f.meta, {"ElementType": "MET_OTHER"}, "ElementType MET_OTHER"),
+        (f.meta, {"BinaryData": "False"}, r"BinaryData must be True; got False \(voxels as text\)"),
+        (f.meta, {"DimSize": None}, "a header without DimSize"),
+    ],
+)
+def test_headers_that_make_no_sense(tmp_path, write, fields, message):
+    path = write(tmp_path / ("a.nhdr" if write is f.nrrd else "a.mhd"), picture(), **fields)
+    with pytest.raises(CtInertiaError, match=message):
+        read_volume(path, 0.02)
+
+
 BAD_TIFF = {
     "flat.tif": (picture()[0], {}, "three-dimensional; got an image of shape 5 x 6"),
     "rgb.tif": (np.zeros((4, 6, 5, 3), np.uint8), {"photometric": "rgb"}, "colour"),

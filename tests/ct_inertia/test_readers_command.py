@@ -102,3 +102,25 @@ def test_a_bad_file_is_told_in_one_sentence(tmp_path, monkeypatch, capsys):
         assert len(told.strip().splitlines()) == 1
         assert " must be " in told
         assert not (tmp_path / "out").exists()
+
+
+def test_the_voxels_beside_a_header_are_inputs_too(tmp_path):
+    array = f.picture()
+    f.itk(tmp_path / "scan.mhd", array)
+    f.vgi(tmp_path / "ear.vgi", array, parts=2)
+    f.itk(tmp_path / "a.nhdr", array)
+    f.itk(tmp_path / "b.img", array.astype(np.int16))
+    expected = {
+        "scan.mhd": ["scan.raw"],
+        "scan.raw": ["scan.mhd"],
+        "ear.vgi": ["ear-0.vol", "ear-1.vol"],
+        "a.nhdr": ["a.raw"],
+        "b.hdr": ["b.img"],
+        "b.img": ["b.hdr"],
+    }
+    for name, others in expected.items():
+        inputs = options_from(parser().parse([str(tmp_path / name), "--density", "1900"])).inputs
+        told = [path.name for role, path in inputs.items() if role.startswith("scan_data")]
+        assert told == others, name
+    alone = f.imagej(tmp_path / "a.tif", array)
+    assert "scan_data" not in options_from(parser().parse([str(alone), "--density", "1900"])).inputs

@@ -1,0 +1,66 @@
+"""Which files hold the voxels of a scan whose header stands in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ct_inertia.errors import CtInertiaError
+
+
+def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]:
+    """Return inputs by role, with the data files of headers as ``<role>_data``, ``<role>_data_2``, ...
+
+    Parameters
+    ----------
+    inputs : mapping of str to Path or None
+    """
+    found: dict[str, Path | None] = {}
+    for role, path in inputs.items():
+        found[role] = path
+        for number, data in enumerate(data_files(path), start=1):
+            found[f"{role}_data" if number == 1 else f"{role}_data_{number}"] = data
+    return found
+
+
+def data_files(path: Path | None) -> list[Path]:
+    """Return the other files that are read with a scan: voxels of a header, or the header of raw voxels.
+
+    Parameters
+    ----------
+    path : Path or None
+
+    Returns
+    -------
+    list of Path
+        Empty for files that hold their own voxels, and for headers that cannot be read.
+    """
+    if path is None or not Path(path).is_file():
+        return []
+    path = Path(path)
+    try:
+        return [file for file in _named(path) if file != path and file.is_file()]
+    except (CtInertiaError, OSError):
+        return []
+
+
+def _named(path: Path) -> list[Path]:
+    suffix = path.suffix.lower()
+    if suffix in (".mhd", ".mha"):
+        from ct_inertia.readers.metaimage import voxel_files
+
+        return voxel_files(path)
+    if suffix in (".nhdr", ".nrrd"):
+        from ct_inertia.readers.nrrd import voxel_files
+
+        return voxel_files(path)
+    if suffix == ".vgi":
+        from ct_inertia.readers.vgi import voxel_files
+
+        return voxel_files(path)
+    if suffix == ".hdr":
+        return [path.with_suffix(".img")]
+    from ct_inertia.readers.raw import RAW_SUFFIXES, companion
+
+    header = companion(path) if suffix in RAW_SUFFIXES else None
+    return [] if header is None else [header, *_named(header)]
