@@ -192,14 +192,11 @@ def unclipped(
     return result
 
 
-def _octants(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _octants(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return which eighth of a box (0 to 7) each flat index lies in."""
-    rows, columns = shape[1] * shape[2], shape[2]
-    z, rest = np.divmod(index, rows)
-    y, x = np.divmod(rest, columns)
-    return np.asarray(
-        (z > shape[0] / 2.0) + 2 * (y > shape[1] / 2.0) + 4 * (x > shape[2] / 2.0), dtype=np.int64
-    )
+    z, y, x = ((np.arange(n) > n / 2.0).astype(np.uint8) for n in shape)
+    eighth = z[:, None, None] + 2 * y[:, None] + 4 * x
+    return np.asarray(eighth.ravel()[index], dtype=np.uint8)
 
 
 def _correlation(
