@@ -62,8 +62,8 @@ def _brightness(bodies: Bodies, air: float, bone: float) -> tuple[float, Array]:
     low = np.maximum(np.floor(index.min(axis=0)).astype(np.int64), labels.first_index)
     high = np.minimum(np.ceil(index.max(axis=0)).astype(np.int64) + 1, labels.end_index)
     step = np.maximum(1, (_COARSE_MM / volume.spacing_mm).astype(np.int64))
-    thin = tuple(slice(None, None, int(s)) for s in step[::-1])
-    inside = labels.read(low, high)[thin] == STAPES
+    x, y, z = (slice(int(a), int(b), int(s)) for a, b, s in zip(low, high, step, strict=True))
+    inside = labels.read(low, high)[tuple(slice(None, None, int(s)) for s in step[::-1])] == STAPES
     deep_mm = _DEPTH_SIGMAS * bodies.psf_sigma_mm + 0.5 * float(np.max(volume.spacing_mm))
     spacing = (volume.spacing_mm * step)[::-1].tolist()
     deep = np.argwhere(
@@ -71,9 +71,8 @@ def _brightness(bodies: Bodies, air: float, bone: float) -> tuple[float, Array]:
     )
     if len(deep) < _LEAST_VOXELS:
         return 1.0, np.zeros(3)
-    places = deep[:, ::-1] * step + low
-    grey = np.asarray(volume.array[places[:, 2], places[:, 1], places[:, 0]], dtype=float)
-    arms = volume.scan_points(places) - bodies.moments.centroid_mm
+    grey = np.asarray(volume.array[z, y, x])[tuple(deep.T)].astype(float)
+    arms = volume.scan_points(deep[:, ::-1] * step + low) - bodies.moments.centroid_mm
     design = np.column_stack([np.ones(len(arms)), arms])
     line = np.linalg.lstsq(design, (grey - air) / (bone - air), rcond=None)[0]
     return float(line[0]), np.asarray(line[1:])
