@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FINE = 2
-_ROUNDS, _SHAPE_ROUNDS = 14, 3
+_ROUNDS, _SHAPE_ROUNDS = 14, 6
 _SETTLED = 1e-4
 _INNER = 0.8
-_SHAPE_STEP = 0.7
+_SHAPE_STEP, _LONE_STEP = 0.7, 1.0
 _LOW, _HIGH = 0.15, 0.85
 _PAD = 4
 _PIECE = 30_000
@@ -91,7 +91,7 @@ def fit_bodies(
     calm = _calmed(data, noise / contrast)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
-    rounds = _ROUNDS if fit_contrast else _SHAPE_ROUNDS
+    rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
     for k in range(rounds):
         share = data / np.float32(contrast)
         body = body_share(calm / np.float32(contrast), level, own)
@@ -101,7 +101,7 @@ def fit_bodies(
         width = 1.5 * sigma_mm / spacing
         weight = gaussian_filter(near, width, truncate=3.0)
         shift = gaussian_filter(rest * near, width, truncate=3.0) / np.maximum(weight, 1e-3)
-        level = np.clip(level - np.float32(_SHAPE_STEP) * shift, _LOW, _HIGH).astype(np.float32)
+        level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
         if not fit_contrast:
             continue
         inner = own & (model > _INNER)
