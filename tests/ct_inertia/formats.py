@@ -200,6 +200,14 @@ def dicom(path, array, series="1", **tags):
     return path
 
 
+def frames(path, array):
+    """One DICOM file of several frames."""
+    before = locale.setlocale(locale.LC_ALL)  # the DICOM writer sets it to "C"
+    itk(path, array)
+    locale.setlocale(locale.LC_ALL, before)
+    return path
+
+
 def isq(path, array):
     head = bytearray(1024)
     head[:16] = b"CTDATA-HEADER_V1"
