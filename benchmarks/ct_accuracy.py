@@ -156,7 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--voxel-um", default="40,28,20,14,10")
+    parser.add_argument("--voxel-um", default="40,28,20,14,10", help="x, y and z alike")
     parser.add_argument("--poses", type=int, default=3)
     parser.add_argument("--stapes", default="openear,analytic")
     parser.add_argument("--plot-only", type=Path, help="errors written by a former run")
@@ -167,8 +167,6 @@ def main() -> None:
         rows = json.loads(options.plot_only.read_text(encoding="utf-8"))
     else:
         rows = measured(options)
-        if options.save:
-            options.save.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print_tables(rows)
     plot(rows, options.figure)
 
@@ -189,6 +187,8 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
                     found = errors_of(mesh, voxel_um, seed, folder)
                     head = {"stapes": stapes, "voxel_um": voxel_um, "seed": seed}
                     rows += [{**head, "method": name, **found[name]} for name in METHODS]
+                    if options.save:
+                        options.save.write_text(json.dumps(rows, indent=1), encoding="utf-8")
                     print(f"{stapes} {voxel_um:g} um, pose {seed}: {found['stapeskit']}", file=sys.stderr)
     return rows
 
