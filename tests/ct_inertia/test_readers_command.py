@@ -35,7 +35,6 @@ def test_one_scan_in_many_formats_gives_one_mass_matrix(tmp_path, monkeypatch, c
         f.raw(tmp_path / "a.raw", array, big=True, header=77): ["--spacing", "0.05", "--shape", shape, *RAW],
         f.slices(tmp_path / "folder", array): ["--spacing", "0.05"],
         f.ome_zarr(tmp_path / "a.zarr", array, "0.5", chunk=32): [],
-        f.vgi(tmp_path / "a.vgi", array.astype(np.float32), parts=2): [],
     }
     matrices = []
     for path, options in given.items():

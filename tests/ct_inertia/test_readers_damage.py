@@ -62,7 +62,7 @@ def test_damage_is_told(tmp_path, name, capsys):
     path = write(tmp_path / name, picture(np.int16), **options)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     chance, messages = random.Random(name), []
-    for attempt in range(25):
+    for attempt in range(15):
         file = chance.choice(files)
         whole = file.read_bytes()
         file.write_bytes(damaged(whole, chance))
