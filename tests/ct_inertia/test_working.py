@@ -5,9 +5,11 @@ import pytest
 
 from ct_inertia.bodies import LabelledVolume
 from ct_inertia.coarse import coarse_scan, material_levels, noise_of
+from ct_inertia.cutting import Cut
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.interior import interior
 from ct_inertia.levels import Surroundings, measure_air, unclipped
+from ct_inertia.measure import border_notices
 from ct_inertia.read import read_volume
 from ct_inertia.segmentation import find_bodies
 from ct_inertia.volume import Volume
@@ -72,6 +74,18 @@ def test_the_box_ends_where_the_scan_ends():
     whole = working_box(volume, np.zeros(3, int), volume.size, 0.0, 0)
     assert whole.block.tolist() == [1, 1, 1]  # 61 and 40 voxels leave a rest at both ends of the scan
     assert whole.single is None
+
+
+@pytest.mark.parametrize(("start", "told"), [(0, True), (20, False), (41, True)])
+def test_a_body_is_called_cut_off_where_the_scan_ends_not_where_the_box_does(start, told):
+    volume = scan((12, 60, 61))
+    low = np.array([start, 30, 5])
+    box = working_box(volume, low, low + np.array([20, 6, 2]), 0.0, 1)
+    stapes = np.zeros(box.shape, dtype=bool)
+    stapes[1:-1, 1:-1, :] = True
+    none = np.zeros_like(stapes)
+    cut = Cut(np.zeros(3, int), box.grey, stapes, none, none, "made", (), box)
+    assert [notice.code for notice in border_notices(volume, cut)] == ["touches_border"] * told
 
 
 def test_voxels_that_are_not_finite_count_as_air_or_are_refused():
