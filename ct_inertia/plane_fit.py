@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _WINDOW = 5.5
 _PURE = 3.0
 _CLEAR = 1.0
+_NEAR = 3.5
+_WHOLE = 0.995
 _CELL_MM = 0.1
 _MOST_COLUMNS = 16000
 _LEVEL_VALUES = 8000
@@ -23,6 +25,10 @@ _LEAST_COLUMNS = 60
 _FAR = 0.2
 _MOST_MOVE_MM = 0.03
 _DIRT = 6.0
+# What grey levels off by 0.2 % of the contrast do at the usual blur.
+_LEVELS_MM = 1e-4
+# Neighbouring columns share noise and the edges' blur: found on boxes with known faces.
+_CORRELATED = 2.0
 
 
 def fitted_to_grey(
@@ -65,18 +71,17 @@ def _fitted(
     if columns is None:
         return None
     points, grey, away, beside = columns
-    profile = _below(away / sigma_mm)
-    inner, outer = away < -_PURE * sigma_mm, away > _PURE * sigma_mm
-    clear = beside > 0.99
-    if np.count_nonzero(clear) < _LEAST_COLUMNS:
+    inner, outer = (away < -_PURE * sigma_mm) & (beside > _WHOLE), away > _PURE * sigma_mm
+    if np.count_nonzero(inner.any(axis=1)) < _LEAST_COLUMNS:
         return None
-    low, high = _level(grey[clear], outer[clear]), _level(grey[clear], inner[clear])
-    if not high > low:
+    expected = beside * _below(away / sigma_mm)
+    low, seen = _level(grey, outer), _level(grey, inner)
+    if not seen > low:
         return None
-    clean = _clean(grey, outer, low) & _clean((grey - low) / beside[:, None], inner, high - low)
-    share = (grey - low) / (high - low)
-    slope = np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
-    shift = np.sum((share / beside[:, None] - profile) * slope, axis=1) / np.sum(slope**2, axis=1)
+    clean = _clean(grey, outer, low) & _clean(grey, inner, seen)
+    share = (grey - low) / (seen - low) * float(expected[inner].mean())
+    slope = beside * np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
+    shift = np.sum((share - expected) * slope, axis=1) / np.maximum(np.sum(slope**2, axis=1), 1e-12)
     clean &= np.abs(shift) < _MOST_MOVE_MM + 2.0 * sigma_mm
     if np.count_nonzero(clean) < _LEAST_COLUMNS:
         return None
@@ -88,6 +93,7 @@ def _fitted(
         return None
     return replace(
         found,
+        covariance=_CORRELATED * found.covariance + np.diag([_LEVELS_MM**2, 0.0, 0.0]),
         area_mm2=face.area_mm2,
         samples_mm=face.samples_mm,
         turning_1_mm=face.turning_1_mm,
@@ -99,7 +105,7 @@ def _columns(
 ) -> tuple[Array, Array, Array, Array] | None:
     """Return columns across a face: points (n, 3) on it, grey values (n, k), heights (n, k) over it in mm.
 
-    And what the blur across the other faces leaves of the step (n,).
+    And what the blur across the other faces leaves of the material in every voxel (n, k).
     """
     steps = volume.direction * volume.spacing_mm
     across = face.normal @ steps
@@ -126,15 +132,9 @@ def _columns(
     first = np.round(crossing[:, axis]).astype(int) - half
     keep = (first >= low[axis]) & (first + 2 * half < high[axis])
     keep &= _covered(face, points)
-    beside_others = np.ones(len(points))
+    others = [other for other in others if _ends(face, other)]
     for other in others:
-        if _ends(face, other):
-            height = other.distance(points)
-            keep &= height < -_CLEAR * sigma_mm
-            if other.at_border:
-                keep &= height < -half * volume.spacing_mm.max()
-            else:
-                beside_others *= _below(height / sigma_mm)
+        keep &= other.distance(points) < -_CLEAR * sigma_mm
     if np.count_nonzero(keep) < _LEAST_COLUMNS:
         return None
     box = tuple(slice(int(low[k]), int(high[k]), int(stride[k])) for k in (2, 1, 0))
@@ -145,8 +145,38 @@ def _columns(
     shape = (len(ticks[beside[0]]), len(ticks[beside[1]]))
     grey = stack[(*np.unravel_index(rows, shape),)][np.arange(len(rows))[:, None], place].astype(float)
     height = (first[keep][:, None] + np.arange(2 * half + 1) - crossing[keep, axis][:, None]) * across[axis]
+    crossing[:, axis] = 0.0
+    beside_others = _left_by(
+        others, volume.scan_points(crossing[keep]), place + low[axis], steps[:, axis], sigma_mm
+    )
     finite = np.all(np.isfinite(grey), axis=1)
-    return points[keep][finite], grey[finite], height[finite], beside_others[keep][finite]
+    return points[keep][finite], grey[finite], height[finite], beside_others[finite]
+
+
+def _left_by(
+    others: Sequence[PlaneFace], feet: Array, index: NDArray[np.int64], step: Array, sigma_mm: float
+) -> Array:
+    """Return what the blur across other faces leaves of the material, (n, k), in voxels of columns.
+
+    Parameters
+    ----------
+    others : sequence of PlaneFace
+    feet : ndarray, (n, 3)
+        Points of the columns at index 0, mm.
+    index : ndarray of int, (n, k)
+        Of the voxels along the columns.
+    step : ndarray, (3,)
+        From one voxel of a column to the next, mm.
+    sigma_mm : float
+    """
+    left = np.ones(index.shape)
+    for other in others:
+        if other.at_border:
+            continue
+        height = other.distance(feet)[:, None] + index * float(step @ other.normal)
+        near = np.flatnonzero(height.max(axis=1) > -_NEAR * sigma_mm)
+        left[near] *= _below(height[near] / sigma_mm)
+    return left
 
 
 def _ends(face: PlaneFace, other: PlaneFace) -> bool:
@@ -195,7 +225,8 @@ def _level(grey: Array, where: NDArray[np.bool_]) -> float:
 
 def _clean(grey: Array, where: NDArray[np.bool_], level: float) -> NDArray[np.bool_]:
     """Say in which columns the mean at one end is that of the material, but for noise."""
-    count = np.maximum(where.sum(axis=1), 1)
-    mean = np.where(where, grey, 0.0).sum(axis=1) / count
-    spread = 1.4826 * float(np.median(np.abs(mean - np.median(mean))))
-    return np.asarray(np.abs(mean - level) <= _DIRT * max(spread, 1e-12))
+    count = where.sum(axis=1)
+    told = count > 0
+    mean = np.where(where, grey, 0.0).sum(axis=1) / np.maximum(count, 1)
+    spread = 1.4826 * float(np.median(np.abs(mean[told] - np.median(mean[told]))))
+    return np.asarray(~told | (np.abs(mean - level) <= _DIRT * max(spread, 1e-12)))

@@ -32,6 +32,7 @@ _RIM_MM = 0.25
 _COVERED = 0.9
 _CURVED_1_MM = 0.15
 _AMBIGUOUS = 0.95
+_LIKE, _ROUNDING_MM = 0.93, 0.1
 _AGREEING_SD, _AGREEING_RAD = 3.0, 2e-3
 _UNKNOWN_TURN_RAD = 1.0
 
@@ -157,9 +158,18 @@ def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
         inside = float(np.median(face.distance(main.samples_mm))) < 0.0
         along = np.cross(main.normal, face.normal)
         flat = face.at_border or face.curvature(along) < _CURVED_1_MM
-        if face is not main and steep and reaches and inside and flat:
+        if face is not main and steep and reaches and inside and flat and not _beside_one(face, kept):
             kept.append(face)
     return kept
+
+
+def _beside_one(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
+    """Say whether a face is but the rounded edge of a larger one."""
+    return any(
+        face.normal @ other.normal > _LIKE
+        and abs(float(np.median(other.distance(face.samples_mm)))) < _ROUNDING_MM
+        for other in kept
+    )
 
 
 def _frame(
