@@ -76,7 +76,7 @@ def part_from_neighbours(
     reach = distance_mm <= reach_mm
     if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
         return Parted(reach)
-    away = capped_distance(cut.others, spacing_mm, 2.0 * reach_mm)
+    away = capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))
     own = reach & (distance_mm <= away)
     if not np.any(cut.stapes & (away < _NEAR_SIGMAS * sigma_mm)):
         return Parted(own)
