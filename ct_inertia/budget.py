@@ -18,6 +18,8 @@ SOURCES = {
     "noise": "voxel noise",
     "psf": "blur of the scan",
     "separation": "cut between stapes and what touches it",
+    "plate": "face of the plate",
+    "inhomogeneity": "uneven bone",
     "voxel_size": "voxel size",
     "density": "density",
     "mass": "measured mass",

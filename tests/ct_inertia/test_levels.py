@@ -211,9 +211,8 @@ def test_crura_as_gutters(tmp_path):
 
     mesh = write_gutter_stapes(tmp_path / "gutter.ply", 0.04)
     bodies, volume, away = measured(Ear(voxel_mm=(0.04,) * 3, plate=False, bone=False, stapes=mesh))
-    assert abs(volume) < 8e-3
+    assert abs(volume) < 4e-3
     assert away < 3.0
-    assert bodies.levels.bone_from == "fit"
 
 
 def test_a_gradient_of_density_is_weighted_and_told():
