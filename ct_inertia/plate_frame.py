@@ -35,6 +35,7 @@ _AMBIGUOUS = 0.95
 _LIKE, _ROUNDING_MM = 0.93, 0.1
 _AGREEING_SD, _AGREEING_RAD = 3.0, 2e-3
 _UNKNOWN_TURN_RAD = 1.0
+_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -202,12 +203,16 @@ def _frame(
 
 def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, weights: Array) -> Array:
     """Return the mean of the directions of edges, each turned by quarters to lie near the first."""
+    x, y, z = normal
+    turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     total = np.zeros(3)
     for side, weight in zip(sides, weights, strict=True):
-        edge = np.cross(normal, side.normal)
-        edge = edge / np.linalg.norm(edge)
-        turns = [edge, np.cross(normal, edge), -edge, -np.cross(normal, edge)]
-        total += weight * max(turns, key=lambda turned: float(turned @ first))
+        if weight == 0.0:
+            continue
+        edge = turn @ side.normal
+        edge = edge / np.sqrt(edge @ edge)
+        square = turn @ edge
+        total += weight * max((edge, square, -edge, -square), key=lambda turned: float(turned @ first))
     return total
 
 
@@ -314,14 +319,13 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found, weig
     covariance = np.zeros((6, 6))
     planes = [main, *sides]
     for place, plane in enumerate(planes):
+        if not np.any(plane.covariance):
+            continue
         columns = []
-        for step in np.eye(3) * 1e-5:
-            motions = []
-            for sign in (1.0, -1.0):
-                moved = [*planes]
-                moved[place] = plane.moved(sign * step)
-                motions.append(_displacement(found, _frame(moved[0], moved[1:], found.along, weights)))
-            columns.append((motions[0] - motions[1]) / 2e-5)
+        for step in np.eye(3) * _STEP:
+            moved = [*planes]
+            moved[place] = plane.moved(step)
+            columns.append(_displacement(found, _frame(moved[0], moved[1:], found.along, weights)) / _STEP)
         jacobian = np.column_stack(columns)
         covariance += jacobian @ plane.covariance @ jacobian.T
     if found.along < 0:
