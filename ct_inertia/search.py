@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import POSSIBLE_MM3, Piece, count_holes, labelled_pieces
-from ct_inertia.coarse import CoarseScan, Glance, calmed, coarse_scan, material_levels, take_glance
+from ct_inertia.candidates import TYPICAL_MM3, Piece, count_holes, labelled_pieces
+from ct_inertia.coarse import CoarseScan, Glance, calmed, material_levels, take_glance
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.separate import separations
+from ct_inertia.parting import USUAL, CoarseGrid, Markers, partings
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _ABOVE_PLASTIC = 0.35
 _RIVAL = 0.5
 _SHOWN = 4
-_FINER_MM = 0.025
-_LEAST_PART_MM3 = 0.02
+_ODD = 0.3
+_MOST_WHOLES = 4
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Sight:
     plastic : float or None
     between : float
         Grey value above which a voxel counts as bone.
-    markers : ndarray of int32, or None
+    markers : Markers or None
         Cores of the pieces, when they touch and had to be parted; numbered as in ``pieces``.
     method : str
         How the pieces were told apart.
@@ -85,7 +85,7 @@ class Sight:
     bone: float
     plastic: float | None
     between: float
-    markers: NDArray[np.int32] | None = None
+    markers: Markers | None = None
     method: str = "connected component"
     notices: tuple[Notice, ...] = field(default=())
 
@@ -119,47 +119,63 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
             continue
         sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
         tried.append(sight)
-        chosen = _picked(volume, sight, options)
-        if chosen is not None and chosen.stapes.possible:
-            return chosen
-        parted = _parted(volume, sight, options)
-        if parted is not None:
-            return parted
+        chosen = _picked(volume, sight, options, alone=False)
+        usual = chosen is not None and chosen.stapes.possible and chosen.stapes.oddness < USUAL
+        if not usual:
+            parted = _parted(volume, sight, options)
+            if parted is not None and (chosen is None or parted.stapes.score > chosen.stapes.score):
+                return parted
         if chosen is not None:
-            return chosen
+            return _picked(volume, sight, options) or chosen
     raise CtInertiaError(_nothing(scan, tried, options.seed_mm is not None))
 
 
-def _picked(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = True) -> Sight | None:
     if options.seed_mm is None:
-        return _chosen(sight)
+        return _chosen(sight, alone)
     return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
 
 
 def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
-    """Look again on a finer grid, with bones parted where they touch; None when no stapes comes out."""
-    if not any(piece.volume_mm3 > POSSIBLE_MM3[0] for piece in (sight.stapes, *sight.others)):
+    """Part the larger pieces where they touch, and choose the likeliest stapes among the parts."""
+    scan, every = sight.scan, (sight.stapes, *sight.others)
+    large = [piece for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
+    if options.seed_mm is not None and large:
+        seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm)).stapes
+        large = [piece for piece in large if piece.label == seeded.label]
+    grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
+    found: list[Sight] = []
+    for whole in large[:_MOST_WHOLES]:
+        rest = [piece for piece in every if piece.label != whole.label]
+        ways = []
+        for way in partings(volume, grid, whole):
+            method = f"parted at necks: along narrow gaps, across bridges up to {2e3 * way.depth_mm:.0f} um"
+            trial = replace(
+                sight,
+                pieces=way.pieces,
+                stapes=way.parts[0],
+                others=(*way.parts[1:], *rest),
+                markers=way.markers,
+                method=method,
+            )
+            chosen = _picked(volume, trial, options, alone=False)
+            if chosen is None or chosen.stapes.at_border > whole.at_border:
+                continue
+            if chosen.stapes.holes != 1 or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
+                continue
+            ways.append(chosen)
+            if chosen.stapes.holes == 1 and chosen.stapes.oddness < USUAL:
+                break
+        if ways:
+            found.append(max(ways, key=lambda way: way.stapes.score))
+    if not found:
         return None
-    scan = coarse_scan(volume, _FINER_MM)
-    grey = calmed(scan.grey, scan.noise / (sight.bone - sight.air))
-    bone = grey > sight.between
-    for depth, markers, labels, found in separations(grey, bone, scan.spacing_mm):
-        pieces = _whole([p for p in found if p.volume_mm3 > _LEAST_PART_MM3], scan, volume)
-        if not pieces:
-            continue
-        trial = replace(
-            sight,
-            scan=scan,
-            pieces=labels,
-            stapes=pieces[0],
-            others=tuple(pieces[1:]),
-            markers=markers,
-            method=f"parted at necks: eroded {1e3 * depth:.0f} um, then flooded by grey value",
-        )
-        chosen = _picked(volume, trial, options)
-        if chosen is not None and chosen.stapes.possible and chosen.stapes.holes == 1:
-            return chosen
-    return None
+    found.sort(key=lambda way: -way.stapes.score)
+    best = found[0]
+    if options.seed_mm is None:
+        parts = [_with_holes(best, piece) for piece in best.others if piece.possible]
+        _refuse_rivals([best.stapes, *[way.stapes for way in found[1:]], *parts])
+    return best
 
 
 def _readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:
@@ -201,17 +217,31 @@ def _whole(found: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
 
 
 def _with_holes(sight: Sight, piece: Piece) -> Piece:
+    if piece.holes is not None:
+        return piece
     box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
     return replace(piece, holes=count_holes(sight.pieces[box] == piece.label))
 
 
-def _chosen(sight: Sight) -> Sight | None:
-    """Choose among the pieces that can be a stapes; None when there is none."""
+def _chosen(sight: Sight, alone: bool = True) -> Sight | None:
+    """Choose among the pieces that can be a stapes; None when there is none.
+
+    With ``alone`` a second one that can be it as well is refused.
+    """
     every = [sight.stapes, *sight.others]
     possible = [_with_holes(sight, piece) for piece in every if piece.possible]
     if not possible:
         return None
     possible.sort(key=lambda piece: -piece.score)
+    best = possible[0]
+    if alone:
+        _refuse_rivals(possible)
+    others = tuple(p for p in every if p.label != best.label)
+    return replace(sight, stapes=best, others=others, notices=_doubts(best))
+
+
+def _refuse_rivals(possible: list[Piece]) -> None:
+    """Refuse two bodies that can be the stapes equally well; the likeliest comes first."""
     best = possible[0]
     rivals = [p for p in possible[1:] if p.score > best.score - _RIVAL]
     if rivals:
@@ -224,8 +254,6 @@ def _chosen(sight: Sight) -> Sight | None:
                 next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
             )
         )
-    others = tuple(p for p in every if p.label != best.label)
-    return replace(sight, stapes=best, others=others, notices=_doubts(best))
 
 
 def _place(piece: Piece) -> str:
@@ -240,7 +268,7 @@ def _doubts(piece: Piece) -> tuple[Notice, ...]:
             f"({piece.volume_mm3:.2f} mm3, {piece.length_mm:.1f} mm long). Check it in the report."
         )
         found.append(Notice("stapes_uncertain", text))
-    elif piece.oddness > 0.3:
+    elif piece.oddness > _ODD:
         extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
         text = (
             f"The body taken for the stapes is unusual for one ({piece.volume_mm3:.2f} mm3, {extents} mm). "

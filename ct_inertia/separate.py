@@ -1,8 +1,9 @@
-"""Part bones that touch in the image: erode to markers, then flood the grey values from them."""
+"""Part bones that touch in the image: along the narrow gaps between them, and across what bridges a gap."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,16 @@ from ct_inertia.distance import capped_distance
 
 Array = NDArray[np.float64]
 
-# From the narrowest gap that blur closes to the thickest neck that is still no crus.
-DEPTHS_MM = (0.03, 0.045, 0.06, 0.08, 0.1)
-_LEAST_DEPTH_VOXELS = 1.5
+# From a gap without bridges to bridges so wide that they meet half way round.
+DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
+_LEAST_DEPTH_VOXELS = 1.2
 _LEAST_MARKER_MM3 = 0.004
+# Half the width of the widest gap that counts as narrow, seen at the middle level.
+_HALF_GAP_MM = 0.065
+# A gap so narrow that blur fills it beyond the middle level still shows as a valley below this one.
+_VALLEY = 0.75
+_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS = 0.035, 1.6
+_CALM_VOXELS = 0.6
 _SMOOTH_VOXELS = 0.7
 
 
@@ -54,40 +61,92 @@ def flooded(
     return result
 
 
-def separations(
-    grey: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array
-) -> Iterator[tuple[float, NDArray[np.int32], NDArray[np.int32], list[Piece]]]:
-    """Part bone at necks and closed gaps, from shallow to deep erosion.
+def narrow_gaps(share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array) -> NDArray[np.bool_]:
+    """Return the narrow gaps between bones: what a closing by a ball fills.
 
-    Yields
-    ------
+    Parameters
+    ----------
+    share : ndarray of float32, [z, y, x]
+        Grey values as a share of the contrast between air and bone.
+    bone : ndarray of bool, [z, y, x]
+        Voxels above the level between air and bone.
+    spacing_mm : ndarray, (3,)
+
+    Notes
+    -----
+    Two levels are used: the middle one for gaps that stand open in the image, a higher one for gaps of one
+    or two voxels, which the blur fills.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
+    clear = gaussian_filter(share, _CALM_VOXELS, truncate=3.0) > _VALLEY
+    return _closed(bone, spacing_mm, _HALF_GAP_MM) | _closed(clear, spacing_mm, valley)
+
+
+def _closed(mask: NDArray[np.bool_], spacing_mm: Array, radius_mm: float) -> NDArray[np.bool_]:
+    """Return what a closing by a ball adds to a mask."""
+    cap = radius_mm + float(np.max(spacing_mm))
+    wide = capped_distance(mask, spacing_mm, cap) <= radius_mm
+    return np.asarray((capped_distance(~wide, spacing_mm, cap) > radius_mm) & ~mask)
+
+
+@dataclass(frozen=True)
+class Separation:
+    """One way to part the bone.
+
+    Attributes
+    ----------
     depth_mm : float
-        How deep was eroded.
-    markers, labels : ndarray of int32, [z, y, x]
-        What was left of each piece, and the pieces grown back over the bone.
+        How far from the narrow gaps the parts still hang together by themselves.
+    labels : ndarray of int32, [z, y, x]
+        The parts of the bone.
+    markers : ndarray of int32, [z, y, x]
+        The same without a rim along the gaps, where grey values decide.
     pieces : list of Piece
         From the largest to the smallest.
     """
-    from scipy import ndimage
 
+    depth_mm: float
+    labels: NDArray[np.int32]
+    markers: NDArray[np.int32]
+    pieces: list[Piece]
+
+
+def separations(
+    share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array
+) -> Iterator[Separation]:
+    """Part bone along its narrow gaps, from gaps without bridges to wide bridges.
+
+    Notes
+    -----
+    A gap between two bones is a dark sheet, with holes where bone bridges it. The distance from the sheet
+    grows into both bones and is least, across a bridge, on the surface that continues the sheet: its
+    watershed parts the bones there. A crus, however thin, lies far from every narrow gap, so that it is
+    not parted, which an erosion deep enough for the bridge would do.
+    """
+    from scipy import ndimage
+    from skimage.segmentation import watershed
+
+    gaps = narrow_gaps(share, bone, spacing_mm)
+    if not np.any(gaps):
+        return
     voxel = float(np.prod(spacing_mm))
     least = _LEAST_DEPTH_VOXELS * float(np.mean(spacing_mm))
-    deepest = max(DEPTHS_MM[-1], least)
-    depth = capped_distance(~bone, spacing_mm, deepest + float(np.max(spacing_mm)))
+    depth = capped_distance(gaps, spacing_mm, DEPTHS_MM[-1] + least)
     last = 0
     for wanted in DEPTHS_MM:
-        limit = max(wanted, least) + 0.5 * float(np.mean(spacing_mm))
-        markers, count = ndimage.label(depth > limit)
+        markers, _ = ndimage.label(bone & (depth > max(wanted, least)))
         sizes = np.bincount(markers.ravel())
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
-        if np.count_nonzero(kept) < 2 or count == last:
+        if np.count_nonzero(kept) < 2 or np.count_nonzero(kept) == last:
             continue
-        last = count
-        markers = np.where(kept[markers], markers, 0).astype(np.int32)
-        labels = flooded(grey, markers, bone)
+        last = int(np.count_nonzero(kept))
+        number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
+        labels = watershed(-depth, number[markers], mask=bone).astype(np.int32, copy=False)
         boxes = ndimage.find_objects(labels)
         grown = np.bincount(labels.ravel())
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
         pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in order]
-        yield wanted, markers, labels, pieces
+        yield Separation(wanted, labels, np.where(depth > least, labels, 0).astype(np.int32), pieces)

@@ -1,0 +1,210 @@
+"""Part bones that touch, near one piece of the coarse view, and hand the parts back to that view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.candidates import TYPICAL_MM3, Piece, count_holes, describe
+from ct_inertia.coarse import calmed
+from ct_inertia.separate import Separation, separations
+from ct_inertia.volume import Volume
+from ct_inertia.working import Working, working_box
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_FINER_MM = 0.025
+_MARGIN_MM = 0.1
+_MARGIN_VOXELS = 3
+_MOST_VOXELS = 60_000_000
+_LEAST_PART_MM3 = 0.02
+USUAL = 0.05
+_LEAST_UNITED_MM3 = 0.05
+_MOST_UNITED = 7
+_WHOLE = 0.99
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Voxels that surely belong to one part or another, on a grid of their own.
+
+    Attributes
+    ----------
+    labels : ndarray of int32, [z, y, x]
+        Numbered as the pieces are; 0 where grey values decide.
+    first : ndarray of int, (3,)
+        Index x, y, z in the scan of the first voxel of the first block.
+    step : ndarray of int, (3,)
+        Voxels of the scan per block.
+    """
+
+    labels: NDArray[np.int32]
+    first: Index
+    step: Index
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The parts of one piece of the coarse view.
+
+    Attributes
+    ----------
+    pieces : ndarray of int32, [z, y, x]
+        The coarse view's pieces, with the parts in place of the whole.
+    parts : tuple of Piece
+        Numbered as in ``pieces``, in coarse voxels, measured on the finer grid, holes counted.
+    markers : Markers
+    depth_mm : float
+        How far from the narrow gaps the parts still hang together by themselves.
+    """
+
+    pieces: NDArray[np.int32]
+    parts: tuple[Piece, ...]
+    markers: Markers
+    depth_mm: float
+
+
+@dataclass(frozen=True)
+class CoarseGrid:
+    """The coarse view's pieces, the voxels of the scan per coarse voxel, and the grey levels.
+
+    ``between`` is the grey value above which a voxel counts as bone.
+    """
+
+    pieces: NDArray[np.int32]
+    step: Index
+    air: float
+    bone: float
+    between: float
+    noise: float
+
+
+def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parting]:
+    """Part one piece of the coarse view, on a finer grid, in every way that narrow gaps suggest.
+
+    Parameters
+    ----------
+    volume : Volume
+    coarse : CoarseGrid
+    whole : Piece
+        In coarse voxels.
+    """
+    step = coarse.step
+    low, high = whole.low * step, np.minimum(whole.high * step, volume.size)
+    finer = _FINER_MM
+    while float(np.prod((high - low) * volume.spacing_mm + 2.0 * _MARGIN_MM)) / finer**3 > _MOST_VOXELS:
+        finer *= 1.25
+    working = working_box(volume, low, high, _MARGIN_MM, _MARGIN_VOXELS, finer)
+    noise = coarse.noise if working.noise is None else working.noise
+    contrast = coarse.bone - coarse.air
+    grey = calmed(working.grey, noise / contrast)
+    share = (grey - np.float32(coarse.air)) / np.float32(contrast)
+    spacing = working.volume.spacing_mm
+    free = int(coarse.pieces.max())
+    for way in _with_unions(separations(share, grey > coarse.between, spacing), spacing):
+        large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
+        holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
+        parts = tuple(
+            replace(_in_coarse(p, working, volume, step), label=p.label + free, holes=holes.get(p.label))
+            for p in large
+        )
+        kept = np.isin(way.labels, [p.label for p in large])
+        labels = np.where(kept, way.labels + free, 0).astype(np.int32)
+        markers = np.where(kept & (way.markers > 0), labels, 0).astype(np.int32)
+        yield Parting(
+            _on_coarse(coarse, whole, labels, working),
+            parts,
+            Markers(markers, working.first, working.block),
+            way.depth_mm,
+        )
+
+
+def _with_unions(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
+    """Put parts together where none is a stapes by itself and two or three of them are one.
+
+    A distance from the gaps that parts wide bridges may part the footplate from the crura too.
+    """
+    for way in ways:
+        yield way
+        if any(p.possible and p.oddness < USUAL and _holes(way.labels, p) == 1 for p in way.pieces):
+            continue
+        parts = [p for p in way.pieces if p.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]
+        best: tuple[Piece, NDArray[np.int32]] | None = None
+        for count in (2, 3):
+            for some in combinations(parts, count):
+                united = _united(way.labels, some, spacing_mm)
+                if united is not None and (best is None or united[0].score > best[0].score):
+                    best = united
+        if best is not None:
+            whole, labels = best
+            rest = [p for p in way.pieces if np.any(labels == p.label) and p.label != whole.label]
+            markers = np.where(way.markers > 0, labels, 0).astype(np.int32)
+            yield Separation(way.depth_mm, labels, markers, [whole, *rest])
+
+
+def _united(
+    labels: NDArray[np.int32], some: tuple[Piece, ...], spacing_mm: Array
+) -> tuple[Piece, NDArray[np.int32]] | None:
+    """Return the union of parts when it hangs together and can be a stapes, and the labels with it."""
+    from scipy import ndimage
+
+    if not TYPICAL_MM3[0] <= sum(p.volume_mm3 for p in some) <= TYPICAL_MM3[1]:
+        return None
+    low = np.min([p.low for p in some], axis=0)
+    high = np.max([p.high for p in some], axis=0)
+    box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+    mask = np.isin(labels[box], [p.label for p in some])
+    if ndimage.label(mask)[1] > 1 and _largest_share(mask) < _WHOLE:
+        return None
+    name = some[0].label
+    joined = labels.copy()
+    joined[box][mask] = name
+    piece = describe(joined, name, box, spacing_mm)
+    if not piece.possible or piece.oddness > USUAL:
+        return None
+    piece = replace(piece, holes=_holes(joined, piece))
+    return (piece, joined) if piece.holes == 1 else None
+
+
+def _largest_share(mask: NDArray[np.bool_]) -> float:
+    from scipy import ndimage
+
+    sizes = np.bincount(ndimage.label(mask)[0].ravel())[1:]
+    return float(sizes.max() / sizes.sum())
+
+
+def _holes(labels: NDArray[np.int32], piece: Piece) -> int:
+    box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    return count_holes(labels[box] == piece.label)
+
+
+def _in_coarse(piece: Piece, working: Working, volume: Volume, step: Index) -> Piece:
+    """Return the piece with its place in coarse voxels; whether the scan cuts it is found anew."""
+    low = working.first + piece.low * working.block
+    high = working.first + piece.high * working.block
+    centre = working.first + (piece.centre + 0.5) * working.block - 0.5
+    cut = np.any(low < working.block) or np.any(high > volume.size - working.block)
+    return replace(
+        piece,
+        low=low // step,
+        high=-(-high // step),
+        centre=(centre - step // 2) / step,
+        at_border=bool(cut),
+    )
+
+
+def _on_coarse(
+    coarse: CoarseGrid, whole: Piece, labels: NDArray[np.int32], working: Working
+) -> NDArray[np.int32]:
+    """Return the coarse pieces with the parts' numbers where the whole was."""
+    pieces = coarse.pieces.copy()
+    index = np.argwhere(pieces == whole.label)[:, ::-1]
+    block = working.blocks_of(index * coarse.step + coarse.step // 2)
+    block = np.clip(block, 0, np.array(labels.shape[::-1]) - 1)
+    pieces[tuple(index.T[::-1])] = labels[tuple(block.T[::-1])]
+    return pieces
