@@ -44,19 +44,22 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
     far = dtype.type(np.ceil(square_cap * 1.002) + 1 if cubic else square_cap * 1.002)
     squares = [_squares(steps[k], unit[k], dtype) for k in range(3)]
 
+    # Pieces of some layers: small enough for the cache, large enough that other threads seldom interrupt.
     result = np.full(mask.shape, far, dtype=dtype)
-    for layer, inside in zip(result, mask, strict=True):
-        rows = np.flatnonzero(inside.any(axis=1))
+    deep = max(1, _PIECE // (mask.shape[1] * mask.shape[2]))
+    for start in range(0, mask.shape[0], deep):
+        inside, layers = mask[start : start + deep], result[start : start + deep]
+        rows = np.flatnonzero(inside.any(axis=(0, 2)))
         if rows.size:
             part = slice(int(rows[0]), int(rows[-1]) + 1)
-            layer[part] = _along_rows(inside[part], squares[0], far)
-            _along_first(layer, squares[1])
-    height = max(1, _PIECE // (mask.shape[0] * mask.shape[2]))
-    for start in range(0, mask.shape[1], height):
-        beside = result[:, start : start + height]
+            layers[:, part] = _along_rows(inside[:, part], squares[0], far)
+            _along(layers, 1, squares[1])
+    high = max(1, _PIECE // (mask.shape[0] * mask.shape[2]))
+    for start in range(0, mask.shape[1], high):
+        beside = result[:, start : start + high]
         if np.any(beside < far):
             piece = np.ascontiguousarray(beside)
-            _along_first(piece, squares[2])
+            _along(piece, 0, squares[2])
             beside[...] = piece
     if cubic:
         roots = np.sqrt(np.arange(int(far) + 1)) * float(spacing_mm[0])
@@ -73,18 +76,21 @@ def _squares(steps: int, unit: float, dtype: np.dtype[Any]) -> NDArray[Any]:
 def _along_rows(inside: NDArray[np.bool_], squares: NDArray[Any], far: Any) -> NDArray[Any]:
     """Return the squared distance to the nearest voxel of the mask in the same row."""
     steps = len(squares)
-    place = np.arange(inside.shape[1], dtype=np.int32)
-    before = np.maximum.accumulate(np.where(inside, place, np.int32(-steps)), axis=1)
+    place = np.arange(inside.shape[2], dtype=np.int32)
+    before = np.maximum.accumulate(np.where(inside, place, np.int32(-steps)), axis=2)
     behind = np.where(inside, place, np.int32(len(place) + steps))
-    behind = np.minimum.accumulate(behind[:, ::-1], axis=1)[:, ::-1]
+    behind = np.minimum.accumulate(behind[:, :, ::-1], axis=2)[:, :, ::-1]
     away = np.minimum(np.minimum(place - before, behind - place), steps)
     return np.append(squares, far)[away]
 
 
-def _along_first(square: NDArray[Any], squares: NDArray[Any]) -> None:
-    """Replace squared distances by their minimum over shifted parabolas along the first axis, in place."""
+def _along(square: NDArray[Any], axis: int, squares: NDArray[Any]) -> None:
+    """Replace squared distances by their minimum over shifted parabolas along an axis, in place."""
     source, raised = square.copy(), np.empty_like(square)
-    for k in range(1, min(len(square), len(squares))):
+    ahead: list[slice] = [slice(None)] * square.ndim
+    back: list[slice] = [slice(None)] * square.ndim
+    for k in range(1, min(square.shape[axis], len(squares))):
         np.add(source, squares[k], out=raised)
-        np.minimum(square[k:], raised[:-k], out=square[k:])
-        np.minimum(square[:-k], raised[k:], out=square[:-k])
+        ahead[axis], back[axis] = slice(k, None), slice(None, -k)
+        np.minimum(square[tuple(ahead)], raised[tuple(back)], out=square[tuple(ahead)])
+        np.minimum(square[tuple(back)], raised[tuple(ahead)], out=square[tuple(back)])
