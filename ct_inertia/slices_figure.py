@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_COLOURS = {STAPES: "#ff7f0e", PLATE: "#3fa7d6", OTHER_BONE: "#8bc34a"}
-_NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone"}
+CUT = 9
+_COLOURS = {STAPES: "#ff7f0e", PLATE: "#3fa7d6", OTHER_BONE: "#8bc34a", CUT: "#e53935"}
+_NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
 _MARGIN_MM = 0.5
 _PIXELS = 340
 
@@ -46,7 +47,7 @@ def slices_figure(labelled: LabelledVolume, footplate: RigidTransform) -> Figure
         _oblique(axes[0, place], crop, footplate, (right, up, normal), level, low, high)
     for place, axis in enumerate((2, 1, 0)):
         _native(axes[1, place], crop, axis)
-    present = [label for label in _NAMES if np.any(crop.labels == label)]
+    present = [label for label in _NAMES if np.any(crop.mask(label))]
     handles = [Line2D([], [], color=_COLOURS[label], label=_NAMES[label]) for label in present]
     drawing.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return drawing
@@ -75,6 +76,13 @@ class _Crop:
         inner = self.grey[self.labels == STAPES]
         self.window = (float(np.percentile(self.grey, 1)), float(np.percentile(inner, 97)))
         self.middle = np.round(places.mean(axis=0)).astype(np.int64) - self.low
+        self.cut = _cut(self.labels)
+        if np.any(self.cut):
+            self.middle = _middle_of_largest(self.cut)
+
+    def mask(self, label: int) -> NDArray[np.bool_]:
+        """Return the voxels [z, y, x] of one label, or of the cut between stapes and other bone."""
+        return self.cut if label == CUT else np.asarray(self.labels == label)
 
     def stapes_points(self) -> Array:
         """Return scan coordinates (n, 3) of the stapes' voxels, mm."""
@@ -89,11 +97,28 @@ class _Crop:
         places = np.moveaxis(index, -1, 0)
         grey = map_coordinates(self.grey, places, order=1, mode="constant", cval=self.window[0])
         shares = {
-            label: map_coordinates((self.labels == label).astype(np.float32), places, order=1)
+            label: map_coordinates(self.mask(label).astype(np.float32), places, order=1)
             for label in _NAMES
-            if np.any(self.labels == label)
+            if np.any(self.mask(label))
         }
         return np.asarray(grey), shares
+
+
+def _cut(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return the voxels on both sides of the border where the stapes was cut off other bone."""
+    from scipy.ndimage import binary_dilation
+
+    stapes, other = labels == STAPES, labels == OTHER_BONE
+    return np.asarray((stapes & binary_dilation(other)) | (other & binary_dilation(stapes)))
+
+
+def _middle_of_largest(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the index x, y, z of the voxel nearest to the middle of a mask's largest connected patch."""
+    from scipy.ndimage import label
+
+    patches, _ = label(mask, structure=np.ones((3, 3, 3)))
+    index = np.argwhere(patches == int(np.argmax(np.bincount(patches.ravel())[1:])) + 1)
+    return np.asarray(index[np.argmin(np.linalg.norm(index - index.mean(axis=0), axis=1))][::-1])
 
 
 def _oblique(
@@ -126,8 +151,8 @@ def _native(axes: Axes, crop: _Crop, axis: int) -> None:
     spacing = crop.volume.spacing_mm
     u = (crop.low[right] + np.arange(grey.shape[1])) * spacing[right]
     v = (crop.low[up] + np.arange(grey.shape[0])) * spacing[up]
-    labels = crop.labels[tuple(cut)]
-    shares = {label: (labels == label).astype(float) for label in _NAMES if np.any(labels == label)}
+    shares = {label: crop.mask(label)[tuple(cut)].astype(float) for label in _NAMES}
+    shares = {label: share for label, share in shares.items() if np.any(share)}
     half_u, half_v = 0.5 * spacing[right], 0.5 * spacing[up]
     extent = (u[0] - half_u, u[-1] + half_u, v[-1] + half_v, v[0] - half_v)
     _draw(axes, crop, grey, shares, extent, (u, v))
@@ -147,5 +172,8 @@ def _draw(
     origin: Any = "upper" if extent[2] > extent[3] else "lower"
     axes.imshow(grey, extent=extent, origin=origin, interpolation="nearest", aspect="equal", **options)  # type: ignore[arg-type]
     for label, share in shares.items():
+        if label == CUT:
+            axes.contourf(*coordinates, share, levels=[0.5, 2.0], colors=_COLOURS[label])
+            continue
         axes.contour(*coordinates, share, levels=[0.5], colors=_COLOURS[label], linewidths=1.0)
     axes.tick_params(labelsize=8)
