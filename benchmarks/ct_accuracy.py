@@ -157,7 +157,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--voxel-um", default="40,28,20,14,10", help="x, y and z alike")
-    parser.add_argument("--poses", type=int, default=3)
+    parser.add_argument("--poses", type=int, default=2)
     parser.add_argument("--stapes", default="openear,analytic")
     parser.add_argument("--plot-only", type=Path, help="errors written by a former run")
     parser.add_argument("--save", type=Path, help="write the errors as JSON")
