@@ -19,7 +19,7 @@ def main(scan: Path, folder: Path) -> None:
     from skimage.measure import marching_cubes
 
     volume, spacing = common.read_stack(scan)
-    smooth = gaussian(volume, 1.0, preserve_range=True)
+    smooth = gaussian(volume.astype(np.float32), 1.0, preserve_range=True)
     del volume
     level = float(threshold_multiotsu(smooth, 3)[1])
     labels, _ = label(smooth > level)
