@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.candidates import used_box
+
 Array = NDArray[np.float64]
 _PIECE = 200_000
 _SAME = 1e-9
-# Twice its square is a 16-bit number.
-_MOST_STEPS = 180
 
 
 def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -> NDArray[np.float32]:
@@ -31,57 +31,53 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
 
     Notes
     -----
-    Squared distances are separable: along x the nearest voxel of the mask is found by running maxima, then
-    a minimum over shifted parabolas is taken along y and z (Felzenszwalb and Huttenlocher 2012,
-    doi:10.4086/toc.2012.v008a019), only over the few shifts that stay below the cap, and in pieces that fit
-    the processor's cache. Cubic voxels are counted in whole numbers.
+    Squared distances are separable: a minimum over shifted parabolas is taken along x, y and z (Felzenszwalb
+    and Huttenlocher 2012, doi:10.4086/toc.2012.v008a019), only over the few shifts that stay below the cap,
+    only within the cap of the mask, and in pieces that fit the processor's cache. Cubic voxels are counted in
+    whole numbers, as short as the cap allows.
     """
+    result = np.full(mask.shape, cap_mm, dtype=np.float32)
+    used = used_box(mask)
+    if used is None:
+        return result
     steps = [int(cap_mm / float(h)) for h in spacing_mm]
-    cubic = float(np.ptp(spacing_mm)) <= _SAME * float(spacing_mm[0]) and steps[0] < _MOST_STEPS
-    unit = np.ones(3) if cubic else np.square(np.asarray(spacing_mm, dtype=float))
-    dtype = np.dtype(np.uint16 if cubic else np.float32)
-    square_cap = (cap_mm / float(spacing_mm[0])) ** 2 if cubic else cap_mm**2
-    far = dtype.type(np.ceil(square_cap * 1.002) + 1 if cubic else square_cap * 1.002)
-    squares = [_squares(steps[k], unit[k], dtype) for k in range(3)]
+    box = tuple(slice(max(0, s.start - n), s.stop + n) for s, n in zip(used, steps[::-1], strict=True))
+    unit, dtype, far = _scale(np.asarray(spacing_mm, dtype=float), steps, cap_mm)
+    parabolas = [(np.arange(n + 1) ** 2 * u).astype(dtype) for n, u in zip(steps, unit, strict=True)]
+    edge = np.float32(spacing_mm[0] if dtype.kind == "u" else 1.0)
 
+    inside, within = mask[box], result[box]
+    squares = np.empty(inside.shape, dtype=dtype)
+    depth, height, width = inside.shape
     # Pieces of some layers: small enough for the cache, large enough that other threads seldom interrupt.
-    result = np.full(mask.shape, far, dtype=dtype)
-    deep = max(1, _PIECE // (mask.shape[1] * mask.shape[2]))
-    for start in range(0, mask.shape[0], deep):
-        inside, layers = mask[start : start + deep], result[start : start + deep]
-        rows = np.flatnonzero(inside.any(axis=(0, 2)))
-        if rows.size:
-            part = slice(int(rows[0]), int(rows[-1]) + 1)
-            layers[:, part] = _along_rows(inside[:, part], squares[0], far)
-            _along(layers, 1, squares[1])
-    high = max(1, _PIECE // (mask.shape[0] * mask.shape[2]))
-    for start in range(0, mask.shape[1], high):
-        beside = result[:, start : start + high]
-        if np.any(beside < far):
-            piece = np.ascontiguousarray(beside)
-            _along(piece, 0, squares[2])
-            beside[...] = piece
-    if cubic:
-        roots = np.sqrt(np.arange(int(far) + 1)) * float(spacing_mm[0])
-        return np.asarray(np.minimum(roots, cap_mm).astype(np.float32)[result])
-    np.sqrt(result, out=result)
-    return np.asarray(np.minimum(result, np.float32(cap_mm), out=result))
+    deep = max(1, _PIECE // (height * width))
+    for start in range(0, depth, deep):
+        layers = inside[start : start + deep]
+        # Columns beyond the last keep the rows apart, so that one shift of all voxels does.
+        padded = np.full((*layers.shape[:2], width + steps[0]), far, dtype=dtype)
+        np.copyto(padded[:, :, :width], dtype.type(0), where=layers)
+        _along(padded.reshape(-1), 0, parabolas[0])
+        part = np.ascontiguousarray(padded[:, :, :width])
+        _along(part, 1, parabolas[1])
+        squares[start : start + deep] = part
+    high = max(1, _PIECE // (depth * width))
+    for start in range(0, height, high):
+        piece = np.ascontiguousarray(squares[:, start : start + high])
+        _along(piece, 0, parabolas[2])
+        roots = np.sqrt(piece, dtype=np.float32)
+        roots *= edge
+        np.minimum(roots, np.float32(cap_mm), out=within[:, start : start + high])
+    return result
 
 
-def _squares(steps: int, unit: float, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the squared distances of 0, 1, ... voxels up to the cap."""
-    return (np.arange(steps + 1) ** 2 * unit).astype(dtype)
-
-
-def _along_rows(inside: NDArray[np.bool_], squares: NDArray[Any], far: Any) -> NDArray[Any]:
-    """Return the squared distance to the nearest voxel of the mask in the same row."""
-    steps = len(squares)
-    place = np.arange(inside.shape[2], dtype=np.int32)
-    before = np.maximum.accumulate(np.where(inside, place, np.int32(-steps)), axis=2)
-    behind = np.where(inside, place, np.int32(len(place) + steps))
-    behind = np.minimum.accumulate(behind[:, :, ::-1], axis=2)[:, :, ::-1]
-    away = np.minimum(np.minimum(place - before, behind - place), steps)
-    return np.append(squares, far)[away]
+def _scale(spacing_mm: Array, steps: list[int], cap_mm: float) -> tuple[Array, np.dtype[Any], Any]:
+    """Return the square of a voxel along x, y, z as counted, the type of counts, and one beyond the cap."""
+    if float(np.ptp(spacing_mm)) <= _SAME * float(spacing_mm[0]):
+        far = int(np.ceil((cap_mm / float(spacing_mm[0])) ** 2 * 1.002)) + 1
+        for dtype in (np.dtype(np.uint8), np.dtype(np.uint16)):
+            if far + steps[0] ** 2 <= np.iinfo(dtype).max:
+                return np.ones(3), dtype, dtype.type(far)
+    return np.square(spacing_mm), np.dtype(np.float32), np.float32(cap_mm**2 * 1.002)
 
 
 def _along(square: NDArray[Any], axis: int, squares: NDArray[Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ _CLIPPED = 0.01
 _MOST_CLIPPED = 0.9
 _PAIRS = 150_000
 _MOST_LAG = 8
+_LEAST_OCTANT = 200
 
 
 @dataclass(frozen=True)
@@ -102,29 +104,26 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     shell = distance_mm > reach_mm
     if np.any(around.foreign):
         shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
-    index = np.flatnonzero(shell)
-    values = around.grey.ravel()[index]
+    values = around.grey[shell]
     if values.size < _LEAST_AIR:
         noise = float(np.std(values, dtype=float)) if values.size > 30 else 0.0
         return Air(guess, noise, max(noise, 1e-6 * abs(guess)), 1.0, 0.0)
     few = values[:: max(1, values.size // 50_000)].astype(float)
     middle, high = (float(v) for v in np.percentile(few, [50.0, 90.0]))
-    kept = np.abs(values - np.float32(middle)) <= np.float32(5.0 * (high - middle) + 1e-12)
-    index, values = index[kept], values[kept]
+    air = _within(around.grey, shell, middle, 5.0 * (high - middle) + 1e-12)
+    values = around.grey[air]
     level, noise = float(values.mean(dtype=float)), float(values.std(dtype=float))
-    octant = _octants(index, shell.shape)
-    count = np.bincount(octant, minlength=8)
-    means = np.bincount(octant, values, minlength=8)[count > 200] / count[count > 200]
-    correlation = _correlation(around.grey, shell, index, level, noise)
+    count, means = _octant_means(around.grey, air)
+    correlation = _correlation(around.grey, shell, np.flatnonzero(air), level, noise)
     random = noise * np.sqrt(correlation / values.size)
     scatter = noise / 10.0
     if len(means) > 2:
-        weight = count[count > 200] / count[count > 200].sum()
+        weight = count / count.sum()
         scatter = float(np.sqrt(weight @ (means - weight @ means) ** 2 / (len(means) - 1.0)))
     sd = max(scatter, random)
-    ones = values if around.single is None else around.single.ravel()[index].astype(np.float32)
+    ones = values if around.single is None else around.single[air]
     lowest = float(ones.min())
-    pile = float(np.mean(ones == lowest))
+    pile = np.count_nonzero(ones == ones.min()) / ones.size
     if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
         return Air(level, noise, sd, correlation, 0.0, lowest)
     level, single = _censored(level, pile, lowest)
@@ -192,11 +191,30 @@ def unclipped(
     return result
 
 
-def _octants(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return which eighth of a box (0 to 7) each flat index lies in."""
-    z, y, x = ((np.arange(n) > n / 2.0).astype(np.uint8) for n in shape)
-    eighth = z[:, None, None] + 2 * y[:, None] + 4 * x
-    return np.asarray(eighth.ravel()[index], dtype=np.uint8)
+def _within(
+    grey: NDArray[np.float32], where: NDArray[np.bool_], middle: float, reach: float
+) -> NDArray[np.bool_]:
+    """Return where grey values lie within ``reach`` of a level, layer by layer."""
+    result = np.empty_like(where)
+    away = np.empty(grey.shape[1:], dtype=np.float32)
+    for layer, source, out in zip(grey, where, result, strict=True):
+        np.subtract(layer, np.float32(middle), out=away)
+        np.abs(away, out=away)
+        np.less_equal(away, np.float32(reach), out=out)
+        out &= source
+    return result
+
+
+def _octant_means(grey: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return numbers and means of the voxels of a mask in those eighths of a box that hold more than 200."""
+    halves = [(slice(0, n // 2 + 1), slice(n // 2 + 1, n)) for n in grey.shape]
+    count, means = [], []
+    for eighth in product(*halves):
+        values = grey[eighth][where[eighth]]
+        if values.size > _LEAST_OCTANT:
+            count.append(float(values.size))
+            means.append(float(values.mean(dtype=float)))
+    return np.array(count), np.array(means)
 
 
 def _correlation(

@@ -259,8 +259,6 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
 
     Where no side ends the face, the convex hull of what was seen of it does.
     """
-    from scipy.spatial import ConvexHull
-
     reach = 4.0 * float(np.max(np.abs(points)))
     polygon = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     owners = np.full(4, -1)
@@ -268,10 +266,9 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
     for place, (across, offset) in enumerate(lines):
         polygon, owners = _clipped(polygon, owners, across, offset, place)
     open_side = bool(np.any(owners < 0))
-    for across_x, across_y, minus_offset in ConvexHull(points).equations if open_side else ():
-        across = np.array([across_x, across_y])
+    for across, offset in _hull_sides(points) if open_side else ():
         if not np.any(directions @ across > _COVERED):
-            polygon, owners = _clipped(polygon, owners, across, -float(minus_offset), -1)
+            polygon, owners = _clipped(polygon, owners, across, offset, -1)
     if len(polygon) < 3:
         raise CtInertiaError(
             sentence(
@@ -282,6 +279,13 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
             )
         )
     return polygon, owners
+
+
+def _hull_sides(points: Array) -> list[tuple[Array, float]]:
+    """Return outward unit normals and offsets of the sides of the convex hull of points (n, 2)."""
+    from scipy.spatial import ConvexHull
+
+    return [(np.array(side[:2]), -float(side[2])) for side in ConvexHull(points).equations]
 
 
 def _clipped(

@@ -24,6 +24,7 @@ from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
 from ct_inertia.progress import Tell, untold
 from ct_inertia.search import SearchOptions, Sight, look
 from ct_inertia.surface import Surface
+from ct_inertia.thresholded import is_thresholded, with_threshold
 from ct_inertia.volume import Volume
 from kinematics.background import Later
 from kinematics.notices import unique
@@ -33,7 +34,6 @@ Array = NDArray[np.float64]
 # Slow to import, needed soon: imported while the coarse view is taken, and while the stapes is cut out.
 _NEEDED = ("scipy.special", "scipy.ndimage")
 _NEEDED_LATER = (
-    "skimage.segmentation._watershed",
     "vtkmodules.util.numpy_support",
     "vtkmodules.vtkCommonDataModel",
     "vtkmodules.vtkFiltersCore",
@@ -116,6 +116,9 @@ def _assembled(
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
     stapes, level = mesh.result()
+    if is_thresholded(_as_stored(cut)):
+        moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))
+        notices.append(notice)
     levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
     return Bodies(
         volume=volume,
@@ -132,6 +135,12 @@ def _assembled(
         evidence=_evidence(sight, cut, measured, level),
         notices=unique(notices),
     )
+
+
+def _as_stored(cut: Cut) -> NDArray[Any]:
+    """Return grey values of the box that are no means of several voxels."""
+    single = None if cut.working is None else cut.working.single
+    return cut.grey if single is None else single
 
 
 def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:

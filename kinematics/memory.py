@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-_ARENAS, _MAP_ABOVE = -8, -3
+_ARENAS, _MAP_ABOVE, _TRIM_ABOVE = -8, -3, -1
 _LARGE = 16 << 20
+# Given back only beyond this: pages that go and come with every small array cost more than they save.
+_SPARE = 32 << 20
 
 
 def hold_little_memory() -> None:
@@ -23,3 +25,4 @@ def hold_little_memory() -> None:
         return
     choose(_ARENAS, 1)
     choose(_MAP_ABOVE, _LARGE)
+    choose(_TRIM_ABOVE, _SPARE)

@@ -11,8 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-# Read pieces that stay in the processor's cache.
-_CHUNK = 1 << 18
+# Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt.
+_CHUNK = 1 << 21
 _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
 
 
