@@ -20,6 +20,7 @@ SOURCES = {
     "separation": "cut between stapes and what touches it",
     "plate": "face of the plate",
     "inhomogeneity": "uneven bone",
+    "threshold": "threshold that made the scan",
     "voxel_size": "voxel size",
     "density": "density",
     "mass": "measured mass",
