@@ -54,6 +54,7 @@ def fit_bodies(
     sigma_mm: float,
     noise: float,
     fit_contrast: bool = True,
+    side: NDArray[np.bool_] | None = None,
 ) -> BodyFit:
     """Fit two-valued bodies and their blur to grey values above air.
 
@@ -70,6 +71,9 @@ def fit_bodies(
         Standard deviation of a voxel.
     fit_contrast : bool
         Otherwise only the shapes are fitted.
+    side : ndarray of bool, [z, y, x], optional
+        Where two bodies face each other across a narrow gap, the voxels on one's side: the surfaces on
+        the two sides move each by itself.
 
     Notes
     -----
@@ -83,12 +87,11 @@ def fit_bodies(
     and a lower contrast (0.7 % at 15 % noise): the surface is taken from grey values smoothed the more the
     louder they are, by 1.2 voxels at most, and only the comparison is made with those measured.
     """
-    from scipy.ndimage import gaussian_filter
-
     spacing = np.asarray(spacing_mm)[::-1]
     own = np.pad(own, _PAD)
     data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
     calm = _calmed(data, noise / contrast)
+    side = None if side is None else np.pad(side, _PAD)
     level = np.full(data.shape, 0.5, dtype=np.float32)
     history: list[float] = []
     rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
@@ -97,10 +100,9 @@ def fit_bodies(
         body = body_share(calm / np.float32(contrast), level, own)
         model = blurred(body, sigma_mm, spacing)
         rest = np.where(own, share - model, np.float32(0.0))
-        near = ((model > 0.05) & (model < 0.95) & own).astype(np.float32)
+        near = (model > 0.05) & (model < 0.95) & own
         width = 1.5 * sigma_mm / spacing
-        weight = gaussian_filter(near, width, truncate=3.0)
-        shift = gaussian_filter(rest * near, width, truncate=3.0) / np.maximum(weight, 1e-3)
+        shift = _smoothed(rest, near, width, side)
         level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
         if not fit_contrast:
             continue
@@ -119,6 +121,20 @@ def fit_bodies(
     sd = _uncertainty(model, own, noise / contrast, residual, history) if fit_contrast else 0.0
     core = tuple(slice(_PAD, -_PAD) for _ in range(3))
     return BodyFit(contrast, sd, sigma_mm, residual, body[core])
+
+
+def _smoothed(
+    rest: NDArray[np.float32], near: NDArray[np.bool_], width: Array, side: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Return the weighted mean of what is left near the surfaces, of each side by itself."""
+    from scipy.ndimage import gaussian_filter
+
+    def mean(of: NDArray[np.bool_]) -> NDArray[np.float32]:
+        weight = gaussian_filter(of.astype(np.float32), width, truncate=3.0)
+        total = gaussian_filter(np.where(of, rest, np.float32(0.0)), width, truncate=3.0)
+        return np.asarray(total / np.maximum(weight, np.float32(1e-3)))
+
+    return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
 
 
 def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:

@@ -17,8 +17,9 @@ from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
 
-# Bodies further apart than this many widths of the blur exchange less than 1e-4 of a stapes.
-_NEAR_SIGMAS = 3.2
+# Bodies whose blur carries a layer thinner than this across the middle of their gap, mm, exchange less
+# than 3e-4 of a stapes, of which most cancels.
+_THIN_LAYER_MM = 5e-4
 # Where they are nearer, planes up to this far apart are modelled: they share less than 0.005 of a width.
 _CLOSE_SIGMAS = 5.0
 _BRIDGE_SD_MM = 0.03
@@ -79,7 +80,7 @@ def part_from_neighbours(
         return Parted(reach)
     away = capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))
     own = reach & (distance_mm <= away)
-    if not np.any(cut.stapes & (away < _NEAR_SIGMAS * sigma_mm)):
+    if not np.any(cut.stapes & (away < _exchanging(sigma_mm))):
         return Parted(own)
     tight = reach & (distance_mm + away < _CLOSE_SIGMAS * sigma_mm)
     markers = cut.stapes.astype(np.int32) + 2 * cut.others.astype(np.int32)
@@ -87,6 +88,18 @@ def part_from_neighbours(
     own = np.where(tight, basins == 1, own)
     close = cut.stapes & (away < _CLOSE_SIGMAS * sigma_mm)
     return _modelled(cut, own, reach, close, reach_mm, spacing_mm, levels, sigma_mm)
+
+
+def _exchanging(sigma_mm: float) -> float:
+    """Return the gap, mm, below which blur carries more than a thin layer of each body across its middle.
+
+    Of a plane body the layer s (phi(z) - z Phi(-z)) lies further out than z widths s of the blur.
+    """
+    from scipy.special import ndtr
+
+    z = np.linspace(0.0, 0.5 * _CLOSE_SIGMAS, 251)
+    layer = sigma_mm * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) - z * ndtr(-z))
+    return 2.0 * sigma_mm * float(z[layer > _THIN_LAYER_MM].max(initial=0.0))
 
 
 def _modelled(
@@ -108,9 +121,8 @@ def _modelled(
     known = np.ones(own[box].shape, dtype=bool)
     if np.any(cut.plate[box]):
         known = capped_distance(cut.plate[box], spacing_mm, reach_mm) >= 0.999 * reach_mm
-    fit = fit_bodies(
-        cut.grey[box] - np.float32(air), known, spacing_mm, bone - air, sigma_mm, 0.0, fit_contrast=False
-    )
+    excess = cut.grey[box] - np.float32(air)
+    fit = fit_bodies(excess, known, spacing_mm, bone - air, sigma_mm, 0.0, fit_contrast=False, side=own[box])
     spacing = np.asarray(spacing_mm)[::-1]
     mine = np.where(own[box], fit.body, np.float32(0.0))
     foreign, behind = np.zeros_like(cut.grey), np.zeros_like(cut.grey)
