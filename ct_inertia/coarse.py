@@ -19,11 +19,14 @@ _TARGET_MM = 0.05
 _MOST_VOXELS = 24_000_000
 _FLAT = 1.7
 _LEAST_INTERIOR = 25
+# Materials fill cubes at two fifths of their voxels and more, blurred edges at 0.2 %.
+_LEAST_SOLID = 0.02
 _LOUD = 0.09
 _NEAR = 2.5
 # Bins of the histogram within the least distance of two materials' levels.
 _BINS = 16
 _SMOOTH_BINS = 2.5
+_VALLEY, _SHALLOW_VALLEY = 0.5, 0.8
 _LAYERS = 12
 _SAMPLE = 200_000
 
@@ -156,10 +159,10 @@ def material_levels(scan: CoarseScan) -> Array:
     """Return the grey levels of the materials, ascending: the modes of voxels inside a material.
 
     A global threshold moves with the field of view, for bone may be 0.15 % of it; here only voxels whose
-    six neighbours agree with them are counted, so that blurred edges do not count at all, and each
+    six neighbours agree with them are counted, so that blurred edges hardly count, and each
     material stands out however little of it there is. A level between the lowest and the highest must fill
-    cubes of three voxels somewhere: in a gap one or two voxels wide between two bones the blur has a level
-    of its own, which is no material's.
+    cubes of three voxels at one voxel of it in fifty: in a gap one or two voxels wide between two bones, and
+    where the edges of thin bone run together, the blur has a level of its own, which is no material's.
 
     Raises
     ------
@@ -194,15 +197,12 @@ def _modes(found: Interior) -> Array:
     bell = np.exp(-0.5 * (np.arange(-10, 11) / _SMOOTH_BINS) ** 2)
     smooth = np.convolve(histogram, bell / bell.sum(), mode="same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
-    kept: list[int] = []
-    for peak in peaks[np.argsort(-smooth[peaks])]:
-        mass = histogram[max(0, peak - 6) : peak + 7].sum()
-        far = all(abs(peak - other) > _BINS for other in kept)
-        deep = all(
-            smooth[min(peak, other) : max(peak, other) + 1].min() < 0.5 * smooth[peak] for other in kept
-        )
-        if mass >= _LEAST_INTERIOR and far and deep:
-            kept.append(int(peak))
+    peaks = peaks[np.argsort(-smooth[peaks])]
+    kept = _standing_apart(peaks, histogram, smooth, [], _VALLEY)
+    if len(kept) == 2:
+        # Noise and wide blur fill the valley between air and a third material, less than half as bright.
+        below = peaks[(peaks > min(kept)) & (peaks < 0.5 * (kept[0] + kept[1]))]
+        kept = _standing_apart(below, histogram, smooth, kept, _SHALLOW_VALLEY)
     levels = []
     for peak in sorted(kept):
         near = slice(max(0, peak - 6), peak + 7)
@@ -210,14 +210,35 @@ def _modes(found: Interior) -> Array:
     return np.array(levels)
 
 
+def _standing_apart(
+    peaks: NDArray[np.intp], histogram: Array, smooth: Array, kept: list[int], valley: float
+) -> list[int]:
+    """Return the bins kept, with peaks (n,) that are far from them, and behind a valley of that share."""
+    kept = list(kept)
+    for peak in peaks:
+        mass = histogram[max(0, peak - 6) : peak + 7].sum()
+        far = all(abs(peak - other) > _BINS for other in kept)
+        deep = all(
+            smooth[min(peak, other) : max(peak, other) + 1].min() < valley * smooth[peak] for other in kept
+        )
+        if mass >= _LEAST_INTERIOR and far and deep:
+            kept.append(int(peak))
+    return kept
+
+
 def _solid(levels: Array, found: Interior, noise: float) -> Array:
-    """Leave out what lies between two materials and nowhere fills a cube of three voxels."""
+    """Leave out what lies between two materials and hardly fills a cube of three voxels anywhere."""
     kept = [
         level
         for k, level in enumerate(levels)
-        if k in (0, len(levels) - 1) or _cubes(found.near(level, _NEAR * noise)) >= _LEAST_INTERIOR
+        if k in (0, len(levels) - 1) or _fills(found.near(level, _NEAR * noise))
     ]
     return np.array(kept)
+
+
+def _fills(mask: NDArray[np.bool_]) -> bool:
+    """Say whether the voxels of a level fill cubes of three, and not by chance alone as in blurred edges."""
+    return _cubes(mask) >= max(_LEAST_INTERIOR, _LEAST_SOLID * np.count_nonzero(mask))
 
 
 def _cubes(mask: NDArray[np.bool_]) -> int:

@@ -98,6 +98,23 @@ def test_the_blur_in_a_narrow_gap_is_no_material():
     assert levels[1] == pytest.approx(14700.0, abs=300.0)
 
 
+@pytest.mark.parametrize(
+    "ear",
+    [
+        {"voxel_mm": (0.04,) * 3, "gap_mm": 0.04, "analytic": True},
+        {"voxel_mm": (0.05,) * 3, "psf_voxels": 1.53, "noise": 0.055, "plate_distance_mm": 0.3},
+    ],
+)
+def test_the_plastic_is_told_from_what_blur_and_noise_make_of_edges(ear, tmp_path):
+    from sample_volumes.analytic import write_analytic_stapes
+
+    ear = dict(ear)
+    if ear.pop("analytic", False):
+        ear["stapes"] = write_analytic_stapes(tmp_path / "stapes.ply")
+    levels = material_levels(coarse_scan(scene_volume(pose_seed=11, noise_seed=11, **ear)))
+    assert levels == pytest.approx([8000.0, 15000.0, 30000.0], rel=0.03)
+
+
 def test_a_plate_like_mesh_is_told(tmp_path):
     write_surface(tmp_path / "box.ply", box((3.0, 0.4, 1.4), (7.0, 1.0, 2.0)))
     result = ct2mass(MassOptions(tmp_path / "box.ply", density=GREY))
