@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -166,6 +167,21 @@ def _write(path: Path, lines: list[str]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _numbers(count: int) -> Callable[[str], tuple[float, ...]]:
+    """Return an option's reader of ``count`` numbers with commas between them."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count:
+            raise argparse.ArgumentTypeError(f"must be {count} numbers with commas between them; got {text}")
+        return values
+
+    return read
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="make_sample", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -187,7 +203,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--cupping", type=float, default=0.0, help="percent of the contrast lost in the middle of the view"
     )
-    parser.add_argument("--levels", default="8000,15000,30000", help="air, plastic, bone; 0 to 65535")
+    parser.add_argument(
+        "--levels",
+        type=_numbers(3),
+        default="8000,15000,30000",
+        help="air, plastic, bone; 0 to 65535 whatever the type that is stored",
+    )
     parser.add_argument("--dtype", choices=DTYPES, default="uint16", help="numbers in the file")
     parser.add_argument(
         "--gradient", type=float, default=0.0, help="percent of density from halfway up to either end"
@@ -200,7 +221,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--shift-mm", default="0,0,0", help="moves the sample in the volume")
     parser.add_argument(
-        "--plate-tilt-deg", default="4,-3", help="of the plate about x and z of the footplate"
+        "--plate-tilt-deg",
+        type=_numbers(2),
+        default="4,-3",
+        help="of the plate about x and z of the footplate",
     )
     parser.add_argument("--plate-turn-deg", type=float, default=12.0, help="of the plate about y")
     parser.add_argument("--plate-distance-mm", type=float, default=0.8, help="plate face to footplate centre")
@@ -250,8 +274,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = _parser().parse_args(arguments)
     spacing = [float(part) * 1e-3 for part in options.voxel_um.split(",")] * 3
     shape = None if options.shape is None else tuple(int(part) for part in options.shape.split(","))
-    tilt = [float(part) for part in options.plate_tilt_deg.split(",")]
-    levels = [float(part) for part in options.levels.split(",")]
+    tilt, levels = options.plate_tilt_deg, options.levels
     ear = replace(
         Ear(),
         voxel_mm=tuple(spacing[:3]),
