@@ -14,7 +14,10 @@ TYPICAL_MM3 = (0.8, 2.6)
 TYPICAL_MM = ((2.9, 4.4), (1.9, 3.3), (0.85, 1.9))
 POSSIBLE_MM3 = (0.3, 6.0)
 POSSIBLE_MM = (2.2, 5.8)
+# A stapes has next to no other bone within its hull; the bone around a window has the footplate there.
+MOST_SURROUNDED = 0.06
 _LEAST_MM3 = 0.02
+_HULL_POINTS = 4000
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,9 @@ class Piece:
         It reaches the first or last voxel of the scan.
     holes : int or None
         Tunnels through it (1 in a stapes), when counted.
+    surrounds : float
+        Volume of other bone within its convex hull, as a share of its own: the bone around the oval window
+        surrounds the footplate, a stapes nothing.
     """
 
     label: int
@@ -47,6 +53,7 @@ class Piece:
     centre: Array
     at_border: bool
     holes: int | None = None
+    surrounds: float = 0.0
 
     @property
     def possible(self) -> bool:
@@ -71,8 +78,9 @@ class Piece:
 
     @property
     def score(self) -> float:
-        """Rank among possible pieces: one hole counts most, then being whole, then size and shape."""
-        return 3.0 * (self.holes == 1) - 2.0 * self.at_border - 2.0 * self.oddness
+        """Rank among possible pieces: one empty hole counts most, then being whole, then size and shape."""
+        hole = 3.0 * (self.holes == 1) * (self.surrounds < MOST_SURROUNDED)
+        return hole - 2.0 * self.at_border - 2.0 * self.oddness
 
     def as_json(self) -> dict[str, Any]:
         """Return what the report shows of it."""
@@ -147,6 +155,31 @@ def describe(labels: NDArray[np.integer], label: int, box: tuple[slice, ...], sp
         centre=centre / spacing_mm + low,
         at_border=bool(np.any(low == 0) or np.any(high == size)),
     )
+
+
+def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
+    """Return the volume of other pieces within the convex hull of one, as a share of its own.
+
+    Parameters
+    ----------
+    labels : ndarray of int, [z, y, x]
+        Pieces by number; 0 elsewhere.
+    piece : Piece
+    """
+    from scipy.spatial import ConvexHull
+
+    box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    part = labels[box][::2, ::2, ::2]
+    own = np.argwhere(part == piece.label)
+    other = np.argwhere((part > 0) & (part != piece.label))
+    if len(other) == 0 or len(own) < 50 or np.any(np.ptp(own, axis=0) == 0):
+        return 0.0
+    planes = ConvexHull(own[:: max(1, len(own) // (4 * _HULL_POINTS))]).equations
+    every = max(1, len(other) // _HULL_POINTS)
+    inside = np.ones(len(other[::every]), dtype=bool)
+    for *normal, offset in planes:
+        inside &= other[::every] @ np.array(normal) + offset <= 1e-6
+    return float(np.count_nonzero(inside) * every / len(own))
 
 
 def _outside(value: float, span: tuple[float, float]) -> float:

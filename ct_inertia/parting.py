@@ -9,8 +9,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import TYPICAL_MM3, Piece, count_holes, describe
+from ct_inertia.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
 from ct_inertia.coarse import calmed
+from ct_inertia.necks import necks
 from ct_inertia.separate import Separation, separations
 from ct_inertia.volume import Volume
 from ct_inertia.working import Working, working_box
@@ -61,12 +62,22 @@ class Parting:
     markers : Markers
     depth_mm : float
         How far from the narrow gaps the parts still hang together by themselves.
+    neck_mm2 : float or None
+        Area of the plane cut at a neck, where that is how they were parted.
     """
 
     pieces: NDArray[np.int32]
     parts: tuple[Piece, ...]
     markers: Markers
     depth_mm: float
+    neck_mm2: float | None = None
+
+    @property
+    def method(self) -> str:
+        """How the parts were told from each other, in words."""
+        if self.neck_mm2 is not None:
+            return f"parted at the neck of least cross-section ({self.neck_mm2:.2f} mm2) near an end"
+        return f"parted at necks: along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
 
 
 @dataclass(frozen=True)
@@ -106,7 +117,8 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     share = (grey - np.float32(coarse.air)) / np.float32(contrast)
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
-    for way in _with_unions(separations(share, grey > coarse.between, spacing), spacing):
+    bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
+    for way in _every_way(share, bone, spacing, whole):
         large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
         holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
         parts = tuple(
@@ -121,7 +133,47 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
             parts,
             Markers(markers, working.first, working.block),
             way.depth_mm,
+            way.neck_mm2,
         )
+
+
+def _of_the_whole(
+    bone: NDArray[np.bool_], coarse: CoarseGrid, whole: Piece, working: Working
+) -> NDArray[np.bool_]:
+    """Leave out bone of other pieces that reaches into the box: its cut ends are nobody's shape."""
+    from scipy import ndimage
+
+    own = working.from_coarse(coarse.pieces == whole.label, coarse.step) & bone
+    other = working.from_coarse((coarse.pieces != 0) & (coarse.pieces != whole.label), coarse.step) & bone
+    labels, count = ndimage.label(bone)
+    mine = np.bincount(labels[own], minlength=count + 1)
+    kept = mine > np.bincount(labels[other], minlength=count + 1)
+    kept[0] = False
+    return np.asarray(kept[labels])
+
+
+def _every_way(
+    share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
+) -> Iterator[Separation]:
+    """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
+    if whole.holes == 1 and whole.surrounds < MOST_SURROUNDED:
+        yield from neck_separations(bone, spacing_mm)
+    yield from _with_unions(separations(share, bone, spacing_mm), spacing_mm)
+
+
+def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
+    """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
+    from scipy import ndimage
+
+    places = np.argwhere(bone)[:, ::-1]
+    points = places * spacing_mm
+    for neck in necks(points, spacing_mm):
+        labels = bone.astype(np.int32)
+        labels[tuple(places[points @ neck.normal > neck.height_mm].T[::-1])] = 2
+        boxes = ndimage.find_objects(labels)
+        pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in (1, 2)]
+        if pieces[0].possible and pieces[0].oddness < USUAL:
+            yield Separation(0.0, labels, labels, pieces, neck.area_mm2)
 
 
 def _with_unions(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:

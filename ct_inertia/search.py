@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import TYPICAL_MM3, Piece, count_holes, labelled_pieces
+from ct_inertia.candidates import (
+    MOST_SURROUNDED,
+    TYPICAL_MM3,
+    Piece,
+    count_holes,
+    labelled_pieces,
+    surrounded,
+)
 from ct_inertia.coarse import CoarseScan, Glance, calmed, material_levels, take_glance
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.parting import USUAL, CoarseGrid, Markers, partings
@@ -139,24 +146,26 @@ def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = 
 def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
     """Part the larger pieces where they touch, and choose the likeliest stapes among the parts."""
     scan, every = sight.scan, (sight.stapes, *sight.others)
-    large = [piece for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
+    large = [_judged(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
+    large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
     if options.seed_mm is not None and large:
         seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm)).stapes
         large = [piece for piece in large if piece.label == seeded.label]
     grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
     found: list[Sight] = []
     for whole in large[:_MOST_WHOLES]:
+        if found and whole.surrounds >= MOST_SURROUNDED:
+            break
         rest = [piece for piece in every if piece.label != whole.label]
         ways = []
         for way in partings(volume, grid, whole):
-            method = f"parted at necks: along narrow gaps, across bridges up to {2e3 * way.depth_mm:.0f} um"
             trial = replace(
                 sight,
                 pieces=way.pieces,
                 stapes=way.parts[0],
                 others=(*way.parts[1:], *rest),
                 markers=way.markers,
-                method=method,
+                method=way.method,
             )
             chosen = _picked(volume, trial, options, alone=False)
             if chosen is None or chosen.stapes.at_border > whole.at_border:
@@ -173,7 +182,7 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     found.sort(key=lambda way: -way.stapes.score)
     best = found[0]
     if options.seed_mm is None:
-        parts = [_with_holes(best, piece) for piece in best.others if piece.possible]
+        parts = [_judged(best, piece) for piece in best.others if piece.possible]
         _refuse_rivals([best.stapes, *[way.stapes for way in found[1:]], *parts])
     return best
 
@@ -223,13 +232,21 @@ def _with_holes(sight: Sight, piece: Piece) -> Piece:
     return replace(piece, holes=count_holes(sight.pieces[box] == piece.label))
 
 
+def _judged(sight: Sight, piece: Piece) -> Piece:
+    """Count its holes, and see whether it surrounds other bone."""
+    holed = _with_holes(sight, piece)
+    if holed.holes != 1 or not sight.others or holed.surrounds > 0.0:
+        return holed
+    return replace(holed, surrounds=surrounded(sight.pieces, holed))
+
+
 def _chosen(sight: Sight, alone: bool = True) -> Sight | None:
     """Choose among the pieces that can be a stapes; None when there is none.
 
     With ``alone`` a second one that can be it as well is refused.
     """
     every = [sight.stapes, *sight.others]
-    possible = [_with_holes(sight, piece) for piece in every if piece.possible]
+    possible = [_judged(sight, piece) for piece in every if piece.possible]
     if not possible:
         return None
     possible.sort(key=lambda piece: -piece.score)

@@ -105,12 +105,15 @@ class Separation:
         The same without a rim along the gaps, where grey values decide.
     pieces : list of Piece
         From the largest to the smallest.
+    neck_mm2 : float or None
+        Area of the plane, when they were parted by one at a neck.
     """
 
     depth_mm: float
     labels: NDArray[np.int32]
     markers: NDArray[np.int32]
     pieces: list[Piece]
+    neck_mm2: float | None = None
 
 
 def separations(
@@ -134,19 +137,26 @@ def separations(
     voxel = float(np.prod(spacing_mm))
     least = _LEAST_DEPTH_VOXELS * float(np.mean(spacing_mm))
     depth = capped_distance(gaps, spacing_mm, DEPTHS_MM[-1] + least)
-    last = 0
+    labels: NDArray[np.int32] | None = None
     for wanted in DEPTHS_MM:
         markers, _ = ndimage.label(bone & (depth > max(wanted, least)))
         sizes = np.bincount(markers.ravel())
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
-        if np.count_nonzero(kept) < 2 or np.count_nonzero(kept) == last:
-            continue
-        last = int(np.count_nonzero(kept))
+        count = int(np.count_nonzero(kept))
         number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
+        if count < 2 or (labels is not None and _alike(labels, number[markers], count)):
+            continue
         labels = watershed(-depth, number[markers], mask=bone).astype(np.int32, copy=False)
         boxes = ndimage.find_objects(labels)
         grown = np.bincount(labels.ravel())
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
         pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in order]
         yield Separation(wanted, labels, np.where(depth > least, labels, 0).astype(np.int32), pieces)
+
+
+def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:
+    """Return whether each of so many markers stands in a part of its own."""
+    marked = markers > 0
+    pairs = np.unique(labels[marked].astype(np.int64) * (count + 1) + markers[marked])
+    return bool(len(pairs) == count == len(np.unique(labels[labels > 0])))

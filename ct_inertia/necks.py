@@ -1,0 +1,150 @@
+"""Necks: planes of least cross-section near an end of a long body, where something has grown onto it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_LEAN_DEG = (0.0, 12.0, 24.0, 36.0)
+_TURNS = 12
+_FINER_DEG = (0.0, 2.5, 5.0, 8.0)
+# How far from the end a neck is looked for, and how far from it the body must widen again.
+_FROM_END_MM = 1.6
+_WIDENS_WITHIN_MM = 0.5
+_LEAST_BEYOND_MM3 = 0.03
+_MOST_BEYOND = 0.4
+_NARROWER = 0.85
+_APART_MM = 0.15
+_MOST = 4
+_MOST_POINTS = 60_000
+
+
+@dataclass(frozen=True)
+class Neck:
+    """A plane through a neck.
+
+    Attributes
+    ----------
+    normal : ndarray, (3,)
+        x, y, z, towards the nearer end.
+    height_mm : float
+        Of the plane along the normal.
+    area_mm2 : float
+        Of the cross-section.
+    share : float
+        Its area over the lesser of the widest sections on either side.
+    """
+
+    normal: Array
+    height_mm: float
+    area_mm2: float
+    share: float
+
+
+def necks(points_mm: Array, spacing_mm: Array) -> list[Neck]:
+    """Return the necks near both ends of a body, the most marked first.
+
+    Parameters
+    ----------
+    points_mm : ndarray, (n, 3)
+        Centres of its voxels, x, y, z.
+    spacing_mm : ndarray, (3,)
+
+    Notes
+    -----
+    For directions within 36 degrees of the longest principal axis the area of the cross-section follows
+    from a histogram of the heights of the voxels; a neck is a minimum that is at least 15 % narrower than
+    the body is on either side of it.
+    """
+    middle = points_mm.mean(axis=0)
+    some = points_mm
+    if len(points_mm) > _MOST_POINTS:
+        some = np.random.default_rng(0).choice(points_mm, _MOST_POINTS, replace=False)
+    points = some - middle
+    voxel = float(np.prod(spacing_mm)) * len(points_mm) / len(points)
+    grain = _Grain(voxel, float(np.mean(spacing_mm)), voxel * len(points))
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    found: list[Neck] = []
+    for end in (1.0, -1.0):
+        axis = end * axes[:, 2]
+        height = points @ axis
+        near = points[height > height.max() - _FROM_END_MM]
+        every = [_along(normal, near, grain) for normal in _around(axis, _LEAN_DEG)]
+        best = _apart(sorted((neck for some in every for neck in some), key=lambda neck: neck.share))
+        found += [_settled(neck, near, grain) for neck in best]
+    found = [
+        Neck(neck.normal, neck.height_mm + float(neck.normal @ middle), neck.area_mm2, neck.share)
+        for neck in found
+    ]
+    return sorted(found, key=lambda neck: neck.share)
+
+
+def _around(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
+    side = np.linalg.svd(axis[None])[2][1]
+    other = np.cross(axis, side)
+    found = [axis]
+    for lean in np.radians(lean_deg[1:]):
+        for turn in 2.0 * np.pi * np.arange(_TURNS) / _TURNS:
+            across = np.cos(turn) * side + np.sin(turn) * other
+            found.append(np.cos(lean) * axis + np.sin(lean) * across)
+    return found
+
+
+@dataclass(frozen=True)
+class _Grain:
+    """Volume that a point stands for, mm3; thickness of a section, mm; volume of the body, mm3."""
+
+    voxel_mm3: float
+    step_mm: float
+    total_mm3: float
+
+
+def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
+    """Return the narrow places along one direction, from the points (n, 3) near an end."""
+    voxel, step = grain.voxel_mm3, grain.step_mm
+    height = near @ normal
+    low = float(height.min())
+    counts = np.bincount(((height - low) / step).astype(np.intp)).astype(float)
+    area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step
+    beyond = np.cumsum(counts[::-1])[::-1] * voxel
+    reach = max(2, round(_WIDENS_WITHIN_MM / step))
+    found = []
+    for k in range(reach, len(area) - 3):
+        if not _LEAST_BEYOND_MM3 < beyond[k] < _MOST_BEYOND * grain.total_mm3:
+            continue
+        if area[k] > area[k - 1 : k + 2].min():
+            continue
+        wide = min(area[k - reach : k].max(), area[k + 1 : k + 1 + reach].max())
+        if area[k] < _NARROWER * wide:
+            found.append(Neck(normal, low + (k + 0.5) * step, float(area[k]), float(area[k] / wide)))
+    return found
+
+
+def _apart(found: list[Neck]) -> list[Neck]:
+    """Keep the most marked of those that cut at about the same height."""
+    kept: list[Neck] = []
+    for neck in found:
+        if all(abs(neck.height_mm - other.height_mm) > _APART_MM for other in kept):
+            kept.append(neck)
+    return kept[:_MOST]
+
+
+def _settled(neck: Neck, near: Array, grain: _Grain) -> Neck:
+    """Lean the plane until its cross-section is least."""
+    start = neck.height_mm
+    for _ in range(2):
+        around = [
+            other
+            for normal in _around(neck.normal, _FINER_DEG)
+            for other in _along(normal, near, grain)
+            if abs(other.height_mm - start) < _APART_MM
+        ]
+        best = min(around, key=lambda other: other.area_mm2, default=neck)
+        if best.area_mm2 >= neck.area_mm2:
+            break
+        neck = best
+    return neck
