@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
 from ct_inertia.coarse import calmed
+from ct_inertia.doubts import USUAL
 from ct_inertia.necks import necks
 from ct_inertia.separate import Separation, separations
 from ct_inertia.volume import Volume
@@ -24,7 +25,6 @@ _MARGIN_MM = 0.1
 _MARGIN_VOXELS = 3
 _MOST_VOXELS = 60_000_000
 _LEAST_PART_MM3 = 0.02
-USUAL = 0.05
 _LEAST_UNITED_MM3 = 0.05
 _MOST_UNITED = 7
 _WHOLE = 0.99

@@ -17,17 +17,19 @@ from ct_inertia.candidates import (
     surrounded,
 )
 from ct_inertia.coarse import CoarseScan, Glance, calmed, material_levels, take_glance
+from ct_inertia.doubts import USUAL, doubts, refuse_rivals
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.parting import USUAL, CoarseGrid, Markers, partings
+from ct_inertia.parting import CoarseGrid, Markers, partings
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 _ABOVE_PLASTIC = 0.35
-_RIVAL = 0.5
 _SHOWN = 4
 _ODD = 0.3
+_THIN_WALL = 0.42
+_PLASTIC_MARGIN = 0.12
 _MOST_WHOLES = 4
 
 
@@ -127,7 +129,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
-        usual = chosen is not None and chosen.stapes.possible and chosen.stapes.oddness < USUAL
+        usual = chosen is not None and _usual(chosen.stapes)
         if not usual:
             parted = _parted(volume, sight, options)
             if parted is not None and (chosen is None or parted.stapes.score > chosen.stapes.score):
@@ -135,6 +137,10 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         if chosen is not None:
             return _picked(volume, sight, options) or chosen
     raise CtInertiaError(_nothing(scan, tried, options.seed_mm is not None))
+
+
+def _usual(piece: Piece) -> bool:
+    return piece.possible and piece.oddness < USUAL and piece.surrounds < MOST_SURROUNDED
 
 
 def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = True) -> Sight | None:
@@ -173,7 +179,7 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
             if chosen.stapes.holes != 1 or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
                 continue
             ways.append(chosen)
-            if chosen.stapes.holes == 1 and chosen.stapes.oddness < USUAL:
+            if chosen.stapes.holes == 1 and _usual(chosen.stapes):
                 break
         if ways:
             found.append(max(ways, key=lambda way: way.stapes.score))
@@ -183,7 +189,7 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     best = found[0]
     if options.seed_mm is None:
         parts = [_judged(best, piece) for piece in best.others if piece.possible]
-        _refuse_rivals([best.stapes, *[way.stapes for way in found[1:]], *parts])
+        refuse_rivals([best.stapes, *[way.stapes for way in found[1:]], *parts])
     return best
 
 
@@ -229,7 +235,27 @@ def _with_holes(sight: Sight, piece: Piece) -> Piece:
     if piece.holes is not None:
         return piece
     box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    return replace(piece, holes=count_holes(sight.pieces[box] == piece.label))
+    inside = sight.pieces[box] == piece.label
+    holes = count_holes(inside)
+    if (
+        holes != 1
+        and sight.scan.grey.shape == sight.pieces.shape
+        and count_holes(_thick(sight, box, inside)) == 1
+    ):
+        holes = 1
+    return replace(piece, holes=holes)
+
+
+def _thick(sight: Sight, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a piece with the darker voxels beside it: walls thinner than the blur are darker than bone."""
+    from scipy.ndimage import binary_dilation
+
+    contrast = sight.bone - sight.air
+    low = sight.air + _THIN_WALL * contrast
+    if sight.plastic is not None:
+        low = max(low, sight.plastic + _PLASTIC_MARGIN * contrast)
+    quiet = calmed(sight.scan.grey[box], sight.scan.noise / contrast)
+    return np.asarray(inside | (binary_dilation(inside, iterations=2) & (quiet > low)))
 
 
 def _judged(sight: Sight, piece: Piece) -> Piece:
@@ -252,47 +278,9 @@ def _chosen(sight: Sight, alone: bool = True) -> Sight | None:
     possible.sort(key=lambda piece: -piece.score)
     best = possible[0]
     if alone:
-        _refuse_rivals(possible)
+        refuse_rivals(possible)
     others = tuple(p for p in every if p.label != best.label)
-    return replace(sight, stapes=best, others=others, notices=_doubts(best))
-
-
-def _refuse_rivals(possible: list[Piece]) -> None:
-    """Refuse two bodies that can be the stapes equally well; the likeliest comes first."""
-    best = possible[0]
-    rivals = [p for p in possible[1:] if p.score > best.score - _RIVAL]
-    if rivals:
-        places = "; ".join(_place(p) for p in [best, *rivals[: _SHOWN - 1]])
-        raise CtInertiaError(
-            sentence(
-                "the scan",
-                "a scan with one body that can be the stapes",
-                f"{len(rivals) + 1}: {places}",
-                next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
-            )
-        )
-
-
-def _place(piece: Piece) -> str:
-    return f"{piece.volume_mm3:.2f} mm3 around voxel {', '.join(f'{v:.0f}' for v in piece.centre)}"
-
-
-def _doubts(piece: Piece) -> tuple[Notice, ...]:
-    found = []
-    if piece.holes != 1:
-        text = (
-            f"The body taken for the stapes has {piece.holes} holes instead of one between its crura "
-            f"({piece.volume_mm3:.2f} mm3, {piece.length_mm:.1f} mm long). Check it in the report."
-        )
-        found.append(Notice("stapes_uncertain", text))
-    elif piece.oddness > _ODD:
-        extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
-        text = (
-            f"The body taken for the stapes is unusual for one ({piece.volume_mm3:.2f} mm3, {extents} mm). "
-            f"Check it in the report, and the voxel spacing."
-        )
-        found.append(Notice("stapes_uncertain", text))
-    return tuple(found)
+    return replace(sight, stapes=best, others=others, notices=doubts(best))
 
 
 def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
@@ -316,7 +304,7 @@ def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
     label = int(near[tuple(index[int(np.argmin(away))])])
     piece = _with_holes(sight, known[label])
     others = tuple(p for p in known.values() if p.label != label)
-    return replace(sight, stapes=piece, others=others, notices=_doubts(piece))
+    return replace(sight, stapes=piece, others=others, notices=doubts(piece))
 
 
 def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[np.int64]:
