@@ -73,7 +73,11 @@ class MassProperties:
     contributions : mapping of str to ndarray, (10, 10)
         Their covariance by independent source, SI.
     length_powers : ndarray, (10,)
-        Powers of length in the parameters about a point of the body: what a wrong voxel size does to them.
+        Powers of length in the bone's parameters about a point of the body: what a wrong voxel size does to
+        them.
+    added : ndarray, (10,)
+        The part of ``parameters`` that added masses make; a wrong voxel size moves them, but their masses
+        stay.
     """
 
     density_kg_m3: float
@@ -82,6 +86,7 @@ class MassProperties:
     parameters: Array
     contributions: Mapping[str, Array] = field(default_factory=dict)
     length_powers: Array = field(default_factory=lambda: _POWERS_OF_LENGTH)
+    added: Array = field(default_factory=lambda: np.zeros(10))
 
     @property
     def mass_kg(self) -> float:
@@ -179,7 +184,8 @@ def with_added(body: MassProperties, added: Sequence[PointMass]) -> MassProperti
     """Add point masses to a body; the properties are about the common centre of mass afterwards."""
     if not added:
         return body
-    parameters = body.parameters + sum(mass.parameters(body.com_mm) for mass in added)
+    points = np.sum([mass.parameters(body.com_mm) for mass in added], axis=0)
+    parameters = body.parameters + points
     contributions = dict(body.contributions)
     steps = [mass.parameters(body.com_mm) * (mass.sd_kg / mass.mass_kg) for mass in added]
     if any(np.any(step) for step in steps):
@@ -193,6 +199,7 @@ def with_added(body: MassProperties, added: Sequence[PointMass]) -> MassProperti
         linear @ parameters,
         {name: linear @ part @ linear.T for name, part in contributions.items()},
         body.length_powers,
+        linear @ (body.added + points),
     )
 
 
@@ -224,7 +231,9 @@ def footplate_mass_matrix(
     parameters = linear @ body.parameters
     contributions = {name: linear @ part @ linear.T for name, part in body.contributions.items()}
     if voxel_size_sd is not None:
-        step = parameters * body.length_powers * voxel_size_sd
+        added = linear @ body.added
+        powers = (parameters - added) * body.length_powers + added * (_POWERS_OF_LENGTH - 3.0)
+        step = powers * voxel_size_sd
         contributions["voxel_size"] = np.outer(step, step)
     by_frame = frame_derivative(parameters)
     contributions[FRAME_SOURCE] = by_frame @ frame_covariance @ by_frame.T

@@ -170,11 +170,17 @@ class TestCovariance:
         large = stated > 1e-3 * stated.max()
         assert np.allclose(scatter[large], stated[large], rtol=0.2)
 
-    def test_of_the_voxel_size(self):
+    @pytest.mark.parametrize("known", ["density", "mass"])
+    @pytest.mark.parametrize("bead_mg", [0.0, 30.0])
+    def test_of_the_voxel_size(self, known, bead_mg):
         def matrix(scale, sd=None):
-            body = from_density(
-                box(SIDES * scale, np.array([0.1, 1.0, 0.3]) * scale).moments(), DENSITY, None
+            moments = box(SIDES * scale, np.array([0.1, 1.0, 0.3]) * scale).moments()
+            body = (
+                from_density(moments, DENSITY, None) if known == "density" else from_mass(moments, MASS, None)
             )
+            if bead_mg:
+                place = np.array([0.3, 2.5, -0.4]) * scale
+                body = with_added(body, [PointMass(place, bead_mg * 1e-6, 0.0)])
             frame = RigidTransform.from_parts(
                 np.eye(3), np.array([0.2, -0.3, 0.1]) * scale, "scan", "footplate"
             )
