@@ -32,7 +32,6 @@ _TAIL_SD = 0.15
 _GOOD_INSIDE = 1e-3
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
-_LEAST_CUT_MM2 = 0.003
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
         blur = (fit.sigma_mm, _FITTED_BLUR_SD * fit.sigma_mm, "fit of body, level and blur")
-    cut, fitted = _without_plate(
+    cut, fitted, displaced = _without_plate(
         volume, cut, (distance, reach), (air.level, guess.plastic, blur[0]), bone.level
     )
     face = None if fitted is None else fitted.face
@@ -104,12 +103,13 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         moments = partial_volume_moments(share, volume.scan_from_index)
         moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
     levels = (air.level, bone.level)
-    area, covariance = cut_through_bone(cut, parted, 0.5 * (air.level + bone.level), volume, moments)
-    covariance = covariance + _by_tails(parted, cut, volume, moments)
+    through = cut_through_bone(cut, parted, levels, volume, moments)
+    covariance = through.covariance + _by_tails(parted, cut, volume, moments)
     if np.any(covariance):
         moments = with_contribution(moments, "separation", covariance)
     if fitted is not None:
-        covariance = face_covariance(fitted, volume, cut, distance <= reach, bone.level - air.level, moments)
+        near, contrast = distance <= reach, bone.level - air.level
+        covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
         moments = with_contribution(moments, "plate", covariance)
     return Measured(
         moments,
@@ -121,7 +121,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         face,
         air.correlation,
         air.clipped,
-        (*bone.notices, *_air_notices(air, bone), *_cut_notices(area)),
+        (*bone.notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
     )
 
 
@@ -221,22 +221,25 @@ def _without_plate(
     within: tuple[NDArray[np.float32], float],
     start: tuple[float, float | None, float],
     bone: float,
-) -> tuple[Cut, FaceFit | None]:
-    """Subtract the plate's blurred face from the grey values within reach of the stapes."""
+) -> tuple[Cut, FaceFit | None, NDArray[np.float32] | None]:
+    """Subtract the plate's blurred face from the grey values within reach of the stapes.
+
+    The third value is what was given back where bone stands in the plastic's place.
+    """
     (air, plastic, sigma), (distance_mm, reach_mm) = start, within
     if plastic is None:
-        return cut, None
+        return cut, None, None
     fit = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
     if fit is None:
-        return cut, None
+        return cut, None, None
     face = fit.face
     near = distance_mm <= reach_mm
     grey = cut.grey.copy()
     grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
-    missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air)
+    missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air, near)
     if missing is not None:
         grey[near] += missing[near]
-    return replace(cut, grey=grey), fit
+    return replace(cut, grey=grey), fit, missing
 
 
 def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
@@ -301,16 +304,6 @@ def _air_notices(air: Air, bone: Bone) -> list[Notice]:
         f"that keeps air above 0."
     )
     return [Notice("air_clipped", text)]
-
-
-def _cut_notices(area_mm2: float) -> list[Notice]:
-    if area_mm2 < _LEAST_CUT_MM2:
-        return []
-    text = (
-        f"The stapes was cut off other bone that it touches, over {area_mm2:.3f} mm2. Check the cut in the "
-        f"report; labels drawn by hand (--labels) correct it."
-    )
-    return [Notice("cut_through_bone", text)]
 
 
 def border_notices(volume: Volume, cut: Cut) -> list[Notice]:

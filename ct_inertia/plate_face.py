@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
-from ct_inertia.level_fit import blurred, body_share
+from ct_inertia.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import sensitivity
 from ct_inertia.volume import Volume
@@ -48,7 +48,9 @@ _LEAST_SUNK = 20
 # A plane through edge points alone: its height in their scatter, its tilt in radians.
 _EDGE_PLANE, _EDGE_TILT = 0.15, 2e-3
 _CLEAR_WIDTHS = 3.0
-_KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.005, 0.03
+_KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.001, 0.03
+_DISPLACED_SD = 0.05
+_DISPLACED_ROUNDS = (False, False, False, True, True)
 
 
 def face_near(
@@ -107,7 +109,13 @@ def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.boo
 
 
 def face_covariance(
-    fit: FaceFit, volume: Volume, cut: Cut, where: NDArray[np.bool_], contrast: float, moments: Moments
+    fit: FaceFit,
+    volume: Volume,
+    cut: Cut,
+    where: NDArray[np.bool_],
+    contrast: float,
+    moments: Moments,
+    displaced: NDArray[np.float32] | None = None,
 ) -> Array:
     """Return the covariance (10, 10) of the stapes' moments from what is not known of the plate's face.
 
@@ -121,6 +129,8 @@ def face_covariance(
     contrast : float
         Bone minus air.
     moments : Moments
+    displaced : ndarray of float32, [z, y, x], optional
+        As from ``displaced_share``: known to a part of itself, as voxels are shared by bone and plastic.
     """
     from scipy.special import ndtr
 
@@ -136,11 +146,23 @@ def face_covariance(
     voxel = volume.voxel_mm3 / contrast
     f = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0)
     linear = voxel * f.T @ design
-    return np.asarray(linear @ fit.covariance @ linear.T)
+    covariance = linear @ fit.covariance @ linear.T
+    if displaced is not None:
+        index = np.argwhere((displaced > 0.0) & where)
+        away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+        amount = voxel * _DISPLACED_SD * displaced[tuple(index.T)].astype(float)
+        step = sensitivity(away, moments.volume_mm3, 0.0).T @ amount
+        covariance = covariance + np.outer(step, step)
+    return np.asarray(covariance)
 
 
 def displaced_share(
-    face: PlateFace, volume: Volume, cut: Cut, above_plate: NDArray[np.float32], contrast: float
+    face: PlateFace,
+    volume: Volume,
+    cut: Cut,
+    above_plate: NDArray[np.float32],
+    contrast: float,
+    near: NDArray[np.bool_],
 ) -> NDArray[np.float32] | None:
     """Return the grey values [z, y, x] of plastic that is not there because bone stands in its place.
 
@@ -153,6 +175,8 @@ def displaced_share(
         Grey values minus air and minus those of the whole half space behind the face.
     contrast : float
         Bone minus air.
+    near : ndarray of bool, [z, y, x]
+        Where the half space was subtracted.
 
     Returns
     -------
@@ -162,7 +186,10 @@ def displaced_share(
     Notes
     -----
     The body is where the grey values exceed half the contrast; what of it lies behind the face is blurred,
-    times the plastic's contrast, and added; that moves the body's surface a little, so it is done thrice.
+    times the plastic's contrast, and added; that moves the body's surface, so it is done again, at last
+    with a body whose own blurred image agrees with the grey values at its edges and corners too.
+    A voxel with a share a of body and b behind the face holds a + b - 1 of both: the two faces are nearly
+    parallel, and where they touch they divide the voxel between them.
     """
     sunk = _sunk_box(face, volume, cut)
     if sunk is None:
@@ -173,11 +200,14 @@ def displaced_share(
     behind = np.clip(0.5 - away / along, 0.0, 1.0).astype(np.float32)
     plastic = np.float32((face.plastic - face.air) / contrast)
     share = above_plate[box] / np.float32(contrast)
-    half, every = np.full(share.shape, 0.5, dtype=np.float32), np.ones(share.shape, dtype=bool)
+    half, own = np.full(share.shape, 0.5, dtype=np.float32), near[box]
     missing = np.zeros_like(share)
-    for _ in range(3):
-        body = body_share(share + missing, half, every)
-        missing = plastic * blurred(body * behind, face.sigma_mm, spacing)
+    for fitted in _DISPLACED_ROUNDS:
+        now = share + missing
+        body = body_share(now, half, own)
+        if fitted:
+            body = fit_bodies(now, own, volume.spacing_mm, 1.0, face.sigma_mm, 0.0, fit_contrast=False).body
+        missing = plastic * blurred(np.maximum(body + behind - 1.0, 0.0), face.sigma_mm, spacing)
     result = np.zeros_like(above_plate)
     result[box] = missing * np.float32(contrast)
     return result
@@ -190,7 +220,7 @@ def _sunk_box(face: PlateFace, volume: Volume, cut: Cut) -> tuple[tuple[slice, .
     start = float(face.normal @ volume.scan_points(cut.first)) - face.offset_mm
     axes = np.meshgrid(*(np.arange(n) for n in cut.grey.shape), indexing="ij", sparse=True)
     away = start + sum(k * axis for k, axis in zip(along, axes, strict=True))
-    index = np.nonzero(cut.stapes & (away < 0.0))
+    index = np.nonzero(cut.stapes & (away < 0.5 * np.abs(along).sum()))
     if len(index[0]) < _LEAST_SUNK:
         return None
     margin = np.ceil(5.0 * face.sigma_mm / volume.spacing_mm[::-1]).astype(int) + 1

@@ -5,10 +5,13 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
+from ct_inertia.bodies import PlateFace
 from ct_inertia.bone_level import measure_bone
+from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.level_fit import body_share, fit_bodies, spread
 from ct_inertia.levels import Air, Surroundings, measure_air, unclipped
+from ct_inertia.plate_face import displaced_share
 from ct_inertia.psf import edge_sigma
 from ct_inertia.segmentation import find_bodies
 from ct_inertia.volume import Volume
@@ -204,6 +207,24 @@ def test_near_on_and_sunk_into_the_plate(gap):
     assert away < 0.8
     assert bodies.plate_face is not None
     assert bodies.moments.contributions["plate"][0, 0] > 0.0
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.5 * H, 3.0 * H])
+def test_bone_displaces_as_much_plastic_as_lies_behind_the_face(depth):
+    """A block of bone of 1 mm2, its flat end on the plate or in it, in plastic a third as bright."""
+    x, y, z = places(60)
+    sides = np.prod([ndtr((0.5 - a) / SIGMA) - ndtr((-0.5 - a) / SIGMA) for a in (x, y)], axis=0)
+    bone = sides * (ndtr((z + depth) / SIGMA) - ndtr((z - 0.6) / SIGMA))
+    covered = sides * (ndtr((z + depth) / SIGMA) - ndtr(z / SIGMA)) / 3.0
+    noisy = bone - covered + 0.03 * np.random.default_rng(4).standard_normal(bone.shape)
+    corner = np.array([float(p.min()) for p in (x, y, z)])
+    volume = Volume(noisy.astype(np.float32), SPACING, corner, np.eye(3))
+    none = np.zeros(bone.shape, bool)
+    cut = Cut(np.zeros(3, np.int64), volume.array, bone > 0.5, none, none, "")
+    face = PlateFace(np.array([0.0, 0.0, 1.0]), 0.0, SIGMA, 0.0, 1.0 / 3.0, 0.0)
+    found = displaced_share(face, volume, cut, volume.array, 1.0, ~none)
+    total = 0.0 if found is None else float(found.sum()) * H**3
+    assert total == pytest.approx(depth / 3.0, abs=1.2e-3)
 
 
 def test_crura_as_gutters(tmp_path):
