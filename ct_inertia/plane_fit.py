@@ -25,8 +25,12 @@ _LEAST_COLUMNS = 60
 _FAR = 0.2
 _MOST_MOVE_MM = 0.03
 _DIRT = 6.0
+_CROWD, _SETTLING = 30, 5
+_SQUARE_MM, _BESIDE_NOISE = 0.15, 4.0
 # What grey levels off by 0.2 % of the contrast do at the usual blur.
 _LEVELS_MM = 1e-4
+# What bone at the end of columns does to the face, per share of the contrast that could be there unseen.
+_FOOT = 0.6
 # Neighbouring columns share noise and the edges' blur: found on boxes with known faces.
 _CORRELATED = 2.0
 
@@ -75,10 +79,18 @@ def _fitted(
     if np.count_nonzero(inner.any(axis=1)) < _LEAST_COLUMNS:
         return None
     expected = beside * _below(away / sigma_mm)
-    low, seen = _level(grey, outer), _level(grey, inner)
+    outside, inside = _means(grey, outer), _means(grey, inner)
+    spread = min(_spread(outside), _spread(inside))
+    low, seen = _densest(outside, spread), _level(grey, inner)
     if not seen > low:
         return None
-    clean = _clean(grey, outer, low) & _clean(grey, inner, seen)
+    clean = _clean(outside, low, spread) & _clean(inside, seen, _spread(inside))
+    alone, unseen = _alone(points @ face.basis, outside, low, spread)
+    clean &= alone
+    if np.count_nonzero(clean) < _LEAST_COLUMNS:
+        return None
+    low = _densest(outside[clean], spread)
+    foot = _FOOT * sigma_mm * unseen / (seen - low) * float(np.mean(~alone))
     share = (grey - low) / (seen - low) * float(expected[inner].mean())
     slope = beside * np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
     shift = np.sum((share - expected) * slope, axis=1) / np.maximum(np.sum(slope**2, axis=1), 1e-12)
@@ -93,7 +105,7 @@ def _fitted(
         return None
     return replace(
         found,
-        covariance=_CORRELATED * found.covariance + np.diag([_LEVELS_MM**2, 0.0, 0.0]),
+        covariance=_CORRELATED * found.covariance + np.diag([_LEVELS_MM**2 + foot**2, 0.0, 0.0]),
         area_mm2=face.area_mm2,
         samples_mm=face.samples_mm,
         turning_1_mm=face.turning_1_mm,
@@ -223,10 +235,58 @@ def _level(grey: Array, where: NDArray[np.bool_]) -> float:
     return float(values[near].mean())
 
 
-def _clean(grey: Array, where: NDArray[np.bool_], level: float) -> NDArray[np.bool_]:
-    """Say in which columns the mean at one end is that of the material, but for noise."""
+def _means(grey: Array, where: NDArray[np.bool_]) -> Array:
+    """Return the mean at one end of every column, (n,); NaN where it has no voxel there."""
     count = where.sum(axis=1)
-    told = count > 0
-    mean = np.where(where, grey, 0.0).sum(axis=1) / np.maximum(count, 1)
-    spread = 1.4826 * float(np.median(np.abs(mean[told] - np.median(mean[told]))))
-    return np.asarray(~told | (np.abs(mean - level) <= _DIRT * max(spread, 1e-12)))
+    total = np.where(where, grey, 0.0).sum(axis=1)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _spread(means: Array) -> float:
+    """Return how far the means of columns scatter, safe from a minority of others."""
+    told = means[np.isfinite(means)]
+    if len(told) == 0:
+        return float("inf")
+    return max(1.4826 * float(np.median(np.abs(told - np.median(told)))), 1e-12)
+
+
+def _densest(means: Array, spread: float) -> float:
+    """Return the level on which the means of columns crowd, though bone may lie at the end of most.
+
+    Notes
+    -----
+    The shortest interval that holds half of them, again and again (the half-sample mode: Robertson and
+    Cryer 1974, J. Am. Stat. Assoc. 69:1012), then the mean of what lies within two deviations.
+    """
+    values = np.sort(means[np.isfinite(means)])
+    part = values
+    while len(part) > _CROWD:
+        half = len(part) // 2
+        start = int(np.argmin(part[half:] - part[: len(part) - half]))
+        part = part[start : start + half + 1]
+    level = float(part.mean())
+    for _ in range(_SETTLING):
+        near = np.abs(values - level) <= 2.0 * spread
+        level = float(values[near].mean()) if np.any(near) else level
+    return level
+
+
+def _clean(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
+    """Say in which columns the mean at one end is that of the material, but for noise."""
+    return np.asarray(np.isnan(means) | (np.abs(means - level) <= _DIRT * spread))
+
+
+def _alone(flat: Array, means: Array, level: float, spread: float) -> tuple[NDArray[np.bool_], float]:
+    """Say in which columns, at flat (n, 2) in mm, nothing lies at the end, and how much may lie there unseen.
+
+    By means over squares of columns: single ones are too noisy to tell the foot of the blur of bone near by.
+    """
+    told = np.isfinite(means)
+    cells = np.floor(flat / _SQUARE_MM).astype(np.int64)
+    cells -= cells.min(axis=0)
+    _, group = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
+    count = np.bincount(group, told)
+    total = np.bincount(group, np.where(told, means - level, 0.0))
+    limit = _BESIDE_NOISE * spread
+    alone = np.abs(total) <= limit * np.sqrt(count) + 1e-12
+    return np.asarray(alone[group]), limit / float(np.sqrt(max(np.median(count[group]), 1.0)))
