@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from kinematics.background import take_short_turns
 from kinematics.command import Outcome, Parser, numbers, run, value_with_sd
 from kinematics.errors import StapeskitError, sentence
 from kinematics.memory import hold_little_memory
@@ -373,4 +374,5 @@ def _vector(values: Any, unit: str) -> str:
 def main() -> NoReturn:
     """Run `ct2mass`."""
     hold_little_memory()
+    take_short_turns()
     run("ct2mass", work)

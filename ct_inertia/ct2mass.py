@@ -148,14 +148,19 @@ def _known(options: MassOptions) -> _Known:
 
 def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     from ct_inertia.read import read_labels, read_volume
-    from ct_inertia.search import SearchOptions
-    from ct_inertia.segmentation import find_bodies
 
-    volume = None
+    volume, glance = None, None
     if options.scan is not None:
         volume = read_volume(
             options.scan, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
         )
+        if options.labels is None and options.box_mm is None:
+            from ct_inertia.coarse import take_glance
+
+            glance = Later(take_glance, volume)
+    from ct_inertia.search import SearchOptions
+    from ct_inertia.segmentation import find_bodies
+
     labels = None
     if options.labels is not None:
         if not Path(options.labels).exists():
@@ -171,7 +176,7 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
         stapes_label=options.stapes_label,
         plate_label=options.plate_label,
     )
-    return find_bodies(volume, search, progress)
+    return find_bodies(volume, search, progress, glance)
 
 
 def _result(

@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 Part = TypeVar("Part")
 _SLAB_VOXELS = 100_000
 _THREADS = 2
-_NEIGHBOURS = ((0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2))
 
 
 @dataclass(frozen=True)
@@ -84,23 +83,38 @@ def interior(grey: NDArray[np.float32], scatter: float, width: float) -> Interio
 
 
 def _cross(source: NDArray[np.float32], limit: np.float32) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the mean over each voxel's cross of seven, and where its scatter is small."""
-    shape = tuple(n - 2 for n in source.shape)
-    core = source[1:-1, 1:-1, 1:-1]
-    total, square = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    step = np.empty(shape, dtype=np.float32)
-    for place in _NEIGHBOURS:
-        part = source[tuple(slice(k, k + n) for k, n in zip(place, shape, strict=True))]
-        np.subtract(part, core, out=step)
-        total += step
-        step *= step
-        square += step
-    np.multiply(total, total, out=step)
-    step *= np.float32(1.0 / 7.0)
-    square -= step
+    """Return the mean over each voxel's cross of seven, and where its scatter is small.
+
+    Layers are taken as one long row, in which a neighbour is so many places on; what that makes of the first
+    and last row and column is left out.
+    """
+    _, rows, columns = source.shape
+    layer = rows * columns
+    flat = source.reshape(-1)
+    first, last = layer, flat.size - layer
+    total = square = np.zeros(0, dtype=np.float32)
+    for stride in (layer, columns, 1):
+        steps = flat[first : last + stride] - flat[first - stride : last]
+        back, ahead = steps[:-stride], steps[stride:]
+        if stride == layer:
+            total = ahead - back
+        else:
+            total -= back
+            total += ahead
+        steps *= steps
+        if stride == layer:
+            square = back + ahead
+        else:
+            square += back
+            square += ahead
+    spare = total * total
+    spare *= np.float32(1.0 / 7.0)
+    square -= spare
     total *= np.float32(1.0 / 7.0)
-    total += core
-    return total, np.asarray(square < limit)
+    total += flat[first:last]
+    inner = (slice(None), slice(1, -1), slice(1, -1))
+    calm = (square < limit).reshape(-1, rows, columns)
+    return total.reshape(-1, rows, columns)[inner], calm[inner]
 
 
 def in_threads(work: Callable[[int], Part], places: Iterable[int]) -> list[Part]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Bodies
-from ct_inertia.coarse import calmed, take_glance
+from ct_inertia.coarse import Glance, calmed, take_glance
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frame_surface import frame_surface
@@ -32,7 +32,7 @@ from kinematics.notices import unique
 Array = NDArray[np.float64]
 
 # Slow to import, needed soon: imported while the coarse view is taken, and while the stapes is cut out.
-_NEEDED = ("scipy.special", "scipy.ndimage")
+_NEEDED = ("scipy.special", "scipy.ndimage", "scipy.spatial")
 _NEEDED_LATER = (
     "vtkmodules.util.numpy_support",
     "vtkmodules.vtkCommonDataModel",
@@ -43,7 +43,10 @@ _NEEDED_LATER = (
 
 
 def find_bodies(
-    volume: Volume | None, options: SearchOptions | None = None, progress: Tell = untold
+    volume: Volume | None,
+    options: SearchOptions | None = None,
+    progress: Tell = untold,
+    glance: Later[Glance] | None = None,
 ) -> Bodies:
     """Find stapes, plate and other bone in a scan, and measure the stapes.
 
@@ -54,6 +57,8 @@ def find_bodies(
     options : SearchOptions, optional
     progress : callable
         Called with a few words at the beginning of each stage.
+    glance : Later of Glance, optional
+        The coarse view of the whole volume, when it is being taken already.
 
     Returns
     -------
@@ -72,11 +77,10 @@ def find_bodies(
     if volume is None:
         raise CtInertiaError("the scan must be given; got none. Give a volume or labels.")
     if options.box_mm is not None:
-        volume = volume.cropped(options.box_mm)
-    glance = Later(take_glance, volume)
+        volume, glance = volume.cropped(options.box_mm), None
+    glance = glance or Later(take_glance, volume)
     _import(_NEEDED)
-    sight = look(volume, options, glance.result())
-    del glance
+    sight = look(volume, options, glance.taken())
     imports = Later(_import, _NEEDED_LATER)
     progress("cutting the stapes out")
     finding = Later(find_plate, sight)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import threading
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -61,6 +63,7 @@ class Hashes:
         self._thread.start()
 
     def _work(self) -> None:
+        _give_way()
         for path in self._wanted:
             try:
                 self._done[path] = content_hash(path, self._sha256)
@@ -82,6 +85,14 @@ class Hashes:
         if isinstance(found, OSError):
             raise found
         return found
+
+
+def _give_way() -> None:
+    """Let the other threads run first, where the system ranks threads one by one (Linux)."""
+    if not sys.platform.startswith("linux"):
+        return
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
 
 
 def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:

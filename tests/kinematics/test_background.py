@@ -1,6 +1,8 @@
 """Work in the background: results and faults come back; the memory choices do no harm."""
 
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -39,3 +41,13 @@ def test_memory_choices_leave_arrays_as_they_are():
     hold_little_memory()
     arrays = [np.full(n, 7, dtype=np.uint8) for n in (10, 1 << 20, 1 << 25)]
     assert all(array.min() == array.max() == 7 for array in arrays)
+
+
+def test_a_result_that_is_taken_is_held_no_longer():
+    class Large:
+        pass
+
+    later = Later(Large)
+    kept = weakref.ref(later.taken())
+    gc.collect()
+    assert kept() is None
