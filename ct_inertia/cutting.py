@@ -44,6 +44,8 @@ class Cut:
     notices : tuple of Notice
     working : Working or None
         The working volume, which is the whole box; None when the box is a part of the scan itself.
+    at_neck : bool
+        It was cut off other bone by a plane at a neck.
     """
 
     first: NDArray[np.int64]
@@ -54,6 +56,7 @@ class Cut:
     method: str
     notices: tuple[Notice, ...] = ()
     working: Working | None = None
+    at_neck: bool = False
 
     def scan_from_box(self, volume: Volume) -> Array:
         """Affine 4x4 from an index x, y, z of the box to scan coordinates, mm."""
@@ -101,7 +104,7 @@ def cut_out(volume: Volume, sight: Sight, plate: Callable[[], PlateRegion | None
     if region is not None:
         plastic = working.from_coarse(region.mask, region.step) & (view.quiet > region.middle) & ~bone
     first = np.zeros(3, dtype=np.int64)
-    return Cut(first, working.grey, own, rest, plastic, method, (), working)
+    return Cut(first, working.grey, own, rest, plastic, method, (), working, sight.at_neck)
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]

@@ -14,6 +14,7 @@ from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import sensitivity
 from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
+from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,17 @@ Array = NDArray[np.float64]
 _THIN_LAYER_MM = 5e-4
 # Where they are nearer, planes up to this far apart are modelled: they share less than 0.005 of a width.
 _CLOSE_SIGMAS = 5.0
-_BRIDGE_SD_MM = 0.03
+_BRIDGE_SD_MM = 0.04
+_NECK_SD_MM = 0.06
+# Share of the way from the middle level to that of bone from which on a border counts as solid bone.
+_SOLID = 0.8
+_LEAST_CUT_MM2 = 0.003
+# Above this share of the volume the place of a cut is worth a warning of its own.
+_WEAK_SHARE = 3e-3
+_CUT_TEXT = (
+    "The stapes was cut off other bone that it touches, over {:.3f} mm2. Check the cut in the report; "
+    "labels drawn by hand (--labels) correct it."
+)
 
 
 @dataclass(frozen=True)
@@ -131,30 +142,97 @@ def _modelled(
     return Parted(own, foreign, behind)
 
 
-def cut_through_bone(
-    cut: Cut, parted: Parted, middle: float, volume: Volume, moments: Moments
-) -> tuple[float, Array]:
-    """Return the area, mm2, where the border runs through bone, and the covariance (10, 10) it brings.
+@dataclass(frozen=True)
+class ThroughBone:
+    """Where the border runs through bone, which no gap in the grey values parts.
 
+    Attributes
+    ----------
+    area_mm2 : float
+        Of the border through voxels above the middle level.
+    full_mm2 : float
+        The same weighted by how full of bone the border is.
+    covariance : ndarray, (10, 10)
+        Of volume and moments.
+    place_mm : ndarray, (3,), or None
+        Middle of the largest connected patch, scan coordinates.
+    at_neck : bool
+        The border is a plane at a neck.
+    """
+
+    area_mm2: float
+    full_mm2: float
+    covariance: Array
+    place_mm: Array | None
+    at_neck: bool
+
+    def notices(self, volume_mm3: float) -> list[Notice]:
+        """Say that the stapes was cut off other bone, and when little shows where it ends."""
+        if self.place_mm is None or self.area_mm2 < _LEAST_CUT_MM2:
+            return []
+        told = [Notice("cut_through_bone", _CUT_TEXT.format(self.area_mm2))]
+        share = float(np.sqrt(self.covariance[0, 0])) / volume_mm3
+        if self.at_neck or share > _WEAK_SHARE:
+            where = "at a neck, the narrowest section near its end" if self.at_neck else "across bridges"
+            place = ", ".join(f"{v:.2f}" for v in self.place_mm)
+            text = (
+                f"Little shows where the stapes ends: {self.full_mm2:.3f} mm2 of the cut run through solid "
+                f"bone, {where}, the largest patch around {place} mm (scan), and leave its volume uncertain "
+                f"by {100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, "
+                f"draw it (--labels)."
+            )
+            told.append(Notice("separation_weak", text))
+        return told
+
+
+def cut_through_bone(
+    cut: Cut, parted: Parted, levels: tuple[float, float], volume: Volume, moments: Moments
+) -> ThroughBone:
+    """Return where the border runs through bone, and what that leaves uncertain.
+
+    Parameters
+    ----------
+    cut : Cut
+    parted : Parted
+    levels : (air, bone)
+    volume : Volume
+    moments : Moments
+
+    Notes
+    -----
     The true end of the stapes inside a bridge is not in the grey values: each connected patch of the
-    border is taken to be known to one voxel and 0.03 mm (standard deviation: a bridge leaves the stapes up to
-    half a narrow gap from the middle of the gap, where it is cut), independent of the others.
+    border is taken to be known to one voxel and 0.04 mm (standard deviation: a bridge leaves the stapes up to
+    half a narrow gap from the middle of the gap, where it is cut), at a neck to 0.06 mm, independent of the
+    others. Where blur alone fills a gap its middle stays darker than bone and shows the border: a voxel
+    counts by the cube of its share of the way from the middle level to 90 % of bone.
     """
     from scipy import ndimage
 
+    air, full = levels
+    middle = 0.5 * (air + full)
     bone = cut.grey > middle
     outside = cut.others & bone & ~parted.own
     edge = parted.own & bone & cut.stapes & spread(outside, corners=False)
     covariance = np.zeros((10, 10))
     if not np.any(edge):
-        return 0.0, covariance
+        return ThroughBone(0.0, 0.0, covariance, None, cut.at_neck)
     patches, count = ndimage.label(edge, structure=np.ones((3, 3, 3)))
     index = np.argwhere(edge)
-    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+    points = volume.scan_points(index[:, ::-1] + cut.first)
+    weight = np.clip((cut.grey[edge].astype(float) - middle) / (_SOLID * (full - middle)), 0.0, 1.0) ** 3
     edge_mm = volume.voxel_mm3 ** (1.0 / 3.0)
-    steps = sensitivity(away, moments.volume_mm3, 0.0) * edge_mm**2 * float(np.hypot(edge_mm, _BRIDGE_SD_MM))
+    sd_mm = float(np.hypot(edge_mm, _NECK_SD_MM if cut.at_neck else _BRIDGE_SD_MM))
+    steps = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0) * edge_mm**2 * sd_mm
     owner = patches[edge]
     for patch in range(1, count + 1):
-        step = steps[owner == patch].sum(axis=0)
+        own = owner == patch
+        step = weight[own] @ steps[own]
         covariance += np.outer(step, step)
-    return len(index) * volume.voxel_mm3 ** (2.0 / 3.0), covariance
+    largest = int(np.argmax(np.bincount(owner, weight)))
+    return ThroughBone(
+        len(index) * edge_mm**2,
+        float(weight.sum()) * edge_mm**2,
+        covariance,
+        points[owner == largest].mean(axis=0),
+        cut.at_neck,
+    )

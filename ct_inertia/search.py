@@ -84,6 +84,8 @@ class Sight:
     method : str
         How the pieces were told apart.
     notices : tuple of Notice
+    at_neck : bool
+        They were parted by a plane at a neck.
     """
 
     scan: CoarseScan
@@ -97,6 +99,7 @@ class Sight:
     markers: Markers | None = None
     method: str = "connected component"
     notices: tuple[Notice, ...] = field(default=())
+    at_neck: bool = False
 
 
 def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -> Sight:
@@ -172,6 +175,7 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
                 others=(*way.parts[1:], *rest),
                 markers=way.markers,
                 method=way.method,
+                at_neck=way.neck_mm2 is not None,
             )
             chosen = _picked(volume, trial, options, alone=False)
             if chosen is None or chosen.stapes.at_border > whole.at_border:

@@ -36,7 +36,9 @@ def test_the_stapes_is_parted_from_what_it_touches(settings, limit):
     assert abs(error) < limit
     assert abs(error) < 3.0 * stated
     assert bodies.moments.centroid_mm == pytest.approx(known["center_of_mass_in_scan_mm"], abs=0.01)
-    assert "cut_through_bone" in {notice.code for notice in bodies.notices}
+    codes = {notice.code for notice in bodies.notices}
+    assert "cut_through_bone" in codes
+    assert ("separation_weak" in codes) == ("incus_gap_mm" in settings)
     assert bodies.evidence["stapes"]["holes"] == 1
 
 
@@ -54,3 +56,25 @@ def test_seed_box_and_labels_serve_where_bone_touches():
     labelled = find_bodies(volume, SearchOptions(labels=drawn))
     for bodies in (seeded, boxed, labelled):
         assert abs(relative(bodies.moments, known)[0]) < 1e-2
+
+
+def test_an_incus_grown_deep_into_the_head_is_cut_at_the_neck_and_told():
+    volume, known = hard_ear(0.025, gap_mm=0.06, incus_gap_mm=-0.1)
+    bodies = find_bodies(volume)
+    error, stated = relative(bodies.moments, known)
+    assert abs(error) < 5e-3
+    assert abs(error) < 3.0 * stated
+    (told,) = [notice.text for notice in bodies.notices if notice.code == "separation_weak"]
+    assert "at a neck" in told
+    assert "narrowest" in told
+    assert "least cross-section" in bodies.evidence["separation"]
+
+
+def test_walls_thinner_than_the_blur_leave_one_hole_and_the_window_is_not_taken(tmp_path):
+    from sample_volumes.gutter import write_gutter_stapes
+
+    volume, known = hard_ear(0.04, gap_mm=0.1, stapes=write_gutter_stapes(tmp_path / "gutter.ply"))
+    bodies = find_bodies(volume)
+    assert abs(relative(bodies.moments, known)[0]) < 1.2e-2
+    assert bodies.evidence["stapes"]["holes"] == 1
+    assert "stapes_uncertain" not in {notice.code for notice in bodies.notices}
