@@ -15,6 +15,7 @@ from kinematics.notices import Notice
 Array = NDArray[np.float64]
 
 _GOOD_BONE_SD = 1e-3
+_DEEPER = 4.2
 _LEAST_DEEP = 200
 _CELL_VOXELS = 6.0
 _LEAST_CELL, _LEAST_CELLS = 20, 12
@@ -84,10 +85,35 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
         random = float(values.std()) / np.sqrt(values.size) * np.sqrt(air.correlation)
         if random < _GOOD_BONE_SD * contrast:
             rest = 0.25 * float(np.mean(1.0 - share)) * contrast
+            deeper = depth.ravel()[index] > np.float32(_DEEPER * sigma_mm + half)
+            places = np.stack(np.unravel_index(index, depth.shape), axis=1).astype(float)
+            change = _change(values, deeper, places, air)
+            if change:
+                values = values + change
+                rest += abs(change)
             start = np.array([s.start for s in reversed(box)])
             zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
             return _bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
     return None
+
+
+def _change(values: Array, deeper: NDArray[np.bool_], places: Array, air: Air) -> float:
+    """Return by how much the level of the deepest voxels differs from that of all; 0 where noise explains it.
+
+    Where the point spread has longer tails than a Gaussian, or bone is denser inside, the level still rises
+    deeper down. A level that slopes over the places (n, 3) is none of that.
+    """
+    count = np.count_nonzero(deeper)
+    if count < _LEAST_DEEP:
+        return 0.0
+    change = float(values[deeper].mean() - values.mean())
+    noise = float(values[deeper].std()) * np.sqrt(air.correlation * (1.0 / count - 1.0 / values.size))
+    if abs(change) < _SIGNIFICANT * noise:
+        return 0.0
+    design = np.column_stack([np.ones(values.size), places - places.mean(axis=0), deeper])
+    fitted = np.linalg.solve(design.T @ design, design.T @ (values - values.mean()))
+    change = float(fitted[4]) * (1.0 - count / values.size)
+    return change if abs(change) > _SIGNIFICANT * noise else 0.0
 
 
 def _box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:

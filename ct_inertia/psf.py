@@ -11,6 +11,7 @@ _MOST = 4_000
 _LEAST = 60
 _FLAT = 0.1
 _BESIDE = 2.5
+_BENT_SD = 0.3
 
 
 def edge_sigma(
@@ -102,6 +103,8 @@ def edge_sigma(
     low_part, high_part = np.percentile(total[clean], [25.0, 75.0])
     several = max(np.count_nonzero(clean) / 50.0, 1.0)
     sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(total))
+    # What bent edges add to the width: with a curvature k some (k s)^2 of it, of which ``bent`` is a measure.
+    sd += _BENT_SD * float(np.median(bent[clean])) ** 2 * float(np.median(total))
     return sigma, sd * float(np.median(total)) / sigma
 
 

@@ -231,7 +231,7 @@ def test_crura_as_gutters(tmp_path):
     from sample_volumes.gutter import write_gutter_stapes
 
     mesh = write_gutter_stapes(tmp_path / "gutter.ply", 0.04)
-    bodies, volume, away = measured(Ear(voxel_mm=(0.04,) * 3, plate=False, bone=False, stapes=mesh))
+    _, volume, away = measured(Ear(voxel_mm=(0.04,) * 3, plate=False, bone=False, stapes=mesh))
     assert abs(volume) < 4e-3
     assert away < 3.0
 
