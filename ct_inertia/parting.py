@@ -28,6 +28,7 @@ _LEAST_PART_MM3 = 0.02
 _LEAST_UNITED_MM3 = 0.05
 _MOST_UNITED = 7
 _WHOLE = 0.99
+_NECK_ODDNESS = 1.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
     bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
+    del grey
     for way in _every_way(share, bone, spacing, whole):
         large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
         holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
@@ -125,9 +127,10 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
             replace(_in_coarse(p, working, volume, step), label=p.label + free, holes=holes.get(p.label))
             for p in large
         )
-        kept = np.isin(way.labels, [p.label for p in large])
-        labels = np.where(kept, way.labels + free, 0).astype(np.int32)
-        markers = np.where(kept & (way.markers > 0), labels, 0).astype(np.int32)
+        new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
+        new[[p.label for p in large]] = [p.label + free for p in large]
+        labels = new[way.labels]
+        markers = np.where(way.markers > 0, labels, np.int32(0))
         yield Parting(
             _on_coarse(coarse, whole, labels, working),
             parts,
@@ -158,7 +161,23 @@ def _every_way(
     """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
     if whole.holes == 1 and whole.surrounds < MOST_SURROUNDED:
         yield from neck_separations(bone, spacing_mm)
-    yield from _with_unions(separations(share, bone, spacing_mm), spacing_mm)
+    yield from _refined(separations(share, bone, spacing_mm), spacing_mm)
+
+
+def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
+    """Cut the parts that have one hole, the likeliest stapes first, at their necks."""
+    for piece in sorted((p for p in way.pieces if p.possible), key=lambda p: p.oddness):
+        if piece.oddness > _NECK_ODDNESS or _holes(way.labels, piece) != 1:
+            continue
+        name = int(way.labels.max()) + 1
+        for cut in neck_separations(way.labels == piece.label, spacing_mm):
+            stapes, beyond = (
+                replace(p, label=k) for p, k in zip(cut.pieces, (piece.label, name), strict=True)
+            )
+            labels = np.where(cut.labels == 2, np.int32(name), way.labels)
+            markers = np.where(way.markers > 0, labels, 0).astype(np.int32)
+            rest = [p for p in way.pieces if p.label != piece.label]
+            yield Separation(way.depth_mm, labels, markers, [stapes, beyond, *rest], cut.neck_mm2)
 
 
 def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
@@ -176,8 +195,8 @@ def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Sep
             yield Separation(0.0, labels, labels, pieces, neck.area_mm2)
 
 
-def _with_unions(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
-    """Put parts together where none is a stapes by itself and two or three of them are one.
+def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
+    """Cut a part at its neck, or put two or three together, where none is a stapes by itself and that is.
 
     A distance from the gaps that parts wide bridges may part the footplate from the crura too.
     """
@@ -185,6 +204,7 @@ def _with_unions(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Sepa
         yield way
         if any(p.possible and p.oddness < USUAL and _holes(way.labels, p) == 1 for p in way.pieces):
             continue
+        yield from _cut_at_necks(way, spacing_mm)
         parts = [p for p in way.pieces if p.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]
         best: tuple[Piece, NDArray[np.int32]] | None = None
         for count in (2, 3):

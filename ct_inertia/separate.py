@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import Piece, describe
+from ct_inertia.candidates import Piece, describe, used_box
 from ct_inertia.distance import capped_distance
 
 Array = NDArray[np.float64]
@@ -132,24 +132,28 @@ def separations(
     from skimage.segmentation import watershed
 
     gaps = narrow_gaps(share, bone, spacing_mm)
-    if not np.any(gaps):
+    box = used_box(bone)
+    if box is None or not np.any(gaps):
         return
     voxel = float(np.prod(spacing_mm))
     least = _LEAST_DEPTH_VOXELS * float(np.mean(spacing_mm))
     depth = capped_distance(gaps, spacing_mm, DEPTHS_MM[-1] + least)
+    del gaps
     labels: NDArray[np.int32] | None = None
     for wanted in DEPTHS_MM:
         markers, _ = ndimage.label(bone & (depth > max(wanted, least)))
-        sizes = np.bincount(markers.ravel())
+        sizes = np.bincount(markers[markers > 0], minlength=1)
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
         count = int(np.count_nonzero(kept))
-        number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
-        if count < 2 or (labels is not None and _alike(labels, number[markers], count)):
+        markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[markers]
+        if count < 2 or (labels is not None and _alike(labels, markers, count)):
             continue
-        labels = watershed(-depth, number[markers], mask=bone).astype(np.int32, copy=False)
+        labels = np.zeros(bone.shape, dtype=np.int32)
+        labels[box] = watershed(-depth[box], markers[box], mask=bone[box])
+        del markers
         boxes = ndimage.find_objects(labels)
-        grown = np.bincount(labels.ravel())
+        grown = np.bincount(labels[labels > 0], minlength=1)
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
         pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in order]
         yield Separation(wanted, labels, np.where(depth > least, labels, 0).astype(np.int32), pieces)
