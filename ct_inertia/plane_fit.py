@@ -25,7 +25,7 @@ _LEAST_COLUMNS = 60
 _FAR = 0.2
 _MOST_MOVE_MM = 0.03
 _DIRT = 6.0
-_CROWD, _SETTLING = 30, 5
+_SETTLING = 5
 _SQUARE_MM, _BESIDE_NOISE = 0.15, 4.0
 # What grey levels off by 0.2 % of the contrast do at the usual blur.
 _LEVELS_MM = 1e-4
@@ -81,15 +81,16 @@ def _fitted(
     expected = beside * _below(away / sigma_mm)
     outside, inside = _means(grey, outer), _means(grey, inner)
     spread = min(_spread(outside), _spread(inside))
-    low, seen = _densest(outside, spread), _level(grey, inner)
+    squares = _squares(points @ face.basis)
+    low, seen = _darkest(squares, outside, spread), _level(grey, inner)
     if not seen > low:
         return None
     clean = _clean(outside, low, spread) & _clean(inside, seen, _spread(inside))
-    alone, unseen = _alone(points @ face.basis, outside, low, spread)
+    alone, unseen = _alone(squares, outside, low, spread)
     clean &= alone
     if np.count_nonzero(clean) < _LEAST_COLUMNS:
         return None
-    low = _densest(outside[clean], spread)
+    low = _level(grey[clean], outer[clean])
     foot = _FOOT * sigma_mm * unseen / (seen - low) * float(np.mean(~alone))
     share = (grey - low) / (seen - low) * float(expected[inner].mean())
     slope = beside * np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
@@ -250,23 +251,27 @@ def _spread(means: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(told - np.median(told)))), 1e-12)
 
 
-def _densest(means: Array, spread: float) -> float:
-    """Return the level on which the means of columns crowd, though bone may lie at the end of most.
+def _squares(flat: Array) -> NDArray[np.intp]:
+    """Return the number of the square that each column, at flat (n, 2) in mm, lies in."""
+    cells = np.floor(flat / _SQUARE_MM).astype(np.int64)
+    cells -= cells.min(axis=0)
+    numbers = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    return np.asarray(np.unique(numbers, return_inverse=True)[1])
 
-    Notes
-    -----
-    The shortest interval that holds half of them, again and again (the half-sample mode: Robertson and
-    Cryer 1974, J. Am. Stat. Assoc. 69:1012), then the mean of what lies within two deviations.
-    """
-    values = np.sort(means[np.isfinite(means)])
-    part = values
-    while len(part) > _CROWD:
-        half = len(part) // 2
-        start = int(np.argmin(part[half:] - part[: len(part) - half]))
-        part = part[start : start + half + 1]
-    level = float(part.mean())
+
+def _darkest(squares: NDArray[np.intp], means: Array, spread: float) -> float:
+    """Return the level of air from the darkest tenth of the squares: the blur of bone near by only adds."""
+    told = np.isfinite(means)
+    count = np.bincount(squares, told)
+    large = count >= max(0.5 * float(np.median(count[squares])), 1.0)
+    total = np.bincount(squares, np.where(told, means, 0.0))
+    values = total[large] / count[large]
+    if len(values) == 0:
+        return float("nan")
+    sd = spread / float(np.sqrt(np.median(count[large])))
+    level = float(np.quantile(values, 0.1)) + 1.28 * sd
     for _ in range(_SETTLING):
-        near = np.abs(values - level) <= 2.0 * spread
+        near = np.abs(values - level) <= 2.0 * sd
         level = float(values[near].mean()) if np.any(near) else level
     return level
 
@@ -276,17 +281,16 @@ def _clean(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
     return np.asarray(np.isnan(means) | (np.abs(means - level) <= _DIRT * spread))
 
 
-def _alone(flat: Array, means: Array, level: float, spread: float) -> tuple[NDArray[np.bool_], float]:
-    """Say in which columns, at flat (n, 2) in mm, nothing lies at the end, and how much may lie there unseen.
+def _alone(
+    squares: NDArray[np.intp], means: Array, level: float, spread: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Say in which columns nothing lies at the end, and how much may lie there unseen.
 
     By means over squares of columns: single ones are too noisy to tell the foot of the blur of bone near by.
     """
     told = np.isfinite(means)
-    cells = np.floor(flat / _SQUARE_MM).astype(np.int64)
-    cells -= cells.min(axis=0)
-    _, group = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-    count = np.bincount(group, told)
-    total = np.bincount(group, np.where(told, means - level, 0.0))
+    count = np.bincount(squares, told)
+    total = np.bincount(squares, np.where(told, means - level, 0.0))
     limit = _BESIDE_NOISE * spread
     alone = np.abs(total) <= limit * np.sqrt(count) + 1e-12
-    return np.asarray(alone[group]), limit / float(np.sqrt(max(np.median(count[group]), 1.0)))
+    return np.asarray(alone[squares]), limit / float(np.sqrt(max(np.median(count[squares]), 1.0)))

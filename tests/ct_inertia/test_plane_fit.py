@@ -104,3 +104,27 @@ def test_a_border_that_cuts_the_plate_at_a_small_angle_is_kept_apart(degrees):
     edge = (VOXEL * (size[1] - 0.5) - top[1]) / np.sin(np.radians(degrees))
     assert origin[0] == pytest.approx(0.5 * (edge - HALF[0]), abs=2e-3)
     assert abs(origin[2]) < 2e-3
+
+
+def test_blurred_bone_above_most_of_the_face_does_not_move_it():
+    rotation, centre, size = (
+        rotation_from_vector((0.05, 0.2, -0.1)),
+        np.array([2.2, 1.0, 1.8]),
+        (176, 80, 144),
+    )
+    volume = scanned_box(rotation, centre, size, 350.0)
+    z, y, x = np.meshgrid(*(VOXEL * np.arange(n) for n in size[::-1]), indexing="ij")
+    local = (np.stack([x, y, z], axis=-1) - centre) @ rotation
+    bone = (
+        22000.0 * ndtr((local[..., 1] - HALF[1] - 7.0 * SIGMA) / SIGMA) * ndtr((0.7 - local[..., 0]) / SIGMA)
+    )
+    near = Volume(
+        np.round(volume.array + bone).astype(np.uint16), volume.spacing_mm, volume.origin_mm, np.eye(3)
+    )
+    surface, border = surface_of(volume)
+    above = moved(box((0.5, 0.5, 0.5), (0.1, 1.2, 0.0)), rotation, centre)
+    frame = plate_frame(surface, above, border, near, SIGMA)
+    shift, turn = deviation(frame, rotation, centre + rotation @ [0.0, HALF[1], 0.0])
+    assert abs(shift[1]) < 5e-4
+    assert np.abs(turn).max() < 5e-4
+    assert abs(shift[1]) < 3e3 * np.sqrt(frame.covariance[1, 1])
