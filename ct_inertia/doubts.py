@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ct_inertia.candidates import MOST_SURROUNDED, Piece
 from ct_inertia.errors import CtInertiaError
 from kinematics.errors import sentence
 from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
 
 # Volume and extents of a stapes that nobody would call unusual; see ``Piece.oddness``.
 USUAL = 0.05
@@ -13,24 +18,29 @@ _RIVAL = 0.5
 _SHOWN = 4
 
 
-def refuse_rivals(possible: list[Piece]) -> None:
-    """Refuse two bodies that can be the stapes equally well; the likeliest comes first."""
-    best = possible[0]
-    rivals = [p for p in possible[1:] if p.score > best.score - _RIVAL]
-    if rivals:
-        places = "; ".join(_place(p) for p in [best, *rivals[: _SHOWN - 1]])
+def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
+    """Refuse two bodies that can be the stapes equally well; the likeliest comes first.
+
+    Parameters
+    ----------
+    possible : list of Piece
+    places_mm : list of ndarray, (3,)
+        The middle of each, scan coordinates.
+    """
+    rivals = [
+        f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm"
+        for piece, place in zip(possible, places_mm, strict=True)
+        if piece is possible[0] or piece.score > possible[0].score - _RIVAL
+    ]
+    if len(rivals) > 1:
         raise CtInertiaError(
             sentence(
                 "the scan",
                 "a scan with one body that can be the stapes",
-                f"{len(rivals) + 1}: {places}",
+                f"{len(rivals)}: {'; '.join(rivals[:_SHOWN])}",
                 next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
             )
         )
-
-
-def _place(piece: Piece) -> str:
-    return f"{piece.volume_mm3:.2f} mm3 around voxel {', '.join(f'{v:.0f}' for v in piece.centre)}"
 
 
 def doubts(piece: Piece) -> tuple[Notice, ...]:

@@ -148,7 +148,7 @@ def _usual(piece: Piece) -> bool:
 
 def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = True) -> Sight | None:
     if options.seed_mm is None:
-        return _chosen(sight, alone)
+        return _chosen(volume, sight, alone)
     return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
 
 
@@ -193,7 +193,8 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     best = found[0]
     if options.seed_mm is None:
         parts = [_judged(best, piece) for piece in best.others if piece.possible]
-        refuse_rivals([best.stapes, *[way.stapes for way in found[1:]], *parts])
+        rivals = [best.stapes, *[way.stapes for way in found[1:]], *parts]
+        refuse_rivals(rivals, _places_mm(volume, scan, rivals))
     return best
 
 
@@ -270,7 +271,7 @@ def _judged(sight: Sight, piece: Piece) -> Piece:
     return replace(holed, surrounds=surrounded(sight.pieces, holed))
 
 
-def _chosen(sight: Sight, alone: bool = True) -> Sight | None:
+def _chosen(volume: Volume, sight: Sight, alone: bool = True) -> Sight | None:
     """Choose among the pieces that can be a stapes; None when there is none.
 
     With ``alone`` a second one that can be it as well is refused.
@@ -282,7 +283,7 @@ def _chosen(sight: Sight, alone: bool = True) -> Sight | None:
     possible.sort(key=lambda piece: -piece.score)
     best = possible[0]
     if alone:
-        refuse_rivals(possible)
+        refuse_rivals(possible, _places_mm(volume, sight.scan, possible))
     others = tuple(p for p in every if p.label != best.label)
     return replace(sight, stapes=best, others=others, notices=doubts(best))
 
@@ -309,6 +310,11 @@ def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
     piece = _with_holes(sight, known[label])
     others = tuple(p for p in known.values() if p.label != label)
     return replace(sight, stapes=piece, others=others, notices=doubts(piece))
+
+
+def _places_mm(volume: Volume, scan: CoarseScan, pieces: list[Piece]) -> list[Array]:
+    """Return the middle of each piece, scan coordinates, mm."""
+    return [volume.scan_points(piece.centre * scan.step + scan.step // 2) for piece in pieces]
 
 
 def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[np.int64]:

@@ -73,7 +73,7 @@ def test_an_incus_grown_deep_into_the_head_is_cut_at_the_neck_and_told():
 def test_walls_thinner_than_the_blur_leave_one_hole_and_the_window_is_not_taken(tmp_path):
     from sample_volumes.gutter import write_gutter_stapes
 
-    volume, known = hard_ear(0.04, gap_mm=0.1, stapes=write_gutter_stapes(tmp_path / "gutter.ply"))
+    volume, known = hard_ear(0.04, gap_mm=0.1, stapes=write_gutter_stapes(tmp_path / "gutter.ply", 0.04))
     bodies = find_bodies(volume)
     assert abs(relative(bodies.moments, known)[0]) < 1.2e-2
     assert bodies.evidence["stapes"]["holes"] == 1
