@@ -18,6 +18,7 @@ _CLIPPED = 0.01
 _MOST_CLIPPED = 0.9
 _PAIRS = 150_000
 _MOST_LAG = 8
+_STANDS_OUT = 4.0
 _LEAST_OCTANT = 200
 
 
@@ -71,6 +72,8 @@ class Air:
         Lowest grey value seen.
     single_noise : float
         Noise of one voxel of the scan where the grey values are means over several; 0 otherwise.
+    slope : (x, y, z)
+        Change of the level per mm along the axes of the box; 0 where noise explains it.
     """
 
     level: float
@@ -80,6 +83,7 @@ class Air:
     clipped: float
     lowest: float = 0.0
     single_noise: float = 0.0
+    slope: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float, guess: float) -> Air:
@@ -125,11 +129,34 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     lowest = float(ones.min())
     pile = np.count_nonzero(ones == ones.min()) / ones.size
     if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
-        return Air(level, noise, sd, correlation, 0.0, lowest)
+        slope = _slope(around.grey, air, around.spacing_mm, noise * float(np.sqrt(correlation)))
+        return Air(level, noise, sd, correlation, 0.0, lowest, slope=slope)
     level, single = _censored(level, pile, lowest)
     # Clipping takes the same share off the scatter of means as off that of the voxels in them.
     noise = single if around.single is None else noise * single / max(float(ones.std(dtype=float)), 1e-12)
     return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, lowest, single)
+
+
+def _slope(
+    grey: NDArray[np.float32], where: NDArray[np.bool_], spacing_mm: Array, noise: float
+) -> tuple[float, float, float]:
+    """Return the change of the level per mm along x, y, z between halves of the box, where it stands out."""
+    found = [0.0, 0.0, 0.0]
+    for axis in range(3):
+        along = 2 - axis
+        others = tuple(k for k in range(3) if k != along)
+        count = np.count_nonzero(where, axis=others).astype(float)
+        total = np.sum(grey, axis=others, where=where, dtype=float)
+        low = np.arange(len(count)) < len(count) // 2
+        parts = count[low].sum(), count[~low].sum()
+        if min(parts) < _LEAST_AIR:
+            continue
+        change = total[~low].sum() / parts[1] - total[low].sum() / parts[0]
+        place = count * np.arange(len(count)) * float(spacing_mm[axis])
+        length = place[~low].sum() / parts[1] - place[low].sum() / parts[0]
+        if abs(change) > _STANDS_OUT * noise * np.sqrt(1.0 / parts[0] + 1.0 / parts[1]):
+            found[axis] = float(change / length)
+    return found[0], found[1], found[2]
 
 
 def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:

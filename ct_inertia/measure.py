@@ -102,6 +102,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         share = replace(share, bone=bone.level)
         moments = partial_volume_moments(share, volume.scan_from_index)
         moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
+    if any(air.slope):
+        covariance = moments.contributions["levels"] + _by_air(share, air, volume, moments)
+        moments = with_contribution(moments, "levels", covariance)
     levels = (air.level, bone.level)
     through = cut_through_bone(cut, parted, levels, volume, moments)
     covariance = through.covariance + _by_tails(parted, cut, volume, moments)
@@ -182,6 +185,17 @@ def _by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Arr
     change = w * (along - (w @ along) / w.sum()) / contrast
     step = sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3
     return np.outer(step, step)
+
+
+def _by_air(share: Share, air: Air, volume: Volume, moments: Moments) -> Array:
+    """Return the covariance (10, 10) from an air level that changes across the box, each axis by itself."""
+    points = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm
+    away = points - moments.centroid_mm
+    voxel = volume.voxel_mm3 / (share.bone - share.air)
+    w = (share.grey - share.air) / (share.bone - share.air)
+    change = (1.0 - w)[:, None] * (away @ volume.direction) * np.array(air.slope)
+    steps = voxel * sensitivity(away, moments.volume_mm3, 0.0).T @ change
+    return np.asarray(steps @ steps.T)
 
 
 def _bone(

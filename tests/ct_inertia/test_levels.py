@@ -156,6 +156,17 @@ def test_the_correlation_of_noise_is_that_of_sums_of_it(width):
     assert abs(air.level - 100.0) < 4.0 * air.sd
 
 
+def test_a_slope_of_the_air_is_told_and_noise_is_not():
+    rng = np.random.default_rng(6)
+    grey = 1000.0 + 40.0 * rng.standard_normal((64, 64, 64))
+    x, _, _ = places(64)
+    for change, found in ((0.0, 0.0), (12.0, 12.0)):
+        around = surroundings(grey + change * x)
+        air = measure_air(around, capped_distance(around.bone, SPACING, 0.3), 0.2, 1000.0)
+        assert air.slope[0] == pytest.approx(found, rel=0.1)
+        assert air.slope[1:] == (0.0, 0.0)
+
+
 def uneven(change, noise=0.04, seed=5):
     """A cube of bone in air whose level is 1000 * (1 + change(x, y, z))."""
     rng = np.random.default_rng(seed)
