@@ -140,7 +140,10 @@ def parser() -> Parser:
 def _formats(text: str) -> tuple[str, ...]:
     from ct_inertia.exports import parse_formats
 
-    return parse_formats(text)
+    try:
+        return parse_formats(text)
+    except StapeskitError as fault:
+        raise argparse.ArgumentTypeError(str(fault)) from fault
 
 
 def _spacing(text: str) -> tuple[float, ...]:
@@ -282,7 +285,8 @@ def _write(
     given: argparse.Namespace, folder: Path, result: MassResult, hashes: Hashes
 ) -> tuple[list[Path], dict[str, Any]]:
     """Write every output; return their paths and the content of mass.json."""
-    from ct_inertia.mass_json import mass_json, write_outputs
+    from ct_inertia.exports import FILES
+    from ct_inertia.mass_json import OUTPUTS, mass_json, write_outputs
     from kinematics.output import staged
 
     content = mass_json(result, given.sha256, hashes, second=not given.no_report)
@@ -293,7 +297,7 @@ def _write(
         mesh = display_mesh(result.stapes, given.smooth, given.faces)
         content["display_mesh"] = mesh.as_json()
         shown = mesh.surface
-    with staged(folder) as stage:
+    with staged(folder, (*OUTPUTS, *FILES)) as stage:
         names = []
         if shown is not None:
             from ct_inertia.surface import write_surface

@@ -208,7 +208,7 @@ def _result(
         *notices,
         *doubts,
         *footplate.notices,
-        *(() if frame is None else frame.notices),
+        *(_no_plate(bodies) if frame is None else frame.notices),
         *not_stated(matrix.contributions, ways[0].way),
         *disagreements(ways),
     ]
@@ -259,6 +259,17 @@ def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFram
     return footplate_mass_matrix(
         body, footplate.scan_from_footplate, footplate.covariance, options.voxel_size_sd
     )
+
+
+def _no_plate(bodies: Bodies | None) -> tuple[Notice, ...]:
+    """Say that a scan shows no plate; a surface of the stapes alone cannot."""
+    if bodies is None:
+        return ()
+    text = (
+        "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. If "
+        "the scan holds one, give --plate-fiducials, or label it (--labels)."
+    )
+    return (Notice("plate_not_found", text),)
 
 
 def _plate_frame(

@@ -29,6 +29,8 @@ _CONVENTION = {
     "plate": "displacement of the plate frame in its own axes, m and rad",
 }
 _OUTLINE_POINTS = 160
+OUTPUTS = ("mass.json", "stapes.ply", "plate.ply", "labels.nrrd", "stapes_display.ply", "report.html")
+"""Names of the files that a run may write, exports apart."""
 
 
 def mass_json(

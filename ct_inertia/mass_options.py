@@ -75,6 +75,12 @@ class MassOptions:
     raw: RawLayout | None = None
 
     def __post_init__(self) -> None:
+        if self.scan is None and self.labels is None:
+            raise CtInertiaError(
+                sentence(
+                    "the scan", "given as the first argument", "none", next_step="Or give --labels alone"
+                )
+            )
         if self.density is None and self.mass_mg is None and self.calibration is None:
             raise CtInertiaError(
                 sentence(
@@ -82,12 +88,6 @@ class MassOptions:
                     "given by at least one of --density, --mass-mg and --calibration",
                     "none of them",
                     next_step="Bone has 1400 to 2200 kg/m3",
-                )
-            )
-        if self.scan is None and self.labels is None:
-            raise CtInertiaError(
-                sentence(
-                    "the scan", "given as the first argument", "none", next_step="Or give --labels alone"
                 )
             )
         if self.labels is not None and not self.is_mesh:

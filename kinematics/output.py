@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from kinematics.errors import StapeskitError, sentence
 
 
 @contextmanager
-def staged(folder: Path) -> Iterator[Path]:
+def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
     """Lend an empty folder whose files replace those of the same name in ``folder`` when the block ends well.
 
     When the block fails or is interrupted, nothing of it remains and the old files stand untouched.
@@ -22,6 +22,9 @@ def staged(folder: Path) -> Iterator[Path]:
     ----------
     folder : Path
         Where the outputs shall appear; made when missing.
+    of_ours : collection of str, optional
+        Names that belong to the same set of outputs: files of these names that are not written this time
+        are of an earlier input, and are removed.
 
     Yields
     ------
@@ -44,6 +47,9 @@ def staged(folder: Path) -> Iterator[Path]:
     try:
         yield stage
         folder.mkdir(parents=True, exist_ok=True)
+        for name in of_ours:
+            if not (stage / name).exists():
+                (folder / name).unlink(missing_ok=True)
         for path in sorted(stage.rglob("*")):
             target = folder / path.relative_to(stage)
             if path.is_dir():

@@ -25,6 +25,10 @@ _MODULES = {
     "mat": "matlab",
 }
 FORMATS: tuple[str, ...] = tuple(_MODULES)
+FILES = (
+    *("stapes.stl", "plate.stl", "stapes.obj", "plate.obj", "stapes.glb"),
+    *("stapes.xml", "stapes.urdf", "stapes.inp", "mass.mat"),
+)
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
