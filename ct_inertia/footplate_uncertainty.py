@@ -15,8 +15,8 @@ _RIM_DEG_PER_MM = 55.0
 _SEEN_RIM_DEG_PER_MM = 30.0
 _RIM_LEFT = np.array([0.35, 0.35, 0.75, 0.75, 0.75, 0.75])
 _RESOLUTION_LEFT = np.array([0.35, 0.35, 0.8, 0.8, 0.8, 0.8])
-_LEFT_UM, _LEFT_UM_MM2, _LEFT_ASIDE_UM = 0.25, 200.0, 0.3
-_LEFT_RAD_MM, _LEFT_RAD_MM2 = 0.008, 0.2
+_LEFT_UM, _LEFT_UM_MM2, _LEFT_ASIDE_UM = 0.25, 200.0, 0.5
+_LEFT_RAD_MM, _LEFT_RAD_MM2 = 0.013, 0.12
 _BLUR_SHIFT_1_MM = 2.9
 _BLUR_TILT_RAD_MM2 = 0.84
 _BLUR_MOST_MM = 0.04
@@ -80,7 +80,7 @@ def _remaining_blur(blur_mm: float) -> Array:
     -----
     What was found on phantoms of the real stapes and of an analytic one, 16 to 40 um. Along y: about 0.25 um,
     and 200 um times the square of the blur in mm, as the next order in blur over radius asks; along x and
-    z 0.3 um from where the voxels lie; tilts and the turn about y with the blur and with its square.
+    z 0.5 um from where the voxels lie; tilts and the turn about y with the blur and with its square.
     """
     square = blur_mm**2
     shift = float(np.hypot(_LEFT_UM, _LEFT_UM_MM2 * square)) * 1e-6
