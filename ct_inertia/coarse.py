@@ -15,6 +15,7 @@ from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 
 Array = NDArray[np.float64]
+_LARGEST = 1e15
 _TARGET_MM = 0.05
 _MOST_VOXELS = 24_000_000
 _FLAT = 1.7
@@ -104,12 +105,23 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     Raises
     ------
     CtInertiaError
-        Voxels that are not finite where they are not allowed.
+        Voxels that are not finite where they are not allowed, or too large to be squared.
     """
-    grey = np.array(part, dtype=np.float32)
     if part.dtype.kind != "f":
-        return grey
+        return np.array(part, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        grey = np.array(part, dtype=np.float32)
     bad = ~np.isfinite(grey)
+    largest = float(np.max(np.abs(part), where=np.isfinite(part), initial=0.0))
+    if largest > _LARGEST:
+        raise CtInertiaError(
+            sentence(
+                "the grey values",
+                f"smaller than {_LARGEST:g}",
+                f"{largest:.3g}",
+                next_step="Scale them where the volume is exported",
+            )
+        )
     if not np.any(bad):
         return grey
     if not volume.nan_as_air:

@@ -320,11 +320,14 @@ def _places_mm(volume: Volume, scan: CoarseScan, pieces: list[Piece]) -> list[Ar
 def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[np.int64]:
     index = volume.index_points(point_mm)
     if np.any(index < -0.5) or np.any(index > volume.size - 0.5):
+        corners = volume.scan_points(np.array([np.zeros(3), volume.size - 1.0]))
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        reach = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
         raise CtInertiaError(
             sentence(
                 "--seed",
-                "inside the scan",
-                f"voxel {', '.join(f'{v:.0f}' for v in index)} of {' x '.join(map(str, volume.size))}",
+                f"inside the scan ({reach} mm)",
+                ", ".join(f"{v:g}" for v in np.asarray(point_mm)),
                 next_step="Give it in scan coordinates, mm",
             )
         )

@@ -35,6 +35,7 @@ def scans():
         "a ball": (ball, "0.05", "a body that can be a stapes"),
         "constant": (np.full((40, 40, 40), 500), "0.05", "differing grey values; got 500"),
         "not finite": (holed, "0.05", "must be finite; got 1 voxels of NaN"),
+        "astronomical": (grey.astype(np.float32) * np.float32(1e30), "0.05", r"smaller than 1e\+15; got 2"),
         "two-dimensional": (grey[10], "0.05", "three-dimensional"),
         "coloured": (rng.integers(0, 255, (20, 30, 40, 3)), "0.05", "got a colour"),
         "without spacing": (grey, None, "--spacing"),
@@ -51,6 +52,7 @@ NAMES = (
     "a ball",
     "constant",
     "not finite",
+    "astronomical",
     "two-dimensional",
     "coloured",
     "without spacing",
@@ -65,7 +67,7 @@ def test_a_bad_scan_is_told_in_one_sentence(name, tmp_path, monkeypatch, capsys)
     voxels, spacing, told = scans()[name]
     if voxels.dtype.kind != "f":
         voxels = voxels.astype(np.uint8 if name == "coloured" else np.uint16)
-    elif name != "not finite":
+    elif name not in ("not finite", "astronomical"):
         voxels = voxels.astype(np.uint16)
     tifffile.imwrite(tmp_path / "s.tif", voxels, photometric="rgb" if name == "coloured" else "minisblack")
     words = ["ct2mass", str(tmp_path / "s.tif"), "--density", "1900", "--out", str(tmp_path / "deep" / "out")]
