@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from kinematics.background import take_short_turns
 from kinematics.command import Outcome, Parser, numbers, run, value_with_sd
 from kinematics.errors import StapeskitError, sentence
-from kinematics.memory import hold_little_memory
+from kinematics.memory import hold_little_memory, keep_algebra_to_one_thread
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
@@ -378,5 +378,6 @@ def _vector(values: Any, unit: str) -> str:
 def main() -> NoReturn:
     """Run `ct2mass`."""
     hold_little_memory()
+    keep_algebra_to_one_thread()
     take_short_turns()
     run("ct2mass", work)

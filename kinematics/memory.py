@@ -1,4 +1,4 @@
-"""How the process takes memory from the system, where the C library lets it be chosen."""
+"""How the process takes memory and threads from the system, where that lets itself be chosen."""
 
 from __future__ import annotations
 
@@ -26,3 +26,15 @@ def hold_little_memory() -> None:
     choose(_ARENAS, 1)
     choose(_MAP_ABOVE, _LARGE)
     choose(_TRIM_ABOVE, _SPARE)
+
+
+def keep_algebra_to_one_thread() -> None:
+    """Let the linear algebra library run in the thread that calls it, unless the user has chosen.
+
+    The matrices of a mass matrix are small: threads of OpenBLAS spin for work that never comes, on
+    processors that the other threads of the program need. It reads its variable when numpy is first
+    imported; a command calls this before.
+    """
+    import os
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
