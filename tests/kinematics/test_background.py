@@ -1,6 +1,7 @@
 """Work in the background: results and faults come back; the memory choices do no harm."""
 
 import gc
+import os
 import threading
 import weakref
 
@@ -9,7 +10,7 @@ import pytest
 
 from kinematics.background import Later
 from kinematics.errors import KinematicsError
-from kinematics.memory import hold_little_memory
+from kinematics.memory import hold_little_memory, keep_algebra_to_one_thread
 
 
 def test_results_come_back_and_the_caller_goes_on():
@@ -51,3 +52,13 @@ def test_a_result_that_is_taken_is_held_no_longer():
     kept = weakref.ref(later.taken())
     gc.collect()
     assert kept() is None
+
+
+@pytest.mark.parametrize(("before", "after"), [(None, "1"), ("4", "4")])
+def test_threads_of_linear_algebra_are_the_users_choice(monkeypatch, before, after):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "0")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if before is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", before)
+    keep_algebra_to_one_thread()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == after
