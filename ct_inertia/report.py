@@ -276,7 +276,7 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
             drawing,
             "Grey values with the outlines of the labels. Top: planes of the footplate frame, through the "
             "arch (z = 0), across it (x = 0), and along the footplate. Bottom: slices of the scan itself "
-            "through the middle of the stapes.",
+            "through the middle of the stapes, or of its largest cut (red) where it was parted from bone.",
             "Six slices with the outlines of stapes, plate and other bone.",
             vector=False,
         )

@@ -8,7 +8,6 @@ import pytest
 from fitting.damping import VISCOUS, DampingLaw
 from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, EstimatorOptions, constrained, estimator, ml, pinv
-from fitting.estimators.base import least_squares, solve_symmetric
 from fitting.estimators.interior import inside, pull_inside, smallest_eigenvalues
 from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
 from fitting.lines import Lines, Scale, assemble, backward, cholesky, evaluate, forward, real_rows, regressor
@@ -385,13 +384,6 @@ def test_residual_is_linear_in_the_parameters() -> None:
     linear = np.einsum("ilp,p->il", regressor(lines.dq, lines.factor), p) - lines.force
     assert np.allclose(evaluate(p, lines).residual, linear)
     assert real_rows(linear).shape == (1200,)
-
-
-def test_singular_systems_get_the_least_norm_answer() -> None:
-    rows = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
-    right = np.array([2.0, 4.0, 6.0])
-    assert least_squares(rows, right) == pytest.approx([1.0, 1.0])
-    assert solve_symmetric(rows.T @ rows, rows.T @ right) == pytest.approx([1.0, 1.0])
 
 
 def test_two_directions_identify_six_degrees_of_freedom() -> None:

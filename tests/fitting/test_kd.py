@@ -14,7 +14,6 @@ from fitting.kd import KDOptions, fit_kd
 from fitting.paper import PAPER_DAMPING_PRINTED
 from fitting.principal_axes import principal_axes
 from fitting.symmetric import entry_names, entry_units, join, split
-from kinematics.errors import KinematicsError, StapeskitError
 from kinematics.motion import RigidMotion
 from kinematics.spatial import DOF_NAMES
 from tests.fitting.cases import (
@@ -324,100 +323,3 @@ def test_parameter_vector_round_trip_and_names() -> None:
     assert np.array_equal(stiffness, K)
     assert np.array_equal(damping, D)
     assert entry_units(("y", "alpha")) == [["N/m", "N"], ["N", "N m"]]
-
-
-# --- faults ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"estimator": "tls"}, "--estimator must be one of ml, irls, pinv, constrained; got tls"),
-        ({"robust": "huber"}, "--robust must be one of none, t4; got huber"),
-        ({"robust": "t4", "estimator": "pinv"}, "--robust t4 must be given with --estimator ml; got pinv"),
-        ({"damping": "dry"}, "--damping must be one of viscous, hysteretic, fractional, compare; got dry"),
-        ({"inplane": "yes"}, "--inplane must be one of auto, load, ignore; got yes"),
-        ({"constraint": "no"}, "--constraint must be one of eigenvalues, psd; got no"),
-        (
-            {"band_hz": (5000.0, 400.0)},
-            "--band must be a range of frequencies, low before high; got 5000 to 400",
-        ),
-        ({"exclude_hz": [(60.0, 50.0)]}, "--exclude must be a range of frequencies"),
-        ({"lower": {"K11": 1.0}}, "--lower and --upper must be given with --estimator constrained; got ml"),
-        ({"lower": {"K44": 1.0}, "estimator": "constrained"}, "--lower must be an entry out of K11, K12"),
-        (
-            {"lower": {"K11": 5.0}, "upper": {"K11": 4.0}, "estimator": "constrained"},
-            "--lower K11 must be below 4; got 5",
-        ),
-    ],
-)
-def test_wrong_choices_are_refused(options: dict, message: str) -> None:
-    with pytest.raises(FittingError) as fault:
-        KDOptions(**options)
-    assert message in str(fault.value)
-
-
-@pytest.mark.parametrize(
-    ("matrix", "message"),
-    [
-        (np.eye(2), "the mass matrix must be 3 x 3 for --dof y,alpha,gamma; got 2 x 2"),
-        (np.full((3, 3), np.nan), "the mass matrix must be finite numbers"),
-        (np.diag([1.0, -1.0, 1.0]), "the diagonal of the mass matrix must be positive; got -1"),
-        (np.eye(3) + np.diag([0.1, 0.0], 1), "the mass matrix must be symmetric"),
-        (np.ones((3, 3)), "the mass matrix must be positive definite"),
-    ],
-)
-def test_wrong_mass_is_refused(matrix: np.ndarray, message: str) -> None:
-    with pytest.raises(FittingError) as fault:
-        fit_kd(paper_motion(), matrix)
-    assert message in str(fault.value)
-
-
-def test_mass_about_another_point_is_refused() -> None:
-    mass = six_dof_mass().moved(np.eye(3), np.zeros(3), "centre_of_mass", "footplate")
-    with pytest.raises(
-        FittingError, match="must be about footplate_centre in footplate axes; got about centre"
-    ):
-        fit_kd(paper_motion(), mass)
-
-
-def test_missing_body_or_motion_is_refused() -> None:
-    motion = paper_motion()
-    with pytest.raises(KinematicsError, match="the body must be one of stapes, base; got incus"):
-        fit_kd(motion, M, KDOptions(structure="incus"))
-    with pytest.raises(KinematicsError, match="Name one with --base"):
-        fit_kd(motion, M, KDOptions(base="bone"))
-    with pytest.raises(FittingError, match="two different bodies"):
-        fit_kd(motion, M, KDOptions(base="stapes"))
-    with pytest.raises(FittingError, match="--dof must be degrees of freedom that were measured"):
-        fit_kd(motion, six_dof_mass(), KDOptions(dof=("x", "y")))
-    with pytest.raises(FittingError, match="the motion's axes must be footplate; got plate"):
-        fit_kd(replace(motion, axes="plate"), M)
-
-
-def test_too_few_lines_are_refused() -> None:
-    motion = paper_motion()
-    with pytest.raises(
-        FittingError, match="the band must be one with measured lines of both bodies; got none"
-    ):
-        fit_kd(motion, M, KDOptions(band_hz=(10.0, 20.0)))
-    with pytest.raises(FittingError, match="at least 12 equations at 2 or more frequencies for 12 unknowns"):
-        fit_kd(motion, M, KDOptions(band_hz=(400.0, 410.0)))
-    empty = replace(motion, q=np.full_like(motion.q, np.nan))
-    with pytest.raises(FittingError, match="200 lines have missing values"):
-        fit_kd(empty, M)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
-def test_impossible_variances_are_refused(value: float) -> None:
-    motion = paper_motion()
-    covariance = motion.covariance.copy()
-    covariance[0, 0, 3, 1, 1] = value
-    with pytest.raises(
-        FittingError, match="the noise variances of structure alpha must be positive at every"
-    ):
-        fit_kd(replace(motion, covariance=covariance), M)
-
-
-def test_every_fault_is_one_of_the_users() -> None:
-    assert issubclass(FittingError, StapeskitError)
