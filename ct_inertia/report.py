@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ct_inertia.budget import described
 from ct_inertia.report_evidence import evidence_rows
 from ct_inertia.report_masses import cross_check_section, files_blocks, masses_section
-from ct_inertia.surface import Surface, read_surface
+from ct_inertia.surface import Surface
 from kinematics import page
 from kinematics.frames import RigidTransform
 from kinematics.notices import Notice, from_json
@@ -55,14 +55,6 @@ class Pictured:
     stapes: Surface
     plate: Surface | None = None
     labelled: LabelledVolume | None = None
-
-
-def read_pictured(folder: Path, labelled: LabelledVolume | None = None) -> Pictured:
-    """Read back stapes.ply and plate.ply from an output folder."""
-    plate = Path(folder) / "plate.ply"
-    return Pictured(
-        read_surface(Path(folder) / "stapes.ply"), read_surface(plate) if plate.exists() else None, labelled
-    )
 
 
 def mass_sections(
