@@ -1,0 +1,125 @@
+"""What every reader of a measuring system's file returns: one recording for each beam, point and run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+QUANTITIES = ("displacement", "velocity", "acceleration")
+
+
+def unknown_vector() -> Array:
+    """Return three NaN: a position or direction that the file does not say."""
+    return np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What one beam at one point read in one run.
+
+    Attributes
+    ----------
+    point : str
+        Name or number of the point.
+    freq_hz : ndarray, (freq,)
+        Ascending; a DC line (0 Hz) may still be in it, it is dropped with a warning later.
+    value : ndarray, (freq,), complex
+        SI, peak amplitude, e^{+iwt}; NaN where missing.
+    order : int
+        0 displacement (m), 1 velocity (m/s), 2 acceleration (m/s2).
+    where : str
+        Place for messages: file, data set or variable.
+    run : str
+        The excitation; empty when the file does not say.
+    body : str
+        Empty when the file does not say.
+    position_mm : ndarray, (3,)
+        NaN when unknown.
+    direction : ndarray, (3,)
+        Unit vector towards the laser head; NaN when unknown.
+    sd : ndarray, (freq,), or None
+        Standard deviation of the real (= imaginary) part, in the unit of ``value``; None when unknown.
+    coherence : ndarray, (freq,), or None
+        Ordinary coherence, 0 to 1.
+    n_avg : float or None
+        Number of averages.
+    per : str
+        Unit of the reference when the value is a response per unit of it (``Pa``, ``V``, ``N``, ``m/s``);
+        empty for an absolute amplitude.
+    repeat : str
+        Which repetition of the same run, empty with a single one.
+    level : float
+        Level of the excitation, in any unit; NaN when unknown.
+
+    Raises
+    ------
+    KinematicsError
+        Shapes that do not match, an unknown order, frequencies that do not ascend, or a direction that is
+        no unit vector.
+    """
+
+    point: str
+    freq_hz: Array
+    value: ComplexArray
+    order: int
+    where: str
+    run: str = ""
+    body: str = ""
+    position_mm: Array = field(default_factory=unknown_vector)
+    direction: Array = field(default_factory=unknown_vector)
+    sd: Array | None = None
+    coherence: Array | None = None
+    n_avg: float | None = None
+    per: str = ""
+    repeat: str = ""
+    level: float = float("nan")
+
+    def __post_init__(self) -> None:
+        faults = []
+        count = self.freq_hz.shape
+        for name in ("value", "sd", "coherence"):
+            column = getattr(self, name)
+            if column is not None and column.shape != count:
+                faults.append(
+                    sentence(name, f"as long as the frequencies, {count}", column.shape, self.where)
+                )
+        if self.order not in (0, 1, 2):
+            step = "A vibrometer measures one of them"
+            faults.append(
+                sentence("the quantity", ", ".join(QUANTITIES), f"order {self.order}", self.where, step)
+            )
+        if self.freq_hz.ndim != 1 or not np.all(np.diff(self.freq_hz) > 0.0):
+            faults.append(
+                sentence("the frequencies", "ascending", "equal or descending ones", self.where, "Sort them")
+            )
+        if self.position_mm.shape != (3,) or self.direction.shape != (3,):
+            faults.append(sentence("position and direction", "three numbers each", "others", self.where))
+        elif np.all(np.isfinite(self.direction)) and abs(np.linalg.norm(self.direction) - 1.0) > 1e-3:
+            got = ", ".join(f"{value:g}" for value in self.direction)
+            step = "Divide the direction by its length"
+            faults.append(sentence("the direction", "a unit vector (within 1e-3)", got, self.where, step))
+        raise_all(KinematicsError, faults)
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """What one file, or one folder, holds.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+    notices : tuple of Notice
+    frame_units : str
+        What the file says about its coordinate system and units, for messages and provenance.
+    """
+
+    recordings: tuple[Recording, ...]
+    notices: tuple[Notice, ...] = ()
+    frame_units: str = ""
