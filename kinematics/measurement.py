@@ -96,6 +96,32 @@ def direction_name(direction: Array) -> str:
 
 
 @dataclass(frozen=True)
+class Take:
+    """One pass of a measurement: an excitation, which repeat of it, and how strong.
+
+    Attributes
+    ----------
+    run : str
+        Excitation.
+    repeat : str
+        Name of the repeat; a number tells the order in time. Empty when there is one only.
+    level : float
+        Amplitude of the excitation in any linear unit; NaN when not stated.
+    """
+
+    run: str
+    repeat: str = ""
+    level: float = float("nan")
+
+    @property
+    def name(self) -> str:
+        """Name that no other take of the measurement has."""
+        repeat = f", repeat {self.repeat}" if self.repeat else ""
+        level = f", level {self.level:g}" if np.isfinite(self.level) else ""
+        return f"{self.run}{repeat}{level}"
+
+
+@dataclass(frozen=True)
 class Measurement:
     """A vibrometer measurement.
 
@@ -114,6 +140,9 @@ class Measurement:
     inputs : mapping of str to Path
         Files by their role.
     notices : tuple of Notice
+    takes : tuple of Take, (run,)
+        What each entry of ``runs`` (their ``name``) is while repeats and levels are not pooled yet; empty
+        in a measurement without any.
     """
 
     frame: str
@@ -123,6 +152,7 @@ class Measurement:
     order: int = 1
     inputs: Mapping[str, Path] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
+    takes: tuple[Take, ...] = ()
 
     def __post_init__(self) -> None:
         faults = []
@@ -136,6 +166,8 @@ class Measurement:
             faults.append(sentence("freq_hz", "positive and ascending", "another order"))
         if not self.bodies:
             faults.append(sentence("a measurement", "of one body at least", "none"))
+        if self.takes and tuple(take.name for take in self.takes) != self.runs:
+            faults.append(sentence("runs", "the names of the takes", self.runs))
         raise_all(KinematicsError, faults)
 
     def mapped(self, to_from_here: RigidTransform) -> Measurement:
