@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 FRAMES = ("plate", "scan", "footplate")
 _SEEN = ("x_mm", "y_mm", "z_mm")
 _KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+_SD_AXES = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
+_SD = ("sd_mm", *_SD_AXES, "sd_ref_mm")
 
 
 @dataclass(frozen=True)
@@ -33,9 +35,11 @@ class Fiducials:
         In the frame of the same row of ``frames``.
     frames : tuple of str, (n,)
         ``plate``, ``scan`` or ``footplate``.
-    sd_mm : ndarray, (n,), or None
-        Standard deviation per coordinate; None when not stated.
+    sd_mm : ndarray, (n,) or (n, 3), or None
+        Standard deviation per coordinate, or along each vibrometer axis; None when not stated.
     path : Path or None
+    sd_ref_mm : ndarray, (n,), or None
+        Standard deviation per coordinate of the reference; None: it is part of ``sd_mm``.
     """
 
     names: tuple[str, ...]
@@ -44,6 +48,7 @@ class Fiducials:
     frames: tuple[str, ...]
     sd_mm: Array | None = None
     path: Path | None = None
+    sd_ref_mm: Array | None = None
 
     def mirrored(self, axis: str) -> Fiducials:
         """Return the fiducials with one axis of the left-handed vibrometer coordinates turned round.
@@ -59,38 +64,56 @@ class Fiducials:
 def read_fiducials(path: Path) -> Fiducials:
     """Read a fiducials file: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame] [, sd_mm].
 
+    Instead of ``sd_mm`` there may be sd_x_mm, sd_y_mm, sd_z_mm along the vibrometer's axes (depth is often
+    known less well), and beside either sd_ref_mm of the reference coordinates.
+
     Raises
     ------
     KinematicsError
         A column is missing, a cell is no finite number, a name stands there twice, a frame is unknown, or
-        an sd_mm is not positive or stated for some fiducials only; all faults are listed.
+        an sd is not positive, stated for some fiducials or some axes only, or stated both for all axes and
+        for each; all faults are listed.
     """
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         require(header, ("name", *_SEEN, *_KNOWN), file)
-        return {*_SEEN, *_KNOWN, *({"sd_mm"} & set(header))}, {"name", *({"frame"} & set(header))}
+        return {*_SEEN, *_KNOWN, *(set(_SD) & set(header))}, {"name", *({"frame"} & set(header))}
 
     table = read_table(path, choose)
     faults = [*table.faults, *finite_faults(table, (*_SEEN, *_KNOWN))]
     names, frames = _words(table, faults)
-    sd = table.numbers.get("sd_mm")
-    if sd is not None and np.all(np.isnan(sd)):
-        sd = None
-    if sd is not None:
-        faults += sd_faults(table, sd)
+    spread = _spread(table, faults)
+    raise_all(KinematicsError, faults)
+    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    sd = spread.get("sd_mm")
+    if _SD_AXES[0] in spread:
+        sd = np.column_stack([spread[name] for name in _SD_AXES])
+    return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
+
+
+def _spread(table: Table, faults: list[str]) -> dict[str, Array]:
+    """Return the columns of standard deviations that hold something, and add their faults."""
+    found = {name: table.numbers[name] for name in _SD if name in table.numbers}
+    found = {name: values for name, values in found.items() if not np.all(np.isnan(values))}
+    for name, values in found.items():
+        faults += sd_faults(table, values, name)
         faults += [
             sentence(
-                "sd_mm",
+                name,
                 "stated for all fiducials or for none",
                 "an empty cell",
                 table.where(int(row)),
                 "Fill it in, or leave the column out",
             )
-            for row in np.flatnonzero(np.isnan(sd))
+            for row in np.flatnonzero(np.isnan(values))
         ]
-    raise_all(KinematicsError, faults)
-    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
-    return Fiducials(names, seen, known, frames, sd, Path(path))
+    axes = [name for name in _SD_AXES if name in found]
+    if axes and (len(axes) < 3 or "sd_mm" in found):
+        got = ", ".join(name for name in (*axes, "sd_mm") if name in found)
+        step = "Give one sd_mm, or one column for each axis"
+        faults.append(sentence("the sd of the fiducials", "sd_mm, or all three of " + ", ".join(_SD_AXES),
+                               got, table.file, step))  # fmt: skip
+    return found
 
 
 def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -155,6 +155,7 @@ def _fit(fiducials: Fiducials, mass: MassRecord | None, plate: Array, footplate:
         to=target,
         source="vibrometer",
         names=fiducials.names,
+        target_sd_mm=fiducials.sd_ref_mm,
     )
 
 

@@ -107,10 +107,10 @@ def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
     return faults
 
 
-def sd_faults(table: Table, sd: Array) -> list[str]:
+def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[str]:
     """List the standard deviations that are not positive and finite."""
     rows = np.flatnonzero((sd <= 0.0) | np.isinf(sd))
     step = "Give the standard deviation per coordinate in mm"
     return [
-        sentence("sd_mm", "positive and finite", f"{sd[row]:g}", table.where(int(row)), step) for row in rows
+        sentence(name, "positive and finite", f"{sd[row]:g}", table.where(int(row)), step) for row in rows
     ]

@@ -8,13 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinematics.errors import KinematicsError, sentence
-from kinematics.frames import RigidTransform, cross_matrix, vector_from_rotation
+from kinematics.fiducial_faults import (
+    check_size,
+    explanations,
+    fault_notices,
+    inconsistent,
+    refuse_mirrored,
+)
+from kinematics.frames import RigidTransform, vector_from_rotation
+from kinematics.kabsch import kabsch, pair_weights, pose_covariance, pose_rows, refined
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 _THIN = 0.02
-_INCONSISTENT = 1e-3
-_NOTICEABLE_MM = 0.05
 
 
 @dataclass(frozen=True)
@@ -31,13 +37,16 @@ class Registration:
     residuals_mm : ndarray, (n, 3)
         Mapped source points minus target points, in target axes.
     sd_mm : ndarray, (n,)
-        Standard deviation per coordinate of each point: as given, or estimated from the residuals.
+        Standard deviation per coordinate of each point (root mean square over the axes): as given, or
+        estimated from the residuals.
     chi2, n_dof : float, int
         Sum of (residual / sd)^2 and 3 n - 6; chi2 is NaN when the sd was estimated.
     flat_mm : float
         Largest distance of a target point from the best plane through all of them.
     notices : tuple of Notice
         ``fiducials_coplanar``, ``fiducials_inconsistent``.
+    kind : str
+        What was fitted: ``fiducials``, ``plate points`` ...
     """
 
     transform: RigidTransform
@@ -48,6 +57,7 @@ class Registration:
     n_dof: int
     flat_mm: float
     notices: tuple[Notice, ...] = field(default=())
+    kind: str = "fiducials"
 
     @property
     def rms_mm(self) -> float:
@@ -57,8 +67,7 @@ class Registration:
     def target_covariance(self, points_mm: ArrayLike) -> Array:
         """Return the covariance (n, 3, 3), m2, in target axes, of mapped points (n, 3), source mm."""
         points = np.atleast_2d(np.asarray(points_mm, dtype=float)) * 1e-3
-        jacobian = np.stack([np.hstack([np.eye(3), -cross_matrix(point)]) for point in points])
-        jacobian = self.transform.rotation @ jacobian
+        jacobian = self.transform.rotation @ pose_rows(points)
         return np.asarray(jacobian @ self.covariance_si @ jacobian.transpose(0, 2, 1))
 
     def target_registration_error(self, points_mm: ArrayLike) -> Array:
@@ -78,25 +87,6 @@ def displacement(base: RigidTransform, moved: RigidTransform) -> Array:
     return np.concatenate([step[:3, 3] * 1e-3, vector_from_rotation(step[:3, :3])])
 
 
-def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array, bool]:
-    """Return the proper rotation (3, 3) and the translation (3,), mm, of the weighted least-squares fit.
-
-    The third value tells whether a reflection would have fitted better.
-
-    Notes
-    -----
-    Kabsch 1976 (doi:10.1107/S0567739476001873) with the sign of Umeyama 1991 (doi:10.1109/34.88573).
-    """
-    share = weights / np.sum(weights)
-    source_centre, target_centre = share @ source_mm, share @ target_mm
-    cross = ((source_mm - source_centre) * share[:, None]).T @ (target_mm - target_centre)
-    u, _, vt = np.linalg.svd(cross)
-    mirrored = bool(np.linalg.det(u) * np.linalg.det(vt) < 0.0)
-    sign = np.diag([1.0, 1.0, -1.0 if mirrored else 1.0])
-    rotation = vt.T @ sign @ u.T
-    return rotation, target_centre - rotation @ source_centre, mirrored
-
-
 def fit_rigid(
     source_mm: ArrayLike,
     target_mm: ArrayLike,
@@ -105,6 +95,7 @@ def fit_rigid(
     to: str,
     source: str,
     names: tuple[str, ...] = (),
+    target_sd_mm: ArrayLike | None = None,
 ) -> Registration:
     """Fit the rigid transform that maps source points onto target points; never a reflection.
 
@@ -112,56 +103,95 @@ def fit_rigid(
     ----------
     source_mm, target_mm : array_like, (n, 3)
         Paired points, mm, in the frames ``source`` and ``to``; at least 3, not on a line.
-    sd_mm : array_like, scalar or (n,), optional
-        Standard deviation per coordinate of the difference of a pair, mm. Estimated from the residuals
-        when not given.
+    sd_mm : array_like, scalar, (n,) or (n, 3), optional
+        Standard deviation of the source points, mm: per coordinate, or along each source axis. Alone, it
+        stands for the difference of a pair. Estimated from the residuals when no sd is given.
     to, source : str
         Names of the two frames.
     names : tuple of str, optional
         Names of the pairs, for messages.
+    target_sd_mm : array_like, scalar, (n,) or (n, 3), optional
+        The same of the target points, along target axes; none: they are exact.
 
     Raises
     ------
     KinematicsError
-        Fewer than 3 points, points on a line, numbers that are not finite, an sd that is not positive, or
-        points that fit only as a mirror image (one set is left-handed).
+        Fewer than 3 points, points on a line, numbers that are not finite, an sd that is not positive,
+        sizes that differ (millimetres against metres), or points that fit only as a mirror image (one set
+        is left-handed).
 
     Notes
     -----
     With the model R (s + u + theta x s) + t the information matrix of (u, theta) is the sum of
-    w J^T J, J = [1, -[s]x], w = 1/sd^2; it is inverted about the centroid and shifted to the origin.
-    With given sd and residuals too large for them (p < 0.001) the covariance grows with chi2 / n_dof;
-    without, one fiducial far off the others (p < 0.001 and 0.05 mm) is told.
+    J^T W J, J = [1, -[s]x], W the inverse covariance of a pair's difference; it is inverted about the
+    centroid and shifted to the origin. With given sd and residuals too large for them (p < 0.001) the
+    covariance grows with chi2 / n_dof; the fault that explains the misfit best is named.
     """
     a, b = np.asarray(source_mm, dtype=float), np.asarray(target_mm, dtype=float)
     _check_pairs(a, b)
-    sd = None if sd_mm is None else np.broadcast_to(np.asarray(sd_mm, dtype=float), (len(a),))
-    if sd is not None and not (np.all(np.isfinite(sd)) and np.all(sd > 0.0)):
-        raise KinematicsError(sentence("sd_mm of a fiducial", "positive and finite", float(np.min(sd))))
-    weights = np.ones(len(a)) if sd is None else 1.0 / sd**2
+    check_size(a, b, source, to)
+    stated = sd_mm is not None or target_sd_mm is not None
+    source_var, target_var = (_variances(sd, len(a)) for sd in (sd_mm, target_sd_mm))
+    total = np.mean(source_var + target_var, axis=1)
+    if stated and not np.all(total > 0.0):
+        raise KinematicsError(sentence("sd_mm of a fiducial", "positive and finite", "0 in both frames"))
+    weights = 1.0 / total if stated else np.ones(len(a))
     rotation, shift, mirrored = kabsch(a, b, weights)
+    if np.ptp(source_var, axis=1).any() or np.ptp(target_var, axis=1).any():
+        rotation, shift = refined(a, b, rotation, shift, source_var, target_var)
     residuals = a @ rotation.T + shift - b
-    n_dof = 3 * len(a) - 6
-    typical = 0.0 if sd is None else float(np.median(sd))
-    flat, extent = _flatness(b)
-    coplanar = len(a) < 4 or flat < max(_THIN * extent, 4.0 * typical)
-    if mirrored and not coplanar:
-        _refuse_mirror(a, b, weights, residuals, source)
-    chi2 = float("nan")
-    notices = [_coplanar_notice(len(a), flat)] if coplanar else []
-    if sd is None:
-        sd = np.full(len(a), np.sqrt(np.sum(residuals**2) / n_dof))
-        scale = float(sd[0] ** 2)
-        notices += _outlier_notice(a, b, names, float(np.sum(residuals**2)))
+    if stated:
+        matrices = pair_weights(rotation, source_var, target_var)
     else:
-        chi2 = float(np.sum((residuals / sd[:, None]) ** 2))
-        scale = 1.0
-    if chi2 > _chi2_limit(n_dof):
-        scale = chi2 / n_dof
-        notices.append(_inconsistent_notice(a, b, weights, residuals, names, scale))
-    transform = RigidTransform.from_parts(rotation, shift, to, source)
-    covariance = scale * _pose_covariance(a * 1e-3, weights * 1e6)
-    return Registration(transform, covariance, residuals, np.array(sd), chi2, n_dof, flat, tuple(notices))
+        matrices = np.broadcast_to(np.eye(3), (len(a), 3, 3))
+    energy = float(np.einsum("ni,nij,nj->", residuals, matrices, residuals))
+    return _judged(
+        a, b, RigidTransform.from_parts(rotation, shift, to, source), residuals, matrices, weights, energy,
+        stated, mirrored, names or tuple(str(place + 1) for place in range(len(a))),
+    )  # fmt: skip
+
+
+def _judged(
+    a: Array,
+    b: Array,
+    transform: RigidTransform,
+    residuals: Array,
+    matrices: Array,
+    weights: Array,
+    energy: float,
+    stated: bool,
+    mirrored: bool,
+    names: tuple[str, ...],
+) -> Registration:
+    """Add to a fit its covariance and what its residuals tell."""
+    n_dof = 3 * len(a) - 6
+    sd = 1.0 / np.sqrt(weights) if stated else np.full(len(a), np.sqrt(energy / n_dof))
+    flat, extent = _flatness(b)
+    coplanar = len(a) < 4 or flat < max(_THIN * extent, 4.0 * float(np.median(sd)) if stated else 0.0)
+    notices = [_coplanar_notice(len(a), flat)] if coplanar else []
+    if len(a) > 3:
+        found = explanations(a, b, weights)
+        if mirrored and not coplanar:
+            refuse_mirrored(found, energy, float(np.sum(weights)), stated, transform.source, names)
+        notices += fault_notices(found, transform.rotation, energy, names, stated)
+    elif stated and inconsistent(energy, n_dof):
+        notices.append(_three_notice(energy, n_dof))
+    scale = energy / n_dof if not stated or inconsistent(energy, n_dof) else 1.0
+    in_source = np.einsum("ji,njk,kl->nil", transform.rotation, matrices, transform.rotation)
+    covariance = scale * pose_covariance(a, in_source)
+    chi2 = energy if stated else float("nan")
+    return Registration(transform, covariance, residuals, sd, chi2, n_dof, flat, tuple(notices))
+
+
+def _variances(sd_mm: ArrayLike | None, count: int) -> Array:
+    """Return variances (n, 3), mm2, of a scalar, (n,) or (n, 3) standard deviation; zero for none."""
+    if sd_mm is None:
+        return np.zeros((count, 3))
+    sd = np.asarray(sd_mm, dtype=float)
+    if not (np.all(np.isfinite(sd)) and np.all(sd > 0.0)):
+        got = "NaN or infinity" if not np.all(np.isfinite(sd)) else f"{np.min(sd):g}"
+        raise KinematicsError(sentence("sd_mm of a fiducial", "positive and finite", got))
+    return np.array(np.broadcast_to(sd[:, None] if sd.ndim == 1 else sd, (count, 3))) ** 2
 
 
 def _check_pairs(a: Array, b: Array) -> None:
@@ -196,36 +226,6 @@ def _flatness(points: Array) -> tuple[float, float]:
     return float(np.max(np.abs(centred @ normal))), float(np.max(np.linalg.norm(centred, axis=1)))
 
 
-def _pose_covariance(points_m: Array, weights: Array) -> Array:
-    centre = weights @ points_m / np.sum(weights)
-    rows = np.concatenate([np.hstack([np.eye(3), -cross_matrix(p - centre)]) for p in points_m])
-    information = rows.T @ (np.repeat(weights, 3)[:, None] * rows)
-    scale = 1.0 / np.sqrt(np.diag(information))
-    about_centre = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    shift = np.eye(6)
-    shift[:3, 3:] = cross_matrix(centre)
-    covariance = shift @ about_centre @ shift.T
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def _refuse_mirror(a: Array, b: Array, weights: Array, residuals: Array, source: str) -> None:
-    flipped = a * np.array([1.0, 1.0, -1.0])
-    rotation, shift, _ = kabsch(flipped, b, weights)
-    proper = float(np.sqrt(np.mean(residuals**2) * 3.0))
-    mirror = float(np.sqrt(np.mean((flipped @ rotation.T + shift - b) ** 2) * 3.0))
-    if mirror < 0.5 * proper:
-        raise KinematicsError(
-            sentence(
-                f"the coordinates of the {source} frame",
-                "right-handed",
-                f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
-                f"{mirror:.3g} mm mirrored)",
-                next_step="Undo the mirrored axis with --mirror x, y or z (scanning heads often count one "
-                "axis the other way)",
-            )
-        )
-
-
 def _coplanar_notice(count: int, flat: float) -> Notice:
     why = f"only {count} fiducials" if count < 4 else f"all fiducials within {flat:.3g} mm of one plane"
     return Notice(
@@ -234,60 +234,9 @@ def _coplanar_notice(count: int, flat: float) -> Notice:
     )
 
 
-def _chi2_limit(n_dof: int) -> float:
-    from scipy.special import chdtri
-
-    return float(chdtri(n_dof, _INCONSISTENT))
-
-
-def _left_out(a: Array, b: Array, weights: Array) -> tuple[Array, Array]:
-    """Return, without each point in turn, the weighted sum of squares and how far that point lies, mm."""
-    energies, distances = np.zeros(len(a)), np.zeros(len(a))
-    for out in range(len(a)):
-        keep = np.arange(len(a)) != out
-        rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
-        rest = a @ rotation.T + shift - b
-        energies[out] = np.sum(weights[keep, None] * rest[keep] ** 2)
-        distances[out] = np.linalg.norm(rest[out])
-    return energies, distances
-
-
-def _outlier_notice(a: Array, b: Array, names: tuple[str, ...], energy: float) -> list[Notice]:
-    """Judge the worst fiducial against the others, whose scatter is the only scale when no sd is stated.
-
-    Notes
-    -----
-    F test of the three coordinates of one fiducial that its removal takes out of the residual, corrected for
-    the number of fiducials (Cook and Weisberg 1982, Residuals and Influence in Regression, section 2.2).
-    """
-    from scipy.special import fdtrc
-
-    freedom = 3 * len(a) - 9
-    if len(a) < 4:
-        return []
-    energies, distances = _left_out(a, b, np.ones(len(a)))
-    worst = int(np.argmin(energies))
-    others = max(float(energies[worst]), 1e-24) / freedom
-    p = len(a) * float(fdtrc(3, freedom, max(energy - energies[worst], 0.0) / 3.0 / others))
-    if p > _INCONSISTENT or distances[worst] < _NOTICEABLE_MM:
-        return []
-    name = names[worst] if names else str(worst + 1)
-    text = (
-        f"fiducial {name} lies {distances[worst]:.3g} mm from where the others put it, which scatter by "
-        f"{np.sqrt(others) * 1e3:.2g} um; check its coordinates or leave it out."
-    )
-    return [Notice("fiducials_inconsistent", text)]
-
-
-def _inconsistent_notice(
-    a: Array, b: Array, weights: Array, residuals: Array, names: tuple[str, ...], scale: float
-) -> Notice:
-    worst = int(np.argmax(np.sum(residuals**2, axis=1) * weights))
-    if len(a) > 4:
-        worst = int(np.argmin(_left_out(a, b, weights)[0]))
-    name = names[worst] if names else str(worst + 1)
+def _three_notice(energy: float, n_dof: int) -> Notice:
     return Notice(
         "fiducials_inconsistent",
-        f"the fiducials disagree by {np.sqrt(scale):.1f} times their sd_mm, {name} most; the covariance of "
-        "the registration was enlarged accordingly.",
+        f"the fiducials disagree by {np.sqrt(energy / n_dof):.1f} times their sd_mm, and three cannot tell "
+        "which; the covariance of the registration was enlarged accordingly. Add a fourth.",
     )

@@ -67,7 +67,8 @@ def test_residuals_too_large_for_their_sd_are_told():
     wrong[3, 0] += 1.0
     found = fit(SEEN, wrong, 0.02, names=("a", "b", "c", "d", "e", "f"))
     assert [notice.code for notice in found.notices] == ["fiducials_inconsistent"]
-    assert ", d most" in found.notices[0].text
+    assert "fiducial d lies 1 mm from where the others put it" in found.notices[0].text
+    assert "x_ref_mm too large by 1 mm" in found.notices[0].text
     assert found.covariance_si[0, 0] > 10 * fit(sd=0.02).covariance_si[0, 0]
 
 
@@ -270,3 +271,115 @@ def test_frames_need_their_mass_record(tmp_path, mass):
     raw["mass_matrix_plate_axes"] = None
     with pytest.raises(KinematicsError, match=r"a mass\.json without a plate"):
         place(marks, mass=read_mass_record(write_record(tmp_path, raw)))
+
+
+def fitzpatrick_west(marks, target, sd):
+    """TRE of equal isotropic errors: sd^2 (3 / n)(1 + mean over the principal axes of d^2 / f^2)."""
+    centred = marks - marks.mean(axis=0)
+    axes = np.linalg.svd(centred)[2]
+
+    def square(points, axis):
+        return np.sum(points**2, axis=-1) - (points @ axis) ** 2
+
+    off = target - marks.mean(axis=0)
+    ratio = sum(square(off, axis) / np.mean(square(centred, axis)) for axis in axes)
+    return np.sqrt(3.0 * sd**2 / len(marks) * (1.0 + ratio / 3.0))
+
+
+@pytest.mark.parametrize("marks", [MARKS[:3], MARKS[:4], MARKS, MARKS * [0.1, 1.0, 1.0]])
+def test_target_error_is_that_of_fitzpatrick_and_west(marks):
+    target = np.array([3.0, 9.0, -2.0])
+    found = fit(POSE.inverse().points(marks), marks, 0.03)
+    mine = found.target_registration_error(POSE.inverse().points(target))[0]
+    assert mine == pytest.approx(fitzpatrick_west(marks, target, 0.03), rel=1e-3)
+
+
+def test_errors_that_differ_by_axis_are_weighted_and_told():
+    """Depth known ten times less well: Monte Carlo of the pose, its covariance, chi2 and the target error."""
+    rng = np.random.default_rng(3)
+    sd, known = np.array([0.01, 0.01, 0.1]), 0.005
+    target = POSE.inverse().points([[0.0, 4.0, 0.0]])
+    distances, misses, plain, chi2 = [], [], [], []
+    for _ in range(600):
+        seen = SEEN + sd * rng.normal(size=SEEN.shape)
+        marks = MARKS + known * rng.normal(size=MARKS.shape)
+        found = fit(seen, marks, np.tile(sd, (6, 1)), target_sd_mm=known)
+        e = displacement(found.transform, POSE)
+        distances.append(e @ np.linalg.solve(found.covariance_si, e))
+        misses.append(np.linalg.norm(found.transform.points(target) - POSE.points(target)))
+        plain.append(np.linalg.norm(fit(seen, marks).transform.points(target) - POSE.points(target)))
+        chi2.append(found.chi2)
+    assert np.mean(distances) / 6.0 == pytest.approx(1.0, abs=0.08)
+    assert np.mean(chi2) == pytest.approx(12.0, rel=0.06)
+    rms = np.sqrt(np.mean(np.square(misses)))
+    expected = fit(sd=np.tile(sd, (6, 1)), target_sd_mm=known).target_registration_error(target)[0]
+    assert rms == pytest.approx(expected, rel=0.05)
+    assert rms < 0.95 * np.sqrt(np.mean(np.square(plain)))
+
+
+def faulty_marks(rng, fault, sd):
+    """Return seen points with noise, references with one fault, and the culprits' names."""
+    seen, known = SEEN + sd * rng.normal(size=SEEN.shape), MARKS.copy()
+    i, j = rng.choice(6, 2, replace=False)
+    if fault == "swapped":
+        known[[i, j]] = known[[j, i]]
+        return seen, known, {"abcdef"[i], "abcdef"[j]}
+    known[i, rng.integers(3)] += rng.choice([-1.0, 1.0]) * 20.0 * sd
+    return seen, known, {"abcdef"[i]}
+
+
+@pytest.mark.parametrize("fault", ["mistyped", "swapped"])
+@pytest.mark.parametrize("stated", [True, False])
+def test_one_faulty_fiducial_is_named(fault, stated):
+    right = 0
+    for seed in range(60):
+        seen, known, culprits = faulty_marks(np.random.default_rng([seed, 9]), fault, 0.02)
+        (notice,) = fit(seen, known, 0.02 if stated else None, names=tuple("abcdef")).notices
+        assert notice.code == "fiducials_inconsistent"
+        said = notice.text.split("fiducial")[2 if stated else 1]
+        right += all(f" {name} " in said for name in culprits)
+    assert right >= 58
+
+
+def test_coplanar_marks_cannot_tell_which_is_off():
+    known = MARKS[:4].copy()
+    known[1, 1] += 0.5
+    text = fit(SEEN[:4], known, 0.02, names=tuple("abcd")).notices[1].text
+    assert "one of the fiducials" in text
+    assert "cannot tell which" in text
+
+
+def test_a_wrong_scale_is_named():
+    text = fit(1.02 * SEEN, MARKS, 0.01).notices[0].text
+    assert "references are 0.9804 times those that the vibrometer sees" in text
+
+
+@pytest.mark.parametrize(
+    ("factor", "match"),
+    [(1e-3, r"vibrometer coordinates seem to be in m, or those of the plate frame in um"),
+     (1e3, "plate coordinates seem to be in m"),
+     (1.0 / 25.4, "vibrometer coordinates seem to be in inches"),
+     (3.0, "distances that are 3 times as large")],
+)  # fmt: skip
+def test_other_units_are_refused(factor, match):
+    with pytest.raises(KinematicsError, match=match):
+        fit(factor * SEEN, MARKS, 0.01)
+
+
+def test_one_mark_off_the_plane_leaves_two_readings():
+    flat = np.vstack([MARKS[:4], [[2.0, 3.0, 1.0]]])
+    with pytest.raises(KinematicsError, match=r"--mirror.*or correct fiducial 5"):
+        fit(POSE.inverse().points(flat) * [1, 1, -1], flat, 0.02)
+
+
+def test_sd_columns_by_axis(tmp_path):
+    head = HEAD + ",sd_x_mm,sd_y_mm,sd_z_mm,sd_ref_mm"
+    read = read_fiducials(
+        write_fiducials(tmp_path, rows_of("abcdef", SEEN, MARKS, ["0.01,0.02,0.3,0.005"] * 6), head)
+    )
+    assert read.sd_mm[2].tolist() == [0.01, 0.02, 0.3]
+    assert read.sd_ref_mm.tolist() == [0.005] * 6
+    for columns in ("sd_x_mm,sd_y_mm,sd_mm", "sd_x_mm,sd_y_mm,sd_ref_mm"):
+        path = write_fiducials(tmp_path, rows_of("abcdef", SEEN, MARKS, ["1,1,1"] * 6), HEAD + "," + columns)
+        with pytest.raises(KinematicsError, match="sd of the fiducials must be sd_mm, or all three"):
+            read_fiducials(path)
