@@ -1,0 +1,150 @@
+"""What a frequency response estimate carries, and its noise: each channel's own and what all share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, sentence
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Frf:
+    """Frequency responses of several channels to one reference.
+
+    Attributes
+    ----------
+    freq_hz : ndarray, (freq,)
+        Ascending, positive.
+    value : ndarray, (channel, freq), complex
+        Unit of the response over unit of the reference, e^{+iwt}.
+    sd : ndarray, (channel, freq)
+        Standard deviation of the real (= imaginary) part: the channel's own noise, without what the noise
+        of the reference does to all channels alike (``common_sd``).
+    coherence : ndarray, (channel, freq), or None
+        Ordinary coherence, 0 to 1; None where nothing was averaged.
+    n_avg : float
+        Effective number of independent averages; NaN where nothing was averaged.
+    common_sd : ndarray, (freq,)
+        Relative standard deviation of the real (= imaginary) part of the factor (1 + e) that multiplies
+        the responses of all channels recorded together: noise of the reference. 0 where none is seen.
+    reference : ndarray, (freq,)
+        Size of the reference: peak amplitude of a line, or root mean square in a resolution band.
+    notices : tuple of Notice
+
+    Notes
+    -----
+    A factor common to all channels of a record changes neither the fit of a rigid motion nor ratios of
+    motions: K and D follow from a homogeneous equation, in which it cancels. It adds
+    ``common_sd**2 * q q^H`` (twice that for both parts) to the covariance of the motion itself.
+    """
+
+    freq_hz: Array
+    value: ComplexArray
+    sd: Array
+    coherence: Array | None
+    n_avg: float
+    common_sd: Array
+    reference: Array
+    notices: tuple[Notice, ...] = ()
+
+
+def split_noise(
+    residuals: Callable[[], Iterable[ComplexArray]], spectrum: Array, response: ComplexArray, dof: float
+) -> tuple[Array, Array]:
+    """Tell each channel's own noise from what the noise of the reference puts into all of them.
+
+    Parameters
+    ----------
+    residuals : callable
+        Gives an iterable of Y - H X of every block, ndarray (channel, freq), complex; blocks may overlap.
+    spectrum : ndarray, (channel, freq)
+        Mean of their squared size, per degree of freedom.
+    response : ndarray, (channel, freq), complex
+        H.
+    dof : float
+        Blocks less one, by which sums over the blocks become means.
+
+    Returns
+    -------
+    own : ndarray, (channel, freq)
+        Squared size of the residual without the common part; ``spectrum`` itself when no common part is
+        significant or fewer than three channels were recorded together.
+    common : ndarray, (freq,)
+        Mean square of the reference's error e in the residual -H e; 0 when none is significant.
+
+    Notes
+    -----
+    In every block the least-squares estimate of e over the channels, weighted by their noise, is taken out
+    and the loss of one of the channels' degrees of freedom given back by the leverage w_i |H_i|^2 / sum.
+    """
+    channels = len(response)
+    power = np.abs(response) ** 2
+    none = np.zeros(spectrum.shape[1])
+    floor = np.finfo(float).tiny
+    weight = 1.0 / np.maximum(spectrum, floor)
+    if channels < 3 or dof <= 0.0 or not np.any(spectrum > 0.0):
+        return spectrum, none
+    own, common, information = spectrum, none, none
+    for _ in range(_ROUNDS):
+        information = np.sum(weight * power, axis=0)
+        safe = np.maximum(information, floor)
+        own, common = np.zeros(spectrum.shape), np.zeros(len(none))
+        for block in residuals():
+            error = -np.sum(weight * response.conj() * block, axis=0) / safe
+            common += np.abs(error) ** 2 / dof
+            own += np.abs(block + response * error) ** 2 / dof
+        left = np.maximum(1.0 - weight * power / safe, 0.1)
+        own = np.maximum(own / left, 1e-6 * spectrum)
+        weight = 1.0 / np.maximum(own, floor)
+    excess = common * information
+    seen = np.isfinite(excess) & (information > 0.0)
+    if not np.any(seen) or np.mean(excess[seen]) < 1.5 + 4.0 / np.sqrt(max(dof, 1.0) * np.sum(seen)):
+        return spectrum, none
+    return own, np.maximum(common - 1.0 / np.maximum(information, floor), 0.0)
+
+
+def common_notice(common_sd: Array, what: str) -> list[Notice]:
+    """Say how loud the noise of the reference is, when it is seen."""
+    if not np.any(common_sd > 0.0):
+        return []
+    text = (
+        f"the noise of {what} moves all channels recorded together alike, by "
+        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it is left out of the "
+        "sd of the channels, does not touch ratios of motions, K and D, and adds to the motion itself."
+    )
+    return [Notice("reference_noise", text)]
+
+
+def check_signals(reference: Array, responses: Array, sample_rate_hz: float, where: str) -> None:
+    """Refuse signals that no estimate can be made of.
+
+    Raises
+    ------
+    KinematicsError
+        The rate is not positive, lengths differ, samples are not finite, or the reference is zero.
+    """
+    faults = []
+    if not (np.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
+        faults.append(sentence("the sampling rate", "positive", sample_rate_hz, where))
+    if reference.ndim != 1 or responses.ndim != 2 or responses.shape[1] != len(reference):
+        got = f"{reference.shape} and {responses.shape}"
+        faults.append(
+            sentence("reference and responses", "of shapes (sample,), (channel, sample)", got, where)
+        )
+    elif not (np.all(np.isfinite(reference)) and np.all(np.isfinite(responses))):
+        step = "Cut the record where samples are missing"
+        faults.append(sentence("the samples", "finite numbers", "NaN or infinite ones", where, step))
+    elif not np.any(reference != reference[0]):
+        step = "Check that the reference was connected, or name another one"
+        faults.append(sentence("the reference", "a signal", "one value in all samples", where, step))
+    if faults:
+        raise KinematicsError("\n".join(faults))

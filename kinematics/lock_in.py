@@ -1,0 +1,230 @@
+"""One sine by lock-in: least squares of cosine and sine, offset, drift and harmonics, with its noise.
+
+Sources: IEEE Std 1057-2017, annex B (least-squares sine fits, frequency refinement); the variance of a
+fitted amplitude in coloured noise is that of the noise near the line, G(f) / T for each of the two parts
+with the one-sided spectrum G and the duration T (Kay, Fundamentals of Statistical Signal Processing I,
+1993, ex. 3.14, with the local spectrum in the place of white noise).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+OFFSETS = 16
+_GAP = 3
+_SEEN = 1e-3
+_FEWEST_CYCLES = 4.0
+
+
+@dataclass(frozen=True)
+class SineFit:
+    """One sine in several channels of one record.
+
+    Attributes
+    ----------
+    freq_hz : float
+        The nominal one, or refined.
+    amplitude : ndarray, (channel,), complex
+        Peak; the signal is Re(amplitude e^{+iwt}) with t = 0 at the first sample.
+    sd : ndarray, (channel,)
+        Standard deviation of the real (= imaginary) part, from the noise near the line.
+    harmonics : ndarray, (channel, harmonic), complex
+        Amplitudes at 2 f, 3 f, ... as far as they were fitted.
+    residual : ndarray, (channel, offset), complex
+        Samples of what is left near the line, each of the size that the error of the amplitude has.
+    unsteady : float
+        Change of the amplitude from the first to the second half of the record over its noise, the largest
+        of all channels; changes below a thousandth of the amplitude do not count.
+    """
+
+    freq_hz: float
+    amplitude: ComplexArray
+    sd: Array
+    harmonics: ComplexArray
+    residual: ComplexArray
+    unsteady: float
+
+    @property
+    def distortion(self) -> Array:
+        """Total harmonic distortion, (channel,): root sum of squares of the harmonics over the line."""
+        size = np.maximum(np.abs(self.amplitude), np.finfo(float).tiny)
+        return np.sqrt(np.sum(np.abs(self.harmonics) ** 2, axis=1)) / size
+
+
+@dataclass(frozen=True)
+class SteppedSine:
+    """How steps are evaluated.
+
+    Attributes
+    ----------
+    settle : float
+        Share of every step left out at its start, 0 to 0.9.
+    harmonics : int
+        Highest harmonic fitted beside the line (1: none).
+    drift : int
+        Degree of the polynomial fitted beside it: 0 offset, 1 linear drift.
+    refine : bool
+        Find the frequency in the reference, for generators whose clock differs from the sampler's.
+
+    Raises
+    ------
+    KinematicsError
+        A value out of its range.
+    """
+
+    settle: float = 0.2
+    harmonics: int = 3
+    drift: int = 1
+    refine: bool = True
+
+    def __post_init__(self) -> None:
+        faults = []
+        if not 0.0 <= self.settle <= 0.9:
+            faults.append(sentence("the share that settles", "from 0 to 0.9", self.settle))
+        if not 1 <= self.harmonics <= 20:
+            faults.append(sentence("the highest harmonic", "from 1 to 20", self.harmonics))
+        if not 0 <= self.drift <= 5:
+            faults.append(sentence("the degree of the drift", "from 0 to 5", self.drift))
+        raise_all(KinematicsError, faults)
+
+
+def fit_sine(
+    signals: Array,
+    sample_rate_hz: float,
+    freq_hz: float,
+    how: SteppedSine | None = None,
+    lead: int = 0,
+    where: str = "",
+) -> SineFit:
+    """Fit one sine to the channels of one record.
+
+    Parameters
+    ----------
+    signals : ndarray, (channel, sample)
+        All of the record is used: ``settle`` is left to stepped_frf.
+    sample_rate_hz, freq_hz : float
+    how : SteppedSine, optional
+    lead : int
+        Channel in which the frequency is refined.
+    where : str
+        Place for messages.
+
+    Raises
+    ------
+    KinematicsError
+        The frequency lies above half the sampling rate or the record is shorter than four cycles or holds
+        no such frequency.
+    """
+    how = how or SteppedSine()
+    signals = np.atleast_2d(np.asarray(signals, dtype=float))
+    count = signals.shape[1]
+    if not 0.0 < freq_hz < 0.499 * sample_rate_hz:
+        step = "Sample faster, or correct the table of steps"
+        want = f"above 0 and below half the sampling rate ({0.5 * sample_rate_hz:g} Hz)"
+        raise KinematicsError(sentence("the frequency of a step", want, f"{freq_hz:g} Hz", where, step))
+    if count * freq_hz / sample_rate_hz < _FEWEST_CYCLES or count < 16:
+        got = f"{count * freq_hz / sample_rate_hz:.3g} cycles, {count} samples"
+        step = "Record longer steps or let less settle"
+        raise KinematicsError(sentence("a step", "four cycles and 16 samples long", got, where, step))
+    if how.refine:
+        freq_hz = _refined(signals[lead], sample_rate_hz, freq_hz, how, where)
+    base = _base(count, sample_rate_hz, freq_hz, how)
+    found, *_ = np.linalg.lstsq(base, signals.T, rcond=None)
+    left = signals - (base @ found).T
+    orders = _orders(sample_rate_hz, freq_hz, how)
+    pairs = (found[0 : 2 * orders : 2] - 1j * found[1 : 2 * orders : 2]).T
+    residual = _near(left, sample_rate_hz, freq_hz)
+    variance = np.mean(np.abs(residual) ** 2, axis=1) / 2.0
+    sd = np.sqrt(variance)
+    return SineFit(
+        freq_hz,
+        pairs[:, 0],
+        sd,
+        pairs[:, 1:],
+        residual,
+        _unsteady(left, sample_rate_hz, freq_hz, pairs[:, 0], sd),
+    )
+
+
+def _orders(rate: float, freq: float, how: SteppedSine) -> int:
+    """Return how many multiples of the line lie below half the sampling rate and are fitted."""
+    return max(1, min(how.harmonics, int(0.49 * rate / freq)))
+
+
+def _base(count: int, rate: float, freq: float, how: SteppedSine) -> Array:
+    """Return cos and sin of the line and its harmonics, then the drift, (sample, column)."""
+    angle = 2.0 * np.pi * freq / rate * np.arange(count)
+    columns = []
+    for order in range(1, _orders(rate, freq, how) + 1):
+        columns += [np.cos(order * angle), np.sin(order * angle)]
+    ramp = np.linspace(-1.0, 1.0, count)
+    columns += [ramp**degree for degree in range(how.drift + 1)]
+    return np.column_stack(columns)
+
+
+def _refined(signal: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
+    """Return the frequency of the sine near the nominal one, from the phase between two halves."""
+    count = len(signal)
+    apart = rate / count
+    near = freq + apart * np.arange(-3.0, 3.01, 0.25)
+    near = near[(near > 0.5 * freq) & (near < 0.499 * rate)]
+    taper = np.hanning(count) * (signal - np.mean(signal))
+    time = np.arange(count) / rate
+    size = np.array([abs(np.exp(-2j * np.pi * f * time) @ taper) for f in near])
+    found = float(near[np.argmax(size)])
+    half = count // 2
+    plain = replace(how, harmonics=1, refine=False)
+    for _ in range(6):
+        halves = []
+        for part in (signal[:half], signal[half : 2 * half]):
+            fitted, *_ = np.linalg.lstsq(_base(half, rate, found, plain), part, rcond=None)
+            halves.append(fitted[0] - 1j * fitted[1])
+        turn = halves[1] * np.conj(halves[0]) * np.exp(-2j * np.pi * found * half / rate)
+        if turn == 0.0:
+            break
+        change = float(np.angle(turn)) / (2.0 * np.pi) * rate / half
+        found += change
+        if abs(change) < 1e-9 * apart:
+            break
+    if abs(found - freq) > 4.0 * apart:
+        step = "Correct the table of steps"
+        want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
+        raise KinematicsError(sentence("the sine of a step", want, f"{found:.6g} Hz", where, step))
+    return found
+
+
+def _near(left: Array, rate: float, freq: float) -> ComplexArray:
+    """Return spectral samples of the residual beside the line, (channel, offset), scaled as its error.
+
+    Offsets lie at least three bins away, where the fit took nothing out, and keep off 0 Hz; a Hann window
+    keeps other frequencies out.
+    """
+    count = left.shape[1]
+    bins = np.concatenate([-np.arange(_GAP, _GAP + OFFSETS), np.arange(_GAP, _GAP + OFFSETS)])
+    places = freq + bins * rate / count
+    kept = places[(places > 2.0 * rate / count) & (places < 0.5 * rate - 2.0 * rate / count)]
+    kept = kept[np.abs(kept / freq - np.round(kept / freq)) * freq > 2.5 * rate / count]
+    if len(kept) < 4:
+        kept = places[places > 0.0]
+    time = np.arange(count) / rate
+    taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
+    waves = np.exp(-2j * np.pi * np.outer(time, kept)) * taper[:, None]
+    return np.asarray(left @ waves) * 2.0 / count / np.sqrt(np.mean(taper**2))
+
+
+def _unsteady(left: Array, rate: float, freq: float, amplitude: ComplexArray, sd: Array) -> float:
+    """Return the largest change of an amplitude between the halves of a record over its noise."""
+    count = left.shape[1]
+    wave = np.exp(-2j * np.pi * freq / rate * np.arange(count))
+    mixed = left * wave
+    half = count // 2
+    change = 2.0 * np.abs(mixed[:, half:].mean(axis=1) - mixed[:, :half].mean(axis=1))
+    seen = change > _SEEN * np.abs(amplitude)
+    return float(np.max(np.where(seen, change / np.maximum(np.sqrt(8.0) * sd, np.finfo(float).tiny), 0.0)))
