@@ -71,7 +71,7 @@ class SteppedSine:
     drift : int
         Degree of the polynomial fitted beside it: 0 offset, 1 linear drift.
     refine : bool
-        Find the frequency in the reference, for generators whose clock differs from the sampler's.
+        Find the frequency in the signals, for generators whose clock differs from the sampler's.
 
     Raises
     ------
@@ -100,7 +100,6 @@ def fit_sine(
     sample_rate_hz: float,
     freq_hz: float,
     how: SteppedSine | None = None,
-    lead: int = 0,
     where: str = "",
 ) -> SineFit:
     """Fit one sine to the channels of one record.
@@ -111,8 +110,6 @@ def fit_sine(
         All of the record is used: ``settle`` is left to stepped_frf.
     sample_rate_hz, freq_hz : float
     how : SteppedSine, optional
-    lead : int
-        Channel in which the frequency is refined.
     where : str
         Place for messages.
 
@@ -134,7 +131,7 @@ def fit_sine(
         step = "Record longer steps or let less settle"
         raise KinematicsError(sentence("a step", "four cycles and 16 samples long", got, where, step))
     if how.refine:
-        freq_hz = _refined(signals[lead], sample_rate_hz, freq_hz, how, where)
+        freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
     base = _base(count, sample_rate_hz, freq_hz, how)
     found, *_ = np.linalg.lstsq(base, signals.T, rcond=None)
     left = signals - (base @ found).T
@@ -169,24 +166,29 @@ def _base(count: int, rate: float, freq: float, how: SteppedSine) -> Array:
     return np.column_stack(columns)
 
 
-def _refined(signal: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
-    """Return the frequency of the sine near the nominal one, from the phase between two halves."""
-    count = len(signal)
+def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
+    """Return the frequency of the sine near the nominal one, from the phases between two halves.
+
+    All channels take part, each weighted by the inverse of what a fit leaves of it.
+    """
+    count = signals.shape[1]
     apart = rate / count
     near = freq + apart * np.arange(-3.0, 3.01, 0.25)
     near = near[(near > 0.5 * freq) & (near < 0.499 * rate)]
-    taper = np.hanning(count) * (signal - np.mean(signal))
-    time = np.arange(count) / rate
-    size = np.array([abs(np.exp(-2j * np.pi * f * time) @ taper) for f in near])
-    found = float(near[np.argmax(size)])
+    level = signals - np.mean(signals, axis=1, keepdims=True)
+    level = level / np.maximum(np.std(level, axis=1, keepdims=True), np.finfo(float).tiny)
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(count) / rate, near)) * np.hanning(count)[:, None]
+    found = float(near[np.argmax(np.sum(np.abs(level @ waves) ** 2, axis=0))])
     half = count // 2
-    plain = replace(how, harmonics=1, refine=False)
+    plain = replace(how, harmonics=1)
     for _ in range(6):
-        halves = []
-        for part in (signal[:half], signal[half : 2 * half]):
-            fitted, *_ = np.linalg.lstsq(_base(half, rate, found, plain), part, rcond=None)
+        base = _base(half, rate, found, plain)
+        halves, left = [], np.full(len(level), 1e-20)
+        for part in (level[:, :half].T, level[:, half : 2 * half].T):
+            fitted, *_ = np.linalg.lstsq(base, part, rcond=None)
             halves.append(fitted[0] - 1j * fitted[1])
-        turn = halves[1] * np.conj(halves[0]) * np.exp(-2j * np.pi * found * half / rate)
+            left += np.mean((part - base @ fitted) ** 2, axis=0)
+        turn = np.sum(halves[1] * np.conj(halves[0]) / left) * np.exp(-2j * np.pi * found * half / rate)
         if turn == 0.0:
             break
         change = float(np.angle(turn)) / (2.0 * np.pi) * rate / half

@@ -65,7 +65,7 @@ def stepped_frf(
         cut = int(how.settle * len(one.reference))
         check_signals(one.reference, one.responses, sample_rate_hz, place)
         signals = np.vstack([one.reference[cut:], one.responses[:, cut:]])
-        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, 0, place)
+        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
         _check_lead(fit, 0, place)
         ratio = fit.amplitude[1:] / fit.amplitude[0]
         error = (fit.residual[1:] - ratio[:, None] * fit.residual[0]) / fit.amplitude[0]
@@ -95,7 +95,7 @@ def stepped_amplitudes(
         signals = one.responses[:, int(how.settle * one.responses.shape[1]) :]
         lead = int(np.argmax(np.std(signals, axis=1)))
         check_signals(signals[lead], signals, sample_rate_hz, place)
-        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, lead, place)
+        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
         _check_lead(fit, lead, place)
         turn = abs(fit.amplitude[lead]) / fit.amplitude[lead]
         fits.append(_Fitted(one.freq_hz, fit, fit.amplitude * turn, fit.residual * turn, 1.0))
