@@ -50,6 +50,8 @@ class Recording:
         Ordinary coherence, 0 to 1.
     n_avg : float or None
         Number of averages.
+    relative : bool
+        ``sd`` is known up to one factor only.
     per : str
         Unit of the reference when the value is a response per unit of it (``Pa``, ``V``, ``N``, ``m/s``);
         empty for an absolute amplitude.
@@ -77,6 +79,7 @@ class Recording:
     sd: Array | None = None
     coherence: Array | None = None
     n_avg: float | None = None
+    relative: bool = False
     per: str = ""
     repeat: str = ""
     level: float = float("nan")
@@ -118,8 +121,17 @@ class Recordings:
     notices : tuple of Notice
     frame_units : str
         What the file says about its coordinate system and units, for messages and provenance.
+    file : str
+        Its name, for messages and for choosing by name; filled in by `read_recordings`.
+    amplitude_stated : bool
+        Whether the file says if amplitudes are peak or rms; if not, ``value`` holds its numbers as they are.
+    length_stated : bool
+        Whether the file says the unit of its positions; if not, they were taken as metres.
     """
 
     recordings: tuple[Recording, ...]
     notices: tuple[Notice, ...] = ()
     frame_units: str = ""
+    file: str = ""
+    amplitude_stated: bool = False
+    length_stated: bool = True
