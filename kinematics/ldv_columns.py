@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.notices import Notice
 from kinematics.units import SUFFIXES, Unit, unit_of
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 DIRECTION = ("dir_x", "dir_y", "dir_z")
 _EXTRA = ("n_avg", "coherence")
+KNOWN = ("body", "point", *POSITION, "dir", *DIRECTION, "freq_hz", "run", "repeat", "level", *_EXTRA)
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,13 @@ class Columns:
         Whether the table has them.
     extra : tuple of str
         Those of n_avg and coherence that are there.
+    repeat : bool
+        Whether the table names repeats of an excitation.
+    level : str
+        Name of the column with the strength of the excitation, empty without one; ``level_db`` holds
+        decibels, ``level`` or ``level_UNIT`` an amplitude.
+    ignored : tuple of str
+        Columns that nothing is read from.
     """
 
     first: str
@@ -44,12 +54,20 @@ class Columns:
     positions: bool
     run: bool
     extra: tuple[str, ...]
+    repeat: bool = False
+    level: str = ""
+    ignored: tuple[str, ...] = ()
+
+    @property
+    def decibels(self) -> bool:
+        """Whether the level of excitation is in decibels."""
+        return self.level.startswith("level_db")
 
     @property
     def numbers(self) -> set[str]:
         """Names of the number columns to read."""
         names = {"freq_hz", self.first, self.second, *self.extra}
-        names |= {self.sd} if self.sd else set()
+        names |= {name for name in (self.sd, self.level) if name}
         names |= set(self.direction) if len(self.direction) == 3 else set()
         return names | (set(POSITION) if self.positions else set())
 
@@ -57,10 +75,11 @@ class Columns:
     def texts(self) -> set[str]:
         """Names of the text columns to read."""
         names = {"body", "point"} | ({"run"} if self.run else set())
+        names |= {"repeat"} if self.repeat else set()
         return names | ({"dir"} if self.direction == ("dir",) else set())
 
 
-def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
+def columns_of(header: Sequence[str], file: str, points_given: bool, place: str = "") -> Columns:
     """Find the columns of a vibrometer table.
 
     Parameters
@@ -71,13 +90,15 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         For messages.
     points_given : bool
         A separate points file gives the positions.
+    place : str, optional
+        File and line of the header; line 1 of the file without it.
 
     Raises
     ------
     KinematicsError
         A column is missing, has an unknown unit, or stands beside one that contradicts it.
     """
-    place = f"{file}, line 1"
+    place = place or f"{file}, line 1"
     faults: list[str] = []
     units = _units(header, place, faults)
     missing = [name for name in ("body", "point", "freq_hz") if name not in header]
@@ -97,8 +118,9 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         )
     first, second, polar = _value_pair(units, header, place, faults)
     sd = _sd(units, first, place, faults)
+    level = _level(header, place, faults)
     raise_all(KinematicsError, faults)
-    return Columns(
+    made = Columns(
         first,
         second,
         polar,
@@ -109,7 +131,33 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         has_position,
         "run" in header,
         tuple(name for name in _EXTRA if name in header),
+        "repeat" in header,
+        level,
     )
+    used = made.numbers | made.texts | {""}
+    return replace(made, ignored=tuple(name for name in header if name not in used))
+
+
+def ignored_notice(columns: Columns, file: str) -> list[Notice]:
+    """Tell which columns are not used, and which known name one of them resembles."""
+    if not columns.ignored:
+        return []
+    known = [*KNOWN, columns.first, columns.second, f"sd_{columns.first.split('_', 1)[1]}"]
+    said = []
+    for name in columns.ignored:
+        free = [other for other in known if other not in columns.numbers | columns.texts]
+        near = get_close_matches(name, free, 1, 0.75)
+        said.append(name + (f" (did you mean {near[0]}?)" if near else ""))
+    more = f" and {len(said) - 6} more" if len(said) > 6 else ""
+    return [Notice("columns_ignored", f"columns of {file} that are not used: {', '.join(said[:6])}{more}.")]
+
+
+def _level(header: Sequence[str], place: str, faults: list[str]) -> str:
+    names = [name for name in header if name == "level" or name.startswith("level_")]
+    if len(names) > 1:
+        step = "Remove the others"
+        faults.append(sentence("the level of excitation", "given once", ", ".join(names), place, step))
+    return names[0] if names else ""
 
 
 def _units(header: Sequence[str], place: str, faults: list[str]) -> dict[str, Unit]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.csv_table import Table, read_table
-from kinematics.errors import KinematicsError, sentence
-from kinematics.ldv_columns import Columns, columns_of
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.ldv_rows import Rows, rows_of
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
@@ -49,12 +49,27 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
         found.append(columns_of(header, file, points is not None))
         return found[0].numbers, found[0].texts
 
-    table = read_table(path, choose)
-    listed = None if points is None else read_points(points)
+    others: list[str] = []
+    listed = None
+    if points is not None:
+        try:
+            listed = read_points(points)
+        except KinematicsError as fault:
+            others = str(fault).splitlines()
+    try:
+        table = read_table(path, choose)
+    except KinematicsError as fault:
+        raise_all(KinematicsError, [*str(fault).splitlines(), *others])
+        raise
+    columns = found[0]
+    rows = rows_of(table, columns, listed, others)
+    measurement = _assembled(rows, columns, table, frame)
+    notices = [*rows.notices, *ignored_notice(columns, table.file), *measurement.notices]
+    if table.comments:
+        text = f"{table.comments} lines of {table.file} begin with # and were passed over as comments."
+        notices.append(Notice("comments_skipped", text))
     inputs = {"ldv": path} if points is None else {"ldv": path, "points": Path(points)}
-    rows = rows_of(table, found[0], listed)
-    measurement = _assembled(rows, found[0], table, frame)
-    return replace(measurement, inputs=inputs)
+    return replace(measurement, inputs=inputs, notices=tuple(notices))
 
 
 def _check_kind(path: Path) -> None:
@@ -73,7 +88,7 @@ def _check_kind(path: Path) -> None:
 def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measurement:
     lines = len(rows.freq_hz)
     shape = (len(rows.runs), len(rows.body), lines)
-    at = (rows.run * shape[1] + rows.channel) * lines + rows.line
+    at = (rows.take * shape[1] + rows.channel) * lines + rows.line
     value = np.full(np.prod(shape), np.nan + 1j * np.nan)
     value[at] = _complex(table, columns)
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
@@ -102,7 +117,13 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
             )
         )
     return Measurement(
-        frame, rows.runs, rows.freq_hz, tuple(bodies), columns.unit.order, notices=tuple(notices)
+        frame,
+        rows.runs,
+        rows.freq_hz,
+        tuple(bodies),
+        columns.unit.order,
+        notices=tuple(notices),
+        takes=rows.takes,
     )
 
 

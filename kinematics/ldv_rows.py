@@ -1,303 +1,225 @@
-"""Check every row of a vibrometer table and give it its place: run, channel, line."""
+"""Check every row of a vibrometer table and give it its place: take, channel, line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.csv_table import Table, TextColumn
+from kinematics.csv_text import no_rows
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.ldv_columns import DIRECTION, POSITION, Columns
+from kinematics.frequency_grids import Grid, join_lines
+from kinematics.ldv_checks import check_directions, check_frequencies, check_values, each, numbered
+from kinematics.ldv_columns import POSITION, Columns
+from kinematics.ldv_positions import alike_notice, check_positions, unmeasured_notice
+from kinematics.measurement import Take
+from kinematics.notices import Notice
 from kinematics.points_csv import Points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_SHORT = {
-    sign + axis: (-1.0 if sign == "-" else 1.0, "xyz".index(axis))
-    for sign in ("", "+", "-")
-    for axis in "xyz"
-}
-_SAME_LINE = 1e-6
 _MOST = 2000
+_FEW = 4
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows by their place: run, body, point, channel and line of every row."""
+    """Rows by their place: take, channel and line of every row; body, point, ... of every channel.
 
-    run: Index
-    body: Index
-    point: Index
+    ``takes`` is empty when every run was measured once, and ``runs`` are the names of the first axis.
+    """
+
+    take: Index
     channel: Index
     line: Index
+    body: Index
+    point: Index
     freq_hz: Array
     directions: Array
     positions_mm: Array
     position_sd_mm: Array
     runs: tuple[str, ...]
+    takes: tuple[Take, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
 
-def rows_of(table: Table, columns: Columns, listed: Points | None) -> Rows:
-    """Check every row and number its channel and line; all faults are raised together."""
+@dataclass(frozen=True)
+class _Blocks:
+    """Stretches of rows that agree in all but frequency and value.
+
+    ``table`` has one row for each; ``of_row`` (rows,) is the stretch of every row.
+    """
+
+    table: Table
+    of_row: Index
+    starts: Index
+    place: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+
+def rows_of(table: Table, columns: Columns, listed: Points | None, others: Sequence[str] = ()) -> Rows:
+    """Check every row and number its take, channel and line.
+
+    Parameters
+    ----------
+    table : Table
+    columns : Columns
+    listed : Points or None
+        What a points file says of positions.
+    others : sequence of str
+        Faults of other files, told in the same message.
+
+    Raises
+    ------
+    KinematicsError
+        Lists every fault with line and column.
+    """
     faults = list(table.faults)
-    body, point = table.texts["body"], table.texts["point"]
+    usable = check_frequencies(table, faults)
+    check_values(table, columns, faults)
+    told = len(faults)
+    blocks = _blocks(table, columns)
+    rows = _placed(table, columns, listed, blocks, usable, faults)
+    if len(faults) > told and len(blocks.starts) < len(table):
+        del faults[told:]
+        blocks = _Blocks(table, np.arange(len(table)), np.arange(len(table)))
+        rows = _placed(table, columns, listed, blocks, usable, faults)
+    raise_all(KinematicsError, [*faults, *others])
+    if rows is None:
+        raise KinematicsError(no_rows(table.file, "empty rows"))
+    return replace(rows, notices=(*rows.notices, *alike_notice(table), *unmeasured_notice(table, listed)))
+
+
+def _blocks(table: Table, columns: Columns) -> _Blocks:
+    """Find the stretches; every row is one of its own where they are short."""
+    count = len(table)
+    new = np.zeros(count, dtype=bool)
+    new[:1] = True
+    parts: list[Array | Index] = [column.codes for column in table.texts.values()]
+    names = [*(POSITION if columns.positions else ()), *columns.direction, columns.level]
+    parts += [table.numbers[name] for name in names if name in table.numbers]
+    for values in parts:
+        new[1:] |= values[1:] != values[:-1]
+    starts = np.flatnonzero(new)
+    if len(starts) * _FEW > count:
+        return _Blocks(table, np.arange(count), np.arange(count))
+    numbers = {name: values[starts] for name, values in table.numbers.items()}
+    texts = {name: TextColumn(column.codes[starts], column.names) for name, column in table.texts.items()}
+    short = replace(table, numbers=numbers, texts=texts, lines=table.lines[starts])
+    return _Blocks(short, np.cumsum(new) - 1, starts)
+
+
+def _placed(
+    table: Table,
+    columns: Columns,
+    listed: Points | None,
+    blocks: _Blocks,
+    usable: NDArray[np.bool_],
+    faults: list[str],
+) -> Rows | None:
+    """Number takes, channels and lines; None when no row can be placed."""
+    short = blocks.table
+    body, point = short.texts["body"], short.texts["point"]
     for name, column in (("body", body), ("point", point)):
-        _each(column.codes < 0, name, "a name", lambda _row: "an empty cell", table, faults)
-    run = (
-        table.texts["run"]
-        if "run" in table.texts
-        else TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
-    )
-    freq = table.numbers["freq_hz"]
-    usable = (freq > 0.0) & ~np.isinf(freq)
-    _each(
-        ~usable & ~(_told(table) & np.isnan(freq)),
-        "freq_hz",
-        "positive and finite",
-        lambda row: _cell(float(freq[row])),
-        table,
-        faults,
-        "Give the frequency in Hz, or leave the row out (a DC line holds no motion)",
-    )
-    directions, which = _directions(table, columns, faults)
-    _check_values(table, columns, faults)
-    place, place_first = _numbered(body.codes * len(point.names) + point.codes)
-    positions, spread = _positions(table, columns, listed, place, place_first, faults)
-    usable &= (body.codes >= 0) & (point.codes >= 0) & np.isfinite(directions[:, 0])
-    rows = np.flatnonzero(usable)
-    if rows.size:
-        lines, line = _lines(freq[rows])
-        channel, first = _numbered((place * (which.max() + 1) + which)[rows])
-        whole = (run.codes[rows] * (channel.max() + 1) + channel) * len(lines) + line
-        _duplicates(whole, rows, table, faults)
-    elif not faults:
-        step = "Export it again"
-        faults.append(sentence(table.file, "a table with rows below its header", "empty rows", "", step))
-    raise_all(KinematicsError, faults)
+        each(column.codes < 0, name, "a name", lambda _row: "an empty cell", short, faults)
+    directions, which = check_directions(short, columns, faults)
+    place, place_first = numbered(body.codes * (len(point.names) + 1) + point.codes)
+    positions, spread = check_positions(short, columns, listed, place, place_first, faults)
+    take, takes = _takes(short, columns)
+    known = (body.codes >= 0) & (point.codes >= 0) & np.isfinite(directions[:, 0])
+    rows = np.flatnonzero(usable & known[blocks.of_row])
+    if not rows.size:
+        if not faults:
+            faults.append(no_rows(table.file, "empty rows"))
+        return None
+    of_short = np.flatnonzero(known)
+    channel_known, first = numbered((place * (int(which.max()) + 1) + which)[of_short])
+    first = of_short[first]
+    channel = np.full(len(short), -1, dtype=np.intp)
+    channel[of_short] = channel_known
+    at_channel, at_take = channel[blocks.of_row], take[blocks.of_row]
+    grid, apart = _lines(table, rows, at_channel, at_take, body, first)
+    if not faults:
+        faults += apart
+    whole = (at_take[rows] * (int(at_channel.max()) + 1) + at_channel[rows]) * len(grid.freq_hz) + grid.line
+    _duplicates(whole, rows, table, faults)
+    several = len(takes) > len({t.run for t in takes})
+    runs = tuple(t.name for t in takes) if several else tuple(t.run for t in takes)
     return Rows(
-        run.codes,
+        at_take,
+        at_channel,
+        grid.line,
         body.codes[first],
         point.codes[first],
-        channel,
-        line,
-        lines,
+        grid.freq_hz,
         directions[first],
         positions[place[first]],
         spread[place[first]],
-        run.names,
+        runs,
+        takes if several else (),
+        grid.notices,
     )
 
 
-def _each(
-    bad: NDArray[np.bool_],
-    column: str,
-    expected: str,
-    got: object,
-    table: Table,
-    faults: list[str],
-    step: str = "Correct the cell",
-) -> None:
-    for row in np.flatnonzero(bad)[:_MOST]:
-        value = got(int(row)) if callable(got) else got
-        faults.append(sentence(column, expected, value, table.where(int(row), column), step))
+def _takes(table: Table, columns: Columns) -> tuple[Index, tuple[Take, ...]]:
+    """Number the takes of the rows in the order of first appearance."""
+    ones = TextColumn(np.zeros(len(table), dtype=np.intp), ("1",))
+    run = table.texts["run"] if columns.run else ones
+    repeat = table.texts["repeat"] if columns.repeat else TextColumn(ones.codes, ("",))
+    level, level_value = ones.codes, np.array([np.nan])
+    if columns.level:
+        amplitude = table.numbers[columns.level]
+        amplitude = 10.0 ** (amplitude / 20.0) if columns.decibels else amplitude
+        level, level_first = numbered(amplitude)
+        level_value = amplitude[level_first]
+    key = (run.codes + 1) * (len(repeat.names) + 1) + repeat.codes + 1
+    take, first = numbered(key * (len(level_value) + 1) + level)
+    takes = []
+    for row in first.tolist():
+        name = run.names[run.codes[row]] if run.codes[row] >= 0 else "1"
+        again = repeat.names[repeat.codes[row]] if repeat.codes[row] >= 0 else ""
+        takes.append(Take(name, again, float(level_value[level[row]])))
+    return take, tuple(takes)
 
 
-def _told(table: Table) -> NDArray[np.bool_]:
-    """Return which rows (rows,) hold a cell that was told to be no number already."""
-    told = table.told
-    if not told:
-        return np.zeros(len(table), dtype=bool)
-    return np.array([table.where(row) in told for row in range(len(table))], dtype=bool)
-
-
-def _cell(value: float) -> str:
-    return "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
-
-
-def _directions(table: Table, columns: Columns, faults: list[str]) -> tuple[Array, Index]:
-    """Return the unit direction of every row, and a number for each different one."""
-    if columns.direction == ("dir",):
-        column = table.texts["dir"]
-        vectors = np.full((len(column.names) + 1, 3), np.nan)
-        for place, name in enumerate(column.names):
-            if name.lower() in _SHORT:
-                sign, axis = _SHORT[name.lower()]
-                vectors[place] = np.eye(3)[axis] * sign
-        rows = vectors[column.codes]
-        names = (*column.names, "an empty cell")
-        _each(
-            np.isnan(rows[:, 0]),
-            "dir",
-            "x, y, z, -x, -y or -z",
-            lambda r: names[column.codes[r]],
-            table,
-            faults,
-        )
-        code = np.where(
-            np.isnan(rows[:, 0]), 0, np.argmax(np.abs(rows), axis=1) * 2 + (rows.sum(axis=1) < 0.0)
-        )
-        return rows, code
-    parts = np.column_stack([table.numbers[name] for name in DIRECTION])
-    rounded = np.round(parts * 1e7)
-    mixed = rounded @ np.array([1.0, 33554467.0, 1125900906842597.0])
-    code, first = _numbered(mixed)
-    length = np.linalg.norm(parts[first], axis=1)
-    bad = ~(np.abs(length - 1.0) <= 1e-3)
-    if np.any(bad):
-        _each(
-            bad[code] & ~(_told(table) & np.isnan(length[code])),
-            "dir_x, dir_y, dir_z",
-            "a unit vector (within 1e-3)",
-            lambda r: _vector(parts[r]),
-            table,
-            faults,
-            "Divide the direction by its length",
-        )
-        length[bad & np.isfinite(length)] = 1.0
-    return (parts[first] / length[:, None])[code], code
-
-
-def _vector(parts: Array) -> str:
-    """Return a direction for a message."""
-    listed = ", ".join(f"{value:g}" for value in parts)
-    return f"({listed})" + ("" if np.any(np.isnan(parts)) else f" of length {np.linalg.norm(parts):g}")
-
-
-def _numbered(keys: Array | Index) -> tuple[Index, Index]:
-    """Number equal keys in the order of first appearance; return the numbers and each one's first row."""
-    import pandas as pd
-
-    codes, unique = pd.factorize(keys, use_na_sentinel=False)
-    first = np.full(len(unique), len(codes), dtype=np.intp)
-    np.minimum.at(first, codes, np.arange(len(codes))) if len(unique) < 64 else _first(codes, first)
-    return np.asarray(codes, dtype=np.intp), first
-
-
-def _first(codes: Index, first: Index) -> None:
-    first[codes[::-1]] = np.arange(len(codes))[::-1]
-
-
-def _check_values(table: Table, columns: Columns, faults: list[str]) -> None:
-    numbers = table.numbers
-    for name in (columns.first, columns.second):
-        values = numbers[name]
-        step = "Leave the cell empty where the value is missing"
-        _each(np.isinf(values), name, "finite", lambda r, v=values: f"{v[r]:g}", table, faults, step)
-    if columns.polar:
-        values = numbers[columns.first]
-        _each(values < 0.0, columns.first, "positive or zero", lambda r: f"{values[r]:g}", table, faults)
-    if columns.sd:
-        sd = numbers[columns.sd]
-        _each(
-            (sd < 0.0) | np.isinf(sd),
-            columns.sd,
-            "positive and finite",
-            lambda r: f"{sd[r]:g}",
-            table,
-            faults,
-        )
-        if len(sd) and np.all(np.isnan(sd)):
-            faults.append(
-                sentence(
-                    columns.sd,
-                    "a number in some row at least",
-                    "NaN or empty cells throughout",
-                    table.file,
-                    "Leave the column out to have the noise estimated from the residuals",
-                )
-            )
-    for name, low, high, words in (
-        ("n_avg", 1.0, np.inf, "1 or more"),
-        ("coherence", 0.0, 1.0, "within 0 and 1"),
-    ):
-        if name in columns.extra:
-            values = numbers[name]
-            bad = (values < low) | (values > high) | np.isinf(values)
-            _each(bad, name, words, lambda r, v=values: f"{v[r]:g}", table, faults)
-
-
-def _positions(
-    table: Table, columns: Columns, listed: Points | None, place: Index, first: Index, faults: list[str]
-) -> tuple[Array, Array]:
-    """Return the position of every point and its sd, mm; ``place`` numbers the points of the rows."""
-    body, point = table.texts["body"], table.texts["point"]
-    positions, spread = np.full((len(first), 3), np.nan), np.full(len(first), np.nan)
-
-    def key_of(row: int) -> tuple[str, str]:
-        return body.names[body.codes[row]], point.names[point.codes[row]]
-
-    if columns.positions:
-        rows = np.column_stack([table.numbers[name] for name in POSITION])
-        bad = ~np.all(np.isfinite(rows), axis=1)
-        new = bad & ~_told(table)
-        _each(new, ", ".join(POSITION), "finite numbers", lambda r: str(rows[r].tolist()), table, faults)
-        positions = rows[first]
-        moved = np.any(rows != positions[place], axis=1) & ~bad
-        for number in np.unique(place[moved]):
-            row = int(np.flatnonzero(moved & (place == number))[0])
-            old = f"{positions[number].tolist()} in line {table.lines[first[number]]}"
-            faults.append(_two_positions(key_of(row), old, rows[row], table.where(row, ", ".join(POSITION))))
-    if listed is not None:
-        for number, row in enumerate(first.tolist()):
-            if body.codes[row] < 0 or point.codes[row] < 0:
-                continue
-            key = key_of(row)
-            known = listed.positions.get(key)
-            if known is None:
-                what = sentence(
-                    f"point {key[1]} of body {key[0]}",
-                    f"listed in {listed.file}",
-                    "no row of that name there",
-                    table.where(row, "point"),
-                    f"Add it to {listed.file}, or leave its rows out",
-                )
-                faults.append(what)
-            elif columns.positions and np.max(np.abs(positions[number] - known)) > 1e-6:
-                old = f"{known.tolist()} in {listed.file}"
-                faults.append(_two_positions(key, old, positions[number], table.where(row)))
-            else:
-                positions[number], spread[number] = known, listed.sd_mm[key]
-    return positions, spread
-
-
-def _two_positions(key: tuple[str, str], old: str, new: Array, where: str) -> str:
-    return sentence(
-        f"the position of point {key[1]} of body {key[0]}",
-        "one",
-        f"{old} and {new.tolist()}",
-        where,
-        "Name the points apart, or correct the position",
-    )
-
-
-def _lines(freq: Array) -> tuple[Array, Index]:
-    """Return the frequency lines, ascending, equal ones within 1e-6 joined, and the line of every row."""
-    import pandas as pd
-
-    codes, unique = pd.factorize(freq)
-    order = np.argsort(unique)
-    ascending = unique[order]
-    new = np.concatenate([[True], np.diff(ascending) > _SAME_LINE * ascending[1:]])
-    rank = np.empty(len(unique), dtype=np.intp)
-    rank[order] = np.cumsum(new) - 1
-    return ascending[new], rank[codes]
+def _lines(
+    table: Table, rows: Index, channel: Index, take: Index, body: TextColumn, first: Index
+) -> tuple[Grid, list[str]]:
+    """Number the lines of the rows; sweeps over one grid, row after row, need no sorting."""
+    freq = table.numbers["freq_hz"]
+    width = int(np.argmax(freq[1:] <= freq[:-1])) + 1 if len(freq) > 1 else 1
+    if len(rows) == len(table) and len(table) % width == 0:
+        sweeps = freq.reshape(-1, width)
+        ascending = sweeps[0]
+        if np.array_equal(sweeps, np.broadcast_to(ascending, sweeps.shape)) and np.all(
+            np.diff(ascending) > 1e-4 * ascending[1:]
+        ):
+            return Grid(ascending.copy(), np.tile(np.arange(width), len(sweeps))), []
+    sweep = channel[rows] * (int(take.max()) + 1) + take[rows]
+    return join_lines(freq[rows], sweep, body.codes[first][channel[rows]], body.names, table.file)
 
 
 def _duplicates(whole: Index, rows: Index, table: Table, faults: list[str]) -> None:
     """Note the rows whose place, numbered by ``whole``, another one has already."""
+    seen = np.zeros(int(whole.max()) + 1, dtype=bool)
+    seen[whole] = True
+    if int(np.count_nonzero(seen)) == len(whole):
+        return
     import pandas as pd
 
     twice = pd.Series(whole).duplicated().to_numpy()
+    _, first = numbered(whole)
+    codes, _ = pd.factorize(whole)
     for number in np.flatnonzero(twice)[:_MOST]:
-        row, first = rows[number], int(rows[np.flatnonzero(whole == whole[number])[0]])
+        row, earlier = int(rows[number]), int(rows[first[codes[number]]])
         faults.append(
             sentence(
                 "a row",
                 "the only one of its run, body, point, direction and frequency",
-                f"the same as in line {table.lines[first]}",
-                table.where(int(row)),
-                "Give repeats different names in the column run",
+                f"the same as in line {table.lines[earlier]}",
+                table.where(row),
+                "Number repeats in a column repeat, or remove the row",
             )
         )
