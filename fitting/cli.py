@@ -115,6 +115,13 @@ def parser() -> Parser:
         "--exclude", type=_range, action="append", default=None, metavar="F1-F2", help="leave out, Hz"
     )
     made.add_argument(
+        "--bands",
+        type=int,
+        default=5,
+        metavar="N",
+        help="compare K and D in N parts of the band with those of the whole (default 5; 0: do not)",
+    )
+    made.add_argument(
         "--monte-carlo",
         type=_refits,
         default=0,
@@ -154,6 +161,7 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         constraint=options.constraint,
         lower=dict(options.lower or ()),
         upper=dict(options.upper or ()),
+        bands=options.bands,
     )
     done = dof2kd(options.motion, options.mass, chosen, options.out or Path("kd.json"), options.monte_carlo)
     return options, Outcome(

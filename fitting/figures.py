@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fitting.bands import FrequencyDependence
 from fitting.responses import Responses
 from kinematics.page import new_figure
 from kinematics.spatial import DOF_UNITS
@@ -211,3 +212,32 @@ def _arrow(axis: Axes, start: ArrayLike, direction: ArrayLike, color: str, name:
     label = begin + 1.1 * along
     axis.plot(*(begin + 1.16 * along), alpha=0.0)
     axis.text(label[0], label[1], name, color=color, ha="center", va="center", fontsize=10)
+
+
+def frequency_figure(found: FrequencyDependence) -> Figure:
+    """Draw the local factors of K and D over frequency with 95 % intervals."""
+    figure = new_figure(9.0, 2.9)
+    panels = figure.subplots(1, 2, sharex=True)
+    for axis, name, factor, sd in (
+        (panels[0], "K", found.stiffness, found.stiffness_sd),
+        (panels[1], "D", found.damping, found.damping_sd),
+    ):
+        middle = 0.5 * (found.low_hz + found.high_hz)
+        half = 0.5 * (found.high_hz - found.low_hz)
+        axis.axhline(1.0, color=BASE, lw=1.0, zorder=1)
+        axis.errorbar(
+            middle,
+            factor,
+            yerr=1.96 * sd,
+            xerr=half,
+            fmt="o",
+            ms=4,
+            color=SIMULATED,
+            ecolor=SIMULATED,
+            lw=1.2,
+        )
+        largest = float(np.max(np.abs(factor - 1.0) + 1.96 * sd))
+        axis.set_ylim(1.0 - 1.15 * largest, 1.0 + 1.15 * largest)
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylabel(f"{name} of the part / {name}")
+    return figure

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.bands import USUAL_BANDS, FrequencyDependence, frequency_dependence
 from fitting.budget import Budget, Derived, budget_of, derived_quantities
 from fitting.damping import LAWS, DampingLaw
 from fitting.errors import FittingError
@@ -61,6 +62,8 @@ class KDOptions:
         ``eigenvalues`` or ``psd`` (constrained only).
     lower, upper : mapping of str to float
         Bounds of entries in SI by name, e.g. ``{"K11": 100.0}`` (constrained only).
+    bands : int
+        Parts of the band in which K and D are compared with those of the whole; 0 for none.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class KDOptions:
     constraint: str = "eigenvalues"
     lower: Mapping[str, float] = field(default_factory=dict)
     upper: Mapping[str, float] = field(default_factory=dict)
+    bands: int = USUAL_BANDS
 
     def __post_init__(self) -> None:
         faults = []
@@ -92,6 +96,8 @@ class KDOptions:
         ):
             if value not in known:
                 faults.append(sentence(option, f"one of {', '.join(known)}", value))
+        if self.bands not in (0, *range(2, 101)):
+            faults.append(sentence("--bands", "0, or 2 to 100 parts of the band", self.bands))
         if self.robust != "none" and self.estimator != "ml":
             faults.append(
                 sentence(
@@ -187,6 +193,8 @@ class KDFit:
     profile : ndarray, (p, 2), or None
         95 % profile likelihood intervals of the parameters, channel noise alone, SI; where the data are weak
         but not hopeless.
+    frequency : FrequencyDependence, or None
+        Local factors of K and D over the band; None without ``options.bands`` or with too few lines.
     """
 
     options: KDOptions
@@ -210,6 +218,7 @@ class KDFit:
     problem: Problem
     notices: tuple[Notice, ...]
     profile: Array | None = None
+    frequency: FrequencyDependence | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -360,4 +369,7 @@ def _result(
     if known.weak and known.worst < _HOPELESS and budget.method == "fisher":
         ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)
         fit = replace(fit, profile=ends * problem.units[:, None])
+    if options.bands:
+        local = frequency_dependence(problem, lines, best.estimate, budget.widened, options.bands)
+        fit = replace(fit, frequency=local)
     return replace(fit, notices=unique([*motion.notices, *verdicts(fit)]))

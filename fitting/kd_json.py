@@ -52,6 +52,7 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "overdamped_roots_1_s": list(fit.modes.overdamped_roots_1_s),
         "principal_axes": principal_axes_json(fit),
         "fit": _fit(fit),
+        "frequency_dependence": _frequency(fit),
         "identifiability": _identifiability(fit),
         "warnings": [notice.as_json() for notice in fit.notices],
         "provenance": dict(provenance),
@@ -158,6 +159,26 @@ def _fit(fit: KDFit) -> dict[str, Any]:
         "noise_covariance_method": fit.budget.method,
         "noise_covariance_scaled_by": fit.budget.widened,
         "estimated_bias_si": dict(zip(fit.parameters, fit.budget.bias.tolist(), strict=True)),
+    }
+
+
+def _frequency(fit: KDFit) -> dict[str, Any] | None:
+    found = fit.frequency
+    if found is None:
+        return None
+    return {
+        "bands_hz": [
+            [float(low), float(high)] for low, high in zip(found.low_hz, found.high_hz, strict=True)
+        ],
+        "lines": [int(count) for count in found.lines],
+        "stiffness_factor": _numbers(found.stiffness),
+        "stiffness_factor_sd": _numbers(found.stiffness_sd),
+        "damping_factor": _numbers(found.damping),
+        "damping_factor_sd": _numbers(found.damping_sd),
+        "relative_to": "K and D of the whole band; the factors' means over the bands are 1",
+        "chi2": _number(found.chi2),
+        "n_dof": found.n_dof,
+        "p_value": _number(found.p_value),
     }
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.figures import principal_figure, residual_figure, response_figure
+from fitting.bands import FrequencyDependence
+from fitting.figures import frequency_figure, principal_figure, residual_figure, response_figure
 from fitting.kd import KDFit
 from fitting.kd_json import principal_axes_json
 from fitting.model import NORMALISATION
@@ -46,6 +47,8 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
     axes = _axes(fit, outline_mm)
     if axes is not None:
         sections.append(axes)
+    if fit.frequency is not None:
+        sections.append(_frequency(fit.frequency))
     return [*sections, _budget(fit), _residuals(fit), _identifiability(fit)]
 
 
@@ -147,6 +150,19 @@ def _residuals(fit: KDFit) -> Section:
             f"{fit.n_dof} degrees of freedom "
             f"(ratio {ratio}).",
             "normalised residuals",
+        )
+    )
+
+
+def _frequency(found: FrequencyDependence) -> Section:
+    verdict = "holds" if not found.notices() else "does NOT hold"
+    return Section("K and D over the band").add(
+        page.figure(
+            frequency_figure(found),
+            "Stiffness and damping of parts of the band over those of the whole, to first order, with 95 % "
+            f"intervals of all sources. One pair of matrices {verdict}: chi2 = {found.chi2:.1f} for "
+            f"{found.n_dof} degrees of freedom, p = {found.p_value:.2g}.",
+            "local factors of stiffness and damping",
         )
     )
 

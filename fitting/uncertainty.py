@@ -195,13 +195,34 @@ def _mass_slope(problem: Problem, parameters: Array) -> Array:
 def _mass_effects(problem: Problem, slope: Array, respond: Callable[[Array], Array]) -> list[SharedEffect]:
     """Return the effect of the inertial parameters, one entry a source, sharing one derivative."""
     inertia = problem.inertia
-    joined = any(name.startswith(f"{JOINED_FRAME}.") for name in problem.observation.shared_names)
-    sources = inertia.without_frame() if joined else dict(inertia.contributions)
-    sources = {name: np.asarray(part) for name, part in sources.items() if np.any(part)}
+    sources = joined_mass_sources(problem)
     derivative = respond(slope)
     by_mass = inertia.parameter_derivatives(problem.observation.dof)
     names = tuple(f"mass.parameter_{place}" for place in range(10))
     return [SharedEffect(f"mass.{name}", names, part, derivative, by_mass) for name, part in sources.items()]
+
+
+def joined_mass_sources(problem: Problem) -> dict[str, Array]:
+    """Return the covariance (10, 10) of the inertial parameters by source.
+
+    The footplate frame is left out when the motion's common errors hold it: they move the mass as well.
+    """
+    inertia = problem.inertia
+    joined = any(name.startswith(f"{JOINED_FRAME}.") for name in problem.observation.shared_names)
+    sources = inertia.without_frame() if joined else dict(inertia.contributions)
+    return {name: np.asarray(part) for name, part in sources.items() if np.any(part)}
+
+
+def motion_moves_mass(problem: Problem) -> Array:
+    """Return the derivative (10, k) of the inertial parameters by the motion's common errors."""
+    names = problem.observation.shared_names
+    along = np.zeros((10, len(names)))
+    frame = problem.inertia.frame_derivative()
+    for place, name in enumerate(names):
+        source, _, axis = name.partition(".")
+        if source == JOINED_FRAME and axis in DOF_NAMES:
+            along[:, place] = frame[:, DOF_NAMES.index(axis)]
+    return along
 
 
 def _motion_effects(
@@ -215,12 +236,7 @@ def _motion_effects(
     observation = problem.observation
     if observation.shared_derivatives is None or observation.shared_covariance is None:
         return []
-    along = np.zeros((10, len(observation.shared_names)))
-    frame = problem.inertia.frame_derivative()
-    for place, name in enumerate(observation.shared_names):
-        source, _, axis = name.partition(".")
-        if source == JOINED_FRAME and axis in DOF_NAMES:
-            along[:, place] = frame[:, DOF_NAMES.index(axis)]
+    along = motion_moves_mass(problem)
     changes = contract(slope_by_motion(problem, lines, parameters), observation.shared_derivatives)
     if np.any(along):
         if mass_slope is None:

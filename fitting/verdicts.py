@@ -25,7 +25,7 @@ _BIASED = 0.02
 def verdicts(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
     found = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
-    return [*found, *_fit_quality(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
+    return [*found, *_fit_quality(fit), *_local(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
 
 
 def physics(fit: KDFit) -> list[Notice]:
@@ -97,6 +97,10 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
                 )
             )
     return found
+
+
+def _local(fit: KDFit) -> list[Notice]:
+    return [] if fit.frequency is None else fit.frequency.notices()
 
 
 def _bias(fit: KDFit) -> list[Notice]:
