@@ -1,1 +1,143 @@
-"""Files of measuring systems: each reader returns Recordings, `assemble` makes the measurement of them."""
+"""Files of measuring systems: each reader returns Recordings, `assemble` makes the measurement of them.
+
+Notes
+-----
+`read_measurement` chooses the reader by what a file holds. A tidy table alone takes the short way through
+`kinematics.ldv_csv`; beside other files it is turned into recordings like them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.measurement import Measurement
+from kinematics.readers.options import InputOptions
+from kinematics.readers.recording import Recording, Recordings
+
+__all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
+
+
+def read_measurement(
+    paths: Sequence[Path],
+    points: Path | None = None,
+    frame: str = "vibrometer",
+    options: InputOptions | None = None,
+) -> Measurement:
+    """Read one or several vibrometer files as one measurement.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders of any known kind.
+    points : Path, optional
+        CSV with the positions, and with the bodies of points whose files do not name them.
+    frame : str
+        The frame in which positions and directions are given.
+    options : InputOptions, optional
+
+    Raises
+    ------
+    KinematicsError
+        What is wrong with the files; the faults of all of them together.
+    """
+    from kinematics.ldv_csv import read_ldv
+    from kinematics.readers.assemble import assemble
+    from kinematics.readers.kinds import TIDY, kind_of, read_recordings
+
+    paths, options = [Path(path) for path in paths], options or InputOptions()
+    _check_names(paths)
+    kinds = [kind_of(path) for path in paths]
+    if kinds == [TIDY]:
+        _refuse_options(options, paths[0])
+        measurement = read_ldv(paths[0], points, frame)
+        return replace(measurement, inputs=inputs_of(paths, points))
+    files, faults = [], []
+    for path, kind in zip(paths, kinds, strict=True):
+        try:
+            tidy = kind == TIDY
+            files.append(
+                _as_recordings(read_ldv(path, points, frame), path) if tidy else read_recordings(path)
+            )
+        except KinematicsError as fault:
+            faults.append(str(fault))
+    raise_all(KinematicsError, faults)
+    listed = None
+    if points is not None:
+        from kinematics.points_csv import read_points
+
+        listed = read_points(points)
+    return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points))
+
+
+def inputs_of(paths: Sequence[Path], points: Path | None) -> dict[str, Path]:
+    """Return the files by their role: ``ldv``, ``ldv 2`` ... and ``points``."""
+    roles = {"ldv" if number == 0 else f"ldv {number + 1}": path for number, path in enumerate(paths)}
+    return roles if points is None else {**roles, "points": Path(points)}
+
+
+def _check_names(paths: Sequence[Path]) -> None:
+    names = [path.name for path in paths]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        step = "Rename one of them: runs and bodies are told by the names of files"
+        raise KinematicsError(
+            sentence("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
+        )
+
+
+def _refuse_options(options: InputOptions, path: Path) -> None:
+    columns = {
+        "--body": "column body",
+        "--run": "column run",
+        "--beam": "columns of the direction",
+        "--amplitude": "unit of its columns",
+        "--length-unit": "columns x_mm, y_mm, z_mm",
+    }
+    step = "Leave it out"
+    raise_all(
+        KinematicsError,
+        [
+            sentence(name, f"left out for a tidy table, whose {columns[name]} say it", "it", path.name, step)
+            for name in options.said
+        ],
+    )
+
+
+def _as_recordings(measurement: Measurement, path: Path) -> Recordings:
+    """Turn a tidy table into recordings, to be joined with other files."""
+    rate = (2j * np.pi * measurement.freq_hz) ** measurement.order
+    made = []
+    for body in measurement.bodies:
+        for run, name in enumerate(measurement.runs):
+            take = measurement.takes[run] if measurement.takes else None
+            for channel, point in enumerate(body.points):
+                value = body.displacement[run, channel] * rate
+                there = ~np.isnan(value.real)
+                if not np.any(there):
+                    continue
+                sd = None if body.sd is None else (body.sd[run, channel] * np.abs(rate))[there]
+                made.append(
+                    Recording(
+                        point,
+                        measurement.freq_hz[there],
+                        value[there],
+                        measurement.order,
+                        f"{path.name}, point {point}",
+                        run="" if name == "1" else name if take is None else take.run,
+                        body=body.body,
+                        position_mm=body.positions_mm[channel],
+                        direction=body.reported_directions[channel],
+                        sd=sd,
+                        relative=body.relative,
+                        repeat="" if take is None else take.repeat,
+                        level=float("nan") if take is None else take.level,
+                    )
+                )
+    return Recordings(
+        tuple(made), measurement.notices, "as its columns say", path.name, amplitude_stated=True
+    )

@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from kinematics.errors import KinematicsError, sentence
-from kinematics.measurement import Measurement
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
+from kinematics.notices import Notice, unique
 from kinematics.points_csv import Points
-from kinematics.readers.recording import Recordings
+from kinematics.readers.lines import joined_lines, line_faults
+from kinematics.readers.options import InputOptions, check_used
+from kinematics.readers.recording import Recording, Recordings
+from kinematics.readers.spread import body_noise
+from kinematics.readers.stated import with_bodies, with_runs, with_stated
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Channel = tuple[str, str, tuple[int, int, int]]
+_SAME_PLACE_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where recordings go: run, channel and lines of each, and the channels in order of bodies."""
+
+    takes: tuple[Take, ...]
+    channels: tuple[Channel, ...]
+    lines: Array
+    take_of: tuple[int, ...]
+    channel_of: tuple[int, ...]
+    lines_of: tuple[Index, ...]
 
 
 def assemble(
     files: Sequence[Recordings],
     points: Points | None = None,
-    bodies: Mapping[str, Sequence[str]] | None = None,
+    options: InputOptions | None = None,
     frame: str = "vibrometer",
 ) -> Measurement:
     """Put the recordings of one or several files together.
@@ -22,15 +49,240 @@ def assemble(
     ----------
     files : sequence of Recordings
     points : Points, optional
-        Positions from a points file; they complete and must not contradict those of the files.
-    bodies : mapping of str to sequence of str, optional
-        Names of the points of every body.
+        From a points file: the body of a point, and its position where the files have none; a position that
+        both have must be the same.
+    options : InputOptions, optional
+        What the user says where the files do not.
     frame : str
         Frame of positions and directions.
+
+    Returns
+    -------
+    Measurement
+        Displacements, m, peak. Files that repeat points of each other are different runs, named after them;
+        others are parts of one run.
 
     Raises
     ------
     KinematicsError
-        Anything missing or contradictory; all faults together.
+        A point without body, position or direction, a position that differs between files, one channel twice,
+        frequencies that nearly meet, responses to different quantities, or an option that has nothing to say:
+        all of one kind together.
     """
-    raise KinematicsError(sentence("the recordings", "of one point at least", "none"))
+    options = options or InputOptions()
+    raise_all(KinematicsError, check_used(options, [one.file for one in files]))
+    recordings, notices = with_stated(files, options)
+    recordings, said = without_dc(recordings)
+    notices += said
+    if not recordings:
+        step = "Export the points with their spectra"
+        raise KinematicsError(sentence("the vibrometer files", "with values of one point", "none", "", step))
+    named, said = with_runs(with_bodies(recordings, points, options), options)
+    notices += said
+    flat = [one for _, one in named]
+    _check(flat, points)
+    notices += _per(flat)
+    places = _placed(flat)
+    raise_all(KinematicsError, [*_twice(flat, places), *line_faults(places.lines, places.lines_of, flat)])
+    order = Counter(one.order for one in flat).most_common(1)[0][0]
+    bodies, said = _bodies(flat, places, points, order)
+    notices += said
+    takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
+    runs = tuple(take.name for take in places.takes)
+    return Measurement(frame, runs, places.lines, bodies, order, notices=unique(notices), takes=takes)
+
+
+def without_dc(
+    recordings: Sequence[tuple[str, Recording]],
+) -> tuple[list[tuple[str, Recording]], list[Notice]]:
+    """Drop the line at 0 Hz, which holds no motion, and say so."""
+    kept, dropped, empty = [], Counter[str](), []
+    for file, one in recordings:
+        good = one.freq_hz > 0.0
+        if np.all(good):
+            kept.append((file, one))
+            continue
+        dropped[file] += 1
+        if not np.any(good):
+            empty.append(one.where)
+            continue
+        made = replace(
+            one,
+            freq_hz=one.freq_hz[good],
+            value=one.value[good],
+            sd=None if one.sd is None else one.sd[good],
+            coherence=None if one.coherence is None else one.coherence[good],
+        )
+        kept.append((file, made))
+    if empty and not kept:
+        step = "Export the lines above 0 Hz"
+        raise KinematicsError(sentence("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
+    if not dropped:
+        return kept, []
+    listed = ", ".join(f"{count} spectra of {file}" for file, count in dropped.items())
+    return kept, [Notice("dc_line", f"the line at 0 Hz of {listed} holds no motion and was dropped.")]
+
+
+def _check(recordings: Sequence[Recording], points: Points | None) -> None:
+    """Refuse points without position or direction, and points with two positions."""
+    faults = []
+    positions: dict[tuple[str, str], tuple[Array, str]] = {}
+    lost: dict[str, list[str]] = {}
+    blind: dict[str, list[str]] = {}
+    for one in recordings:
+        key = (one.body, one.point)
+        known = None if points is None else points.positions.get(key)
+        if known is not None and points is not None:
+            positions.setdefault(key, (known, points.file))
+        if np.all(np.isfinite(one.position_mm)):
+            first, where = positions.setdefault(key, (one.position_mm, one.where))
+            if np.any(np.abs(first - one.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
+                step = "Correct it; --length-unit says the unit where a file does not"
+                got = f"{_shown(first)} and {_shown(one.position_mm)} mm"
+                thing = f"the position of point {one.point} of body {one.body}"
+                fault = sentence(thing, "one", got, f"{where} and {one.where}", step)
+                faults.append(fault)
+                positions[key] = (one.position_mm, one.where)
+        elif key not in positions:
+            lost.setdefault(one.body, []).append(one.point)
+        if not np.all(np.isfinite(one.direction)):
+            blind.setdefault(one.body, []).append(one.point)
+    for body, names in lost.items():
+        step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
+        faults.append(
+            sentence(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
+        )
+    for body, names in blind.items():
+        thing = f"points {_listed(names)} of body {body}"
+        step = "Say the direction towards the laser head with --beam z, -y or X,Y,Z"
+        faults.append(sentence(thing, "given with the direction of the beam", "none", "", step))
+    raise_all(KinematicsError, faults)
+
+
+def _shown(position: Array) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in position) + ")"
+
+
+def _listed(names: Sequence[str]) -> str:
+    names = list(dict.fromkeys(names))
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _per(recordings: Sequence[Recording]) -> list[Notice]:
+    """Refuse responses to different quantities in one run; tell what the motion is a response to."""
+    by_run: dict[str, dict[str, str]] = {}
+    for one in recordings:
+        by_run.setdefault(one.run, {}).setdefault(one.per, one.where)
+    faults = []
+    for run, found in by_run.items():
+        if len(found) > 1:
+            got = " and ".join(f"{_per_name(per)} ({where})" for per, where in list(found.items())[:3])
+            step = "Export all points as responses to one reference, or all as amplitudes"
+            where = f"run {run}" if len(by_run) > 1 else ""
+            faults.append(sentence("the values of one run", "of one unit", got, where, step))
+    raise_all(KinematicsError, faults)
+    units = {per for found in by_run.values() for per in found} - {""}
+    if not units:
+        return []
+    text = (
+        f"the values are responses per {' or '.join(sorted(units))}: so are all motions and their standard "
+        "deviations; stiffness and damping do not depend on it."
+    )
+    return [Notice("per_reference", text)]
+
+
+def _per_name(per: str) -> str:
+    return f"responses per {per}" if per else "amplitudes"
+
+
+def _placed(recordings: Sequence[Recording]) -> _Places:
+    """Number runs, channels and lines; the channels of a body stand together."""
+    takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
+    bodies = list(dict.fromkeys(one.body for one in recordings))
+    found = list(dict.fromkeys(_channel(one) for one in recordings))
+    channels = tuple(sorted(found, key=lambda channel: bodies.index(channel[0])))
+    number = {channel: place for place, channel in enumerate(channels)}
+    lines, lines_of = joined_lines(recordings)
+    return _Places(
+        tuple(Take(run, repeat, float("nan") if level is None else level) for run, repeat, level in takes),
+        channels,
+        lines,
+        tuple(takes.index((one.run, one.repeat, _level(one))) for one in recordings),
+        tuple(number[_channel(one)] for one in recordings),
+        tuple(lines_of),
+    )
+
+
+def _level(one: Recording) -> float | None:
+    return one.level if np.isfinite(one.level) else None
+
+
+def _channel(one: Recording) -> Channel:
+    x, y, z = (int(round(value * 1e6)) for value in one.direction)
+    return one.body, one.point, (x, y, z)
+
+
+def _twice(recordings: Sequence[Recording], places: _Places) -> list[str]:
+    """List the values that two recordings give for one channel, run and line."""
+    seen: dict[tuple[int, int], list[int]] = {}
+    faults = []
+    for number, key in enumerate(zip(places.take_of, places.channel_of, strict=True)):
+        for other in seen.get(key, []):
+            if np.intersect1d(places.lines_of[number], places.lines_of[other]).size:
+                one = recordings[number]
+                name = f"{one.body} {one.point} ({direction_name(one.direction)})"
+                step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
+                got = f"two that share frequencies ({recordings[other].where} and {one.where})"
+                faults.append(sentence(f"the channel {name}", "there once in a run", got, "", step))
+                break
+        seen.setdefault(key, []).append(number)
+    return faults
+
+
+def _bodies(
+    recordings: Sequence[Recording], places: _Places, points: Points | None, order: int
+) -> tuple[tuple[BodyChannels, ...], list[Notice]]:
+    """Fill the arrays of every body."""
+    made: list[BodyChannels] = []
+    notices: list[Notice] = []
+    for body in dict.fromkeys(channel[0] for channel in places.channels):
+        rows = [n for n, channel in enumerate(places.channels) if channel[0] == body]
+        start = rows[0]
+        shape = (len(places.takes), len(rows), len(places.lines))
+        value = np.full(shape, np.nan + 1j * np.nan)
+        first: dict[int, Recording] = {}
+        entries = []
+        for number, one in enumerate(recordings):
+            channel = places.channel_of[number] - start
+            if one.body != body:
+                continue
+            first.setdefault(channel, one)
+            where = (places.take_of[number], channel, places.lines_of[number])
+            value[where] = one.value / (2j * np.pi * one.freq_hz) ** one.order
+            entries.append((where, one))
+        sd, relative, said = body_noise(body, entries, value, order)
+        notices += said
+        names = tuple(places.channels[row][1] for row in rows)
+        positions = np.array([_position(first[n], recordings, points) for n in range(len(rows))])
+        spread = [np.nan if points is None else points.sd_mm.get((body, name), np.nan) for name in names]
+        directions = np.array([first[n].direction for n in range(len(rows))])
+        made.append(
+            BodyChannels(
+                body, names, positions, directions, value, sd, relative, np.array(spread, dtype=float)
+            )
+        )
+    return tuple(made), notices
+
+
+def _position(one: Recording, recordings: Sequence[Recording], points: Points | None) -> Array:
+    """Return the position of a point: of the points file, else of its recording, else of another one."""
+    listed: Mapping[tuple[str, str], Array] = {} if points is None else points.positions
+    if (one.body, one.point) in listed:
+        return listed[one.body, one.point]
+    if np.all(np.isfinite(one.position_mm)):
+        return one.position_mm
+    return next(
+        other.position_mm
+        for other in recordings
+        if (other.body, other.point) == (one.body, one.point) and np.all(np.isfinite(other.position_mm))
+    )

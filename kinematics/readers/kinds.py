@@ -1,0 +1,121 @@
+"""Which reader a file or folder is for: by what it holds first, by its name second."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from kinematics.errors import KinematicsError, sentence
+from kinematics.readers import vendor
+from kinematics.readers.psv_fastscan import looks_like_fastscan
+from kinematics.readers.psv_points import looks_like_points
+from kinematics.readers.psv_text import decoded
+from kinematics.readers.recording import Recordings
+from kinematics.readers.uff_sets import looks_like_uff
+
+TIDY = "tidy"
+_HEAD = 1 << 16
+_MODULES = {
+    "uff": "kinematics.readers.uff",
+    "fastscan": "kinematics.readers.psv_fastscan",
+    "points": "kinematics.readers.psv_points",
+    "vendor": "kinematics.readers.vendor",
+    "matlab": "kinematics.readers.matlab",
+    "hdf5": "kinematics.readers.hdf5",
+    "time": "kinematics.readers.time_series",
+}
+_BY_SUFFIX = {
+    ".uff": "uff",
+    ".unv": "uff",
+    ".bunv": "uff",
+    ".ufb": "uff",
+    ".csv": TIDY,
+    ".tsv": TIDY,
+    ".txt": TIDY,
+}
+READ = (
+    "a tidy table (.csv), a universal file (.uff, .unv), text exports of a scanning vibrometer (a folder, or "
+    ".txt), a MATLAB file (.mat), HDF5 (.h5) or time series (.csv, .npz, .wav)"
+)
+
+
+def kind_of(path: Path) -> str:
+    """Return ``tidy`` or the name of a reader.
+
+    Raises
+    ------
+    KinematicsError
+        There is no such file, or nothing known in it.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _kind_of_folder(path)
+    if not path.is_file():
+        raise KinematicsError(sentence("the vibrometer file", "an existing file", path, "", "Check its name"))
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD)
+    suffix = path.suffix.lower()
+    if suffix in vendor.SUFFIXES or head.startswith(vendor.COMPOUND):
+        return "vendor"
+    if head.startswith(b"MATLAB") or (suffix == ".mat" and head):
+        return "matlab"
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "hdf5"
+    if head.startswith((b"PK\x03\x04", b"RIFF", b"RIFX")):
+        return "time"
+    if looks_like_uff(head):
+        return "uff"
+    text = decoded(head if head[:2] not in (b"\xff\xfe", b"\xfe\xff") else head[: len(head) // 2 * 2])
+    if looks_like_fastscan(text):
+        return "fastscan"
+    if looks_like_points(text):
+        return "points"
+    if _has_time(text):
+        return "time"
+    if suffix in _BY_SUFFIX:
+        return _BY_SUFFIX[suffix]
+    raise KinematicsError(
+        sentence("the vibrometer file", READ, path.name, next_step="See points2dof --help for the layouts")
+    )
+
+
+def _kind_of_folder(path: Path) -> str:
+    """Tell what the text files of a folder are by the first one that is known."""
+    for file in sorted(p for p in path.rglob("*") if p.is_file()):
+        with file.open("rb") as stream:
+            text = decoded(stream.read(_HEAD))
+        if looks_like_fastscan(text):
+            return "fastscan"
+        if looks_like_points(text):
+            return "points"
+        if file.suffix.lower() in vendor.SUFFIXES:
+            return "vendor"
+    step = "Give the files themselves, or the folder of a text export"
+    expected = "one with text exports of a scanning vibrometer"
+    raise KinematicsError(sentence("a vibrometer folder", expected, path.name, next_step=step))
+
+
+def _has_time(text: str) -> bool:
+    """Tell whether the header of a table has a column of times."""
+    lines = [line for line in text.splitlines()[:20] if line.strip() and not line.startswith("#")]
+    names = [] if not lines else [name.strip().strip('"').lower() for name in _split(lines[0])]
+    return "time_s" in names
+
+
+def _split(line: str) -> list[str]:
+    return line.split(max((",", ";", "\t"), key=line.count))
+
+
+def read_recordings(path: Path) -> Recordings:
+    """Read any file but a tidy table, and note its name.
+
+    Raises
+    ------
+    KinematicsError
+        What its reader says.
+    """
+    from dataclasses import replace
+
+    kind = kind_of(path)
+    made: Recordings = import_module(_MODULES[kind]).read(Path(path))
+    return replace(made, file=Path(path).name)

@@ -1,0 +1,67 @@
+"""The noise of a body's channels from what its recordings say: sd, coherence and averages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.notices import Notice
+from kinematics.readers.recording import Recording
+
+Array = NDArray[np.float64]
+Place = tuple[int, int, NDArray[np.intp]]
+
+
+def body_noise(
+    body: str, entries: Sequence[tuple[Place, Recording]], value: NDArray[np.complex128], order: int
+) -> tuple[Array | None, bool, list[Notice]]:
+    """Return the sd of displacement of one body (run, channel, freq), m, and whether it is relative only.
+
+    Parameters
+    ----------
+    body : str
+    entries : sequence of (place, Recording)
+        Place: run, channel and lines.
+    value : ndarray, (run, channel, freq), complex
+        Displacement, m.
+    order : int
+        Time derivatives of the quantity whose noise is level when only numbers of averages are known.
+
+    Notes
+    -----
+    From coherence g2 and n averages: |v| sqrt((1 - g2) / (2 n g2)) (Bendat and Piersol 2010, Random Data,
+    section 9.2, for the real part of a frequency response).
+    """
+    found = [_noise(one, order) for _, one in entries]
+    absolute = any(kind == "absolute" for kind, _ in found)
+    if not absolute and all(kind == "none" for kind, _ in found):
+        return None, True, []
+    wanted = "absolute" if absolute else "relative"
+    sd = np.full(value.shape, np.nan)
+    for ((run, channel, lines), _), (kind, spread) in zip(entries, found, strict=True):
+        if kind == wanted and spread is not None:
+            sd[run, channel, lines] = spread
+    missing = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
+    notices = []
+    if missing:
+        text = f"{missing} values of body {body} have no standard deviation and were not used."
+        notices.append(Notice("sd_missing", text))
+    return sd, not absolute, notices
+
+
+def _noise(one: Recording, order: int) -> tuple[str, Array | None]:
+    """Return ``absolute``, ``relative`` or ``none``, and the sd as displacement, m."""
+    rate = (2.0 * np.pi * one.freq_hz) ** one.order
+    if one.sd is not None:
+        return ("relative" if one.relative else "absolute"), one.sd / rate
+    if one.coherence is not None:
+        count = one.n_avg or 1.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sd = np.abs(one.value) * np.sqrt((1.0 - one.coherence) / (2.0 * count * one.coherence)) / rate
+        sd[~np.isfinite(sd)] = np.nan
+        return ("relative" if one.n_avg is None else "absolute"), sd
+    if one.n_avg is not None:
+        return "relative", np.full(len(rate), 1.0 / np.sqrt(one.n_avg)) / (2.0 * np.pi * one.freq_hz) ** order
+    return "none", None

@@ -1,0 +1,184 @@
+"""The datasets of a universal file: where each begins and ends, text or binary, whole or cut short."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from kinematics.errors import KinematicsError, sentence
+
+_RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
+_LOOSE = re.compile(rb"[ \t]*-1[ \t]*\r?\n")
+_NUMBER = re.compile(rb"[ \t]*(\d{1,6})(b?)([^\r\n]*)\r?\n", re.IGNORECASE)
+_BINARY_TAIL = re.compile(rb"\r?\n? {4}-1[ \t]*(\r?\n|$)")
+_HEADER_LINES = 11
+CUT = "It looks cut short: export or copy it again"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One dataset.
+
+    Attributes
+    ----------
+    number : int
+        Type, 58 for functions.
+    place : int
+        Which one of the file it is, from 1.
+    lines : tuple of str
+        The text below the identifier line; of a binary dataset its header alone.
+    data : bytes
+        The numbers of a function: text, or binary from the end of the header on.
+    binary : bool
+    big_endian : bool
+    """
+
+    number: int
+    place: int
+    lines: tuple[str, ...]
+    data: bytes = b""
+    binary: bool = False
+    big_endian: bool = False
+
+
+def looks_like_uff(head: bytes) -> bool:
+    """Tell from its first bytes whether a file is a universal file."""
+    match = _LOOSE.match(head.lstrip(b"\r\n"))
+    return match is not None and _NUMBER.match(head.lstrip(b"\r\n"), match.end()) is not None
+
+
+def datasets(content: bytes, file: str) -> Iterator[Dataset]:
+    """Go through the datasets of a universal file.
+
+    Notes
+    -----
+    Universal file format of SDRC as kept by the University of Cincinnati: records of 80 characters, each
+    dataset between two lines that hold -1 in columns 5 and 6. In 58b the values follow 11 lines of header as
+    IEEE numbers, and nothing but their count tells where they end: bytes that look like a line of -1 may be
+    among them.
+
+    Raises
+    ------
+    KinematicsError
+        A dataset has no end, no number, or a binary one holds fewer bytes than its header says.
+    """
+    position, place = 0, 0
+    while (start := _RULE.search(content, position)) is not None:
+        place += 1
+        where = f"{file}, dataset {place}"
+        number = _NUMBER.match(content, min(start.end() + 1, len(content)))
+        if number is None:
+            if not content[start.end() :].strip():
+                return
+            got = content[start.end() :].split(b"\n")[1][:40].decode("latin-1").strip() or "an empty line"
+            raise KinematicsError(
+                sentence("the line after -1", "the number of a dataset", f'"{got}"', where, "Export it again")
+            )
+        if number[2] and int(number[1]) == 58:
+            made, position = _binary(content, number, place, where)
+            yield made
+            continue
+        end = _RULE.search(content, number.end())
+        if end is None:
+            raise KinematicsError(
+                sentence("a dataset", "closed by a line that holds -1", "the end of the file", where, CUT)
+            )
+        body = content[number.end() : end.start()]
+        position = end.end()
+        yield _text(int(number[1]), place, body)
+
+
+def _text(number: int, place: int, body: bytes) -> Dataset:
+    if number != 58:
+        return Dataset(number, place, tuple(body.decode("latin-1").splitlines()))
+    head, data = _after_lines(body, 0, _HEADER_LINES)
+    return Dataset(58, place, head, body[data:])
+
+
+def _after_lines(content: bytes, start: int, count: int) -> tuple[tuple[str, ...], int]:
+    """Return ``count`` lines from ``start`` on, and where the next one begins."""
+    lines, position = [], start
+    for _ in range(count):
+        end = content.find(b"\n", position)
+        if end < 0:
+            break
+        lines.append(content[position:end].decode("latin-1").rstrip("\r"))
+        position = end + 1
+    return tuple(lines), position
+
+
+def _binary(content: bytes, number: re.Match[bytes], place: int, where: str) -> tuple[Dataset, int]:
+    """Read a 58b dataset: header as text, values as bytes counted by the header."""
+    fields = number[3].split()
+    if len(fields) < 4 or not all(re.fullmatch(rb"\d+", field) for field in fields[:4]):
+        got = number[0].decode("latin-1").strip()
+        raise KinematicsError(
+            sentence("the line of a dataset 58b", "byte order, format, lines and bytes", got, where)
+        )
+    order, form, count, size = (int(field) for field in fields[:4])
+    faults = []
+    if order not in (1, 2):
+        faults.append(f"byte order 1 (little endian) or 2 (big endian); got {order}")
+    if form != 2:
+        faults.append(f"floating point format 2 (IEEE 754); got {form}")
+    if not _HEADER_LINES <= count <= 100:
+        faults.append(f"11 lines of header; got {count}")
+    if faults:
+        step = "Export the file again, as ASCII if there is a choice"
+        raise KinematicsError(f"a dataset 58b must have {'; '.join(faults)} ({where}). {step}.")
+    head, start = _after_lines(content, number.end(), count)
+    if len(head) < count:
+        raise KinematicsError(sentence("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
+    needed = values_size(head, where)
+    ends = [start + length for length in dict.fromkeys((size, *needed))]
+    for end in ends:
+        tail = _BINARY_TAIL.match(content, end)
+        if tail is not None and end - start >= min(needed):
+            made = Dataset(58, place, head, content[start:end], True, order == 2)
+            return made, tail.end()
+    got = f"{len(content) - start} bytes up to the end of the file"
+    if len(content) - start >= min(needed):
+        got = f"{size} bytes by its first line, and no line of -1 behind them"
+    expected = f"of {' or '.join(map(str, needed))} bytes of values, as its header says"
+    raise KinematicsError(sentence("a dataset 58b", expected, got, where, CUT))
+
+
+def values_size(head: tuple[str, ...], where: str) -> tuple[int, ...]:
+    """Return how many bytes the values of a 58b take: two are possible where double values have uneven steps.
+
+    Notes
+    -----
+    The format calls the abscissa single precision always; writers differ.
+    """
+    kind, count, even = data_form(head, where)
+    single = kind in (2, 5)
+    width = (4 if single else 8) * (2 if kind in (5, 6) else 1)
+    if even:
+        return (count * width,)
+    return (count * (width + 4),) if single else (count * (width + 8), count * (width + 4))
+
+
+def data_form(head: tuple[str, ...], where: str) -> tuple[int, int, bool]:
+    """Return type of the values (2, 4, 5, 6), their number, and whether the abscissa is even.
+
+    Raises
+    ------
+    KinematicsError
+        The record is cut short or holds an impossible value.
+    """
+    record = head[6] if len(head) > 6 else ""
+    fields = [record[0:10], record[10:20], record[20:30]]
+    if not all(re.fullmatch(r"\s*\d+\s*", field) for field in fields):
+        fields = record.split()[:3]
+    if len(fields) < 3 or not all(re.fullmatch(r"\s*\d+\s*", field) for field in fields):
+        step = "Export it again"
+        raise KinematicsError(
+            sentence("record 7 of a function", "type, number and spacing", f'"{record}"', where, step)
+        )
+    kind, count, spacing = (int(field) for field in fields)
+    if kind not in (2, 4, 5, 6) or spacing not in (0, 1) or count < 1:
+        got = f"type {kind}, {count} values, spacing {spacing}"
+        expected = "of type 2, 4, 5 or 6, with one value at least and spacing 0 or 1"
+        raise KinematicsError(sentence("the data of a function", expected, got, where, "Export it again"))
+    return kind, count, spacing == 1

@@ -1,0 +1,87 @@
+"""Units as measuring systems write them beside their numbers: ``m/s``, ``[ um/s / V ]``, ``(m/s^2)/N``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+LENGTHS = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "nm": 1e-9,
+    "pm": 1e-12,
+    "in": 0.0254,
+    "ft": 0.3048,
+}
+STANDARD_GRAVITY = 9.80665
+MOTIONS = ("m, mm, um, nm", "m/s, mm/s, um/s", "m/s2, mm/s2, g")
+_RATES = {"": 0, "s": 1, "s2": 2, "sec": 1, "sec2": 2}
+_NONE = ("", "none", "-", "1", "unknown")
+
+
+@dataclass(frozen=True)
+class MotionUnit:
+    """A unit of motion: time derivatives, factor to SI, and the unit of what it is a response to.
+
+    Attributes
+    ----------
+    order : int
+        0 displacement, 1 velocity, 2 acceleration.
+    scale : float
+        Factor to m, m/s, m/s2.
+    per : str
+        Unit of the reference as written; empty when the quantity stands alone.
+    """
+
+    order: int
+    scale: float
+    per: str = ""
+
+
+def is_none(label: str) -> bool:
+    """Tell whether a label says nothing."""
+    return label.strip().strip("[]()").strip().lower() in _NONE
+
+
+def plain(label: str) -> str:
+    """Write a label without brackets, spaces and the many ways to write micro, powers and times."""
+    text = label.strip().strip("[]").replace(" ", "")
+    for old, new in (("µ", "u"), ("μ", "u"), ("²", "2"), ("^", ""), ("**", ""), ("·", "*")):
+        text = text.replace(old, new)
+    return text
+
+
+def motion_unit(label: str) -> MotionUnit | None:
+    """Read a unit of motion; None when the label is no known one.
+
+    Notes
+    -----
+    What follows the unit of motion after a slash is the reference: ``m/s/V`` and ``(m/s)/V`` are responses
+    in m/s per volt.
+    """
+    text = plain(label)
+    match = re.fullmatch(r"\((?P<motion>[^()]+)\)(?:/(?P<per>.+))?", text)
+    if match is not None:
+        inner = motion_unit(match["motion"])
+        return (
+            None if inner is None or inner.per else MotionUnit(inner.order, inner.scale, match["per"] or "")
+        )
+    parts = text.split("/")
+    if parts[0].lower() in ("g", "gn", "g_n"):
+        return MotionUnit(2, STANDARD_GRAVITY, "/".join(parts[1:]))
+    if parts[0] not in LENGTHS:
+        return None
+    scale = LENGTHS[parts[0]]
+    if len(parts) > 1 and parts[1].lower() in _RATES and parts[1]:
+        order, rest = _RATES[parts[1].lower()], parts[2:]
+        if order == 1 and rest and rest[0].lower() in ("s", "sec"):
+            order, rest = 2, rest[1:]
+        return MotionUnit(order, scale, "/".join(rest).strip("()"))
+    return MotionUnit(0, scale, "/".join(parts[1:]).strip("()"))
+
+
+def length_scale(label: str) -> float | None:
+    """Return the factor of a length unit to metres; None when it is no known one."""
+    return LENGTHS.get(plain(label).lower())

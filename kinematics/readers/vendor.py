@@ -1,0 +1,34 @@
+"""Files that only their vendor's program can open: one sentence on what to export instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+
+from kinematics.errors import KinematicsError, sentence
+
+SUFFIXES = (".svd", ".pvd", ".set")
+COMPOUND = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+
+
+def read(path: Path) -> NoReturn:
+    """Refuse a scan file of a scanning vibrometer.
+
+    Raises
+    ------
+    KinematicsError
+        Always; it says how to export.
+    """
+    step = (
+        "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
+        "or as ASCII (Real & Imag.), and give that file or folder"
+    )
+    raise KinematicsError(
+        sentence(
+            "the vibrometer file",
+            "UFF or ASCII",
+            "a scan file that only its own program reads",
+            path.name,
+            step,
+        )
+    )
