@@ -1,0 +1,268 @@
+"""Which variable of a MATLAB file is what: read from a small TOML file, or told from the names.
+
+The file beside ``scan.mat`` (``--mapping FILE``, or ``scan.mat.toml`` found by itself)::
+
+    frequency = "f"            # F numbers, Hz
+    position = "xyz"           # points x 3 (left out: from --points)
+    position_unit = "m"        # m, mm or um
+    points = "names"           # names or numbers of the points (left out: 1, 2, 3, ...)
+    amplitude = "peak"         # or "rms"
+    convention = "+"           # e^{+iwt}; "-" for e^{-iwt}, which is conjugated
+    each = ""                  # name of a struct array or cell array with one element a point, if any
+
+    [[signal]]                 # one for every beam
+    value = "amp_z"            # points x F, complex; or value_re and value_im
+    direction = "z"            # x, y, z, -x, -y, -z, three numbers, or a variable of points x 3
+    unit = "m/s"               # left out: YUnit of the struct named by usd
+    usd = "usd_z"
+    coherence = "coh_z"        # optional: coherence, sd (unit of the value), n_avg (a number), run, body
+
+Names with dots reach into structs: ``dat.N1.f``.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+
+FREQUENCIES = (
+    "freq_hz",
+    "freq",
+    "frequency",
+    "frequencies",
+    "freqs",
+    "f",
+    "f_hz",
+    "x",
+    "freqp",
+    "faxis",
+    "fft_x",
+)
+_POSITIONS = (
+    "xyz",
+    "xyz_mm",
+    "xyz_m",
+    "xyz_um",
+    "coord",
+    "coords",
+    "coordinates",
+    "positions",
+    "position",
+    "position_mm",
+)
+_POINTS = ("points", "point", "names", "labels", "index", "indices", "indexes", "point_index", "pointindex")
+_COHERENCES = ("coh", "coherence", "gamma2")
+_COUNTS = ("n_avg", "navg", "averages", "n_averages")
+_BEAM = re.compile(r"^(?P<stem>.+?)_?(?P<axis>[xyzXYZ])$")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One beam: names of variables, or values where they are no names."""
+
+    value: str = ""
+    value_re: str = ""
+    value_im: str = ""
+    direction: Any = ""
+    unit: str = ""
+    usd: str = ""
+    coherence: str = ""
+    sd: str = ""
+    n_avg: Any = ""
+    run: str = ""
+    body: str = ""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which variable is what."""
+
+    frequency: str = ""
+    position: str = ""
+    position_unit: str = ""
+    points: str = ""
+    amplitude: str = "peak"
+    convention: str = "+"
+    each: str = ""
+    body: str = ""
+    run: str = ""
+    signal: tuple[Signal, ...] = field(default_factory=tuple)
+
+
+def read_mapping(path: Path) -> Layout:
+    """Read a mapping.
+
+    Raises
+    ------
+    KinematicsError
+        No TOML, an unknown key, a value of the wrong kind, or no frequency or signal.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise KinematicsError(sentence("--mapping", "an existing TOML file", path, "", "Check its name"))
+    try:
+        found = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise KinematicsError(sentence("a mapping", "a TOML file", str(fault), path.name)) from fault
+    faults: list[str] = []
+    signals = found.pop("signal", [])
+    if not isinstance(signals, list) or not all(isinstance(one, dict) for one in signals):
+        faults.append(sentence("signal", "tables [[signal]]", "something else", path.name))
+        signals = []
+    layout = _checked(Layout, found, path.name, faults)
+    made = tuple(
+        _checked(Signal, one, f"{path.name}, signal {k}", faults) for k, one in enumerate(signals, 1)
+    )
+    if not made:
+        faults.append(sentence("a mapping", "of one [[signal]] at least", "none", path.name))
+    for number, one in enumerate(made, 1):
+        if not one.value and not (one.value_re and one.value_im):
+            want = "given as value, or as value_re and value_im"
+            faults.append(sentence("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
+    if not found.get("frequency"):
+        faults.append(sentence("frequency", "the name of a variable", "none", path.name))
+    for key, values in (("amplitude", ("peak", "rms")), ("convention", ("+", "-"))):
+        if found.get(key, values[0]) not in values:
+            faults.append(sentence(key, " or ".join(values), found[key], path.name))
+    if found.get("position_unit", "m") not in ("m", "mm", "um"):
+        faults.append(sentence("position_unit", "m, mm or um", found["position_unit"], path.name))
+    raise_all(KinematicsError, faults)
+    return Layout(**{**{f.name: getattr(layout, f.name) for f in fields(Layout)}, "signal": made})
+
+
+def _checked(kind: Any, found: Mapping[str, Any], where: str, faults: list[str]) -> Any:
+    import difflib
+
+    known = {one.name for one in fields(kind)} - {"signal"}
+    good = {}
+    for key, value in found.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, sorted(known), 1)
+            step = f"Did you mean {near[0]}?" if near else "Remove it"
+            faults.append(sentence("a key", f"one of {', '.join(sorted(known))}", key, where, step))
+        elif key not in ("direction", "n_avg") and not isinstance(value, str):
+            faults.append(sentence(key, "a text in quotes", value, where))
+        else:
+            good[key] = value
+    return kind(**good)
+
+
+def layout_of(space: Mapping[str, Any]) -> Layout | None:
+    """Tell from names and shapes which variable is what; None when frequency or values are not found."""
+    low = {name.lower(): name for name in reversed(list(space))}
+    frequency = next((low[name] for name in FREQUENCIES if name in low and _is_axis(space[low[name]])), "")
+    if not frequency:
+        return None
+    count = np.asarray(space[frequency]).size
+    values = [name for name, value in space.items() if name != frequency and _is_value(name, value, count)]
+    complex_ones = [name for name in values if np.iscomplexobj(_stacked(space[name]))]
+    named = [n for n in values if re.fullmatch(r"(y|amp|vib|fft|h1|h2|frf|data)?_?[xyz]?", n.lower())]
+    chosen = complex_ones or [name for name in named if _beam_usd(name, space)]
+    pairs = _pairs(space, count)
+    if not chosen and not pairs:
+        return None
+    signals = [Signal(value=name) for name in chosen] or [Signal(value_re=a, value_im=b) for a, b in pairs]
+    stems = [(_BEAM.match(one.value or one.value_re.rsplit("_", 1)[0])) for one in signals]
+    axes = [match["axis"].lower() if match else "" for match in stems]
+    together = len(signals) > 1 and all(axes) and len(set(axes)) == len(axes)
+    made = []
+    for one, axis in zip(signals, axes, strict=True):
+        end = axis if together else ""
+        made.append(
+            Signal(
+                one.value,
+                one.value_re,
+                one.value_im,
+                end,
+                usd=_beam_usd(one.value or one.value_re, space),
+                coherence=_companion(_COHERENCES, end, space),
+                n_avg=next((low[name] for name in _COUNTS if name in low), ""),
+                unit=next(
+                    (
+                        f"={space[low[n]]}"
+                        for n in ("unit", "yunit", "units")
+                        if n in low and isinstance(space[low[n]], str)
+                    ),
+                    "",
+                ),
+                run="" if together or len(signals) == 1 else (one.value or one.value_re),
+            )
+        )
+    return Layout(
+        frequency,
+        next((low[name] for name in _POSITIONS if name in low), ""),
+        points=next((low[name] for name in _POINTS if name in low), ""),
+        signal=tuple(made),
+    )
+
+
+def _is_axis(value: Any) -> bool:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.size < 2:
+        return False
+    flat = np.asarray(value, dtype=float).reshape(-1)
+    return value.size == max(value.shape) and bool(np.all(np.diff(flat) > 0.0))
+
+
+def _stacked(value: Any) -> Any:
+    """Return a cell array of rows as one array (point, F); other values as they are."""
+    if not isinstance(value, list) or not value or not all(isinstance(one, np.ndarray) for one in value):
+        return value
+    sizes = {one.size for one in value if one.size}
+    if len(sizes) != 1:
+        return value
+    width = sizes.pop()
+    kind = complex if any(np.iscomplexobj(one) for one in value) else float
+    rows = [one.reshape(-1).astype(kind) if one.size else np.full(width, np.nan, kind) for one in value]
+    return np.array(rows)
+
+
+stacked = _stacked
+
+
+def _is_value(name: str, value: Any, count: int) -> bool:
+    value = _stacked(value)
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fc" or value.ndim < 2:
+        return False
+    if name.lower().startswith((*_COHERENCES, "ref", "sd")) or name.lower() in _POSITIONS:
+        return False
+    return count in value.shape or 2 * count in value.shape
+
+
+def _pairs(space: Mapping[str, Any], count: int) -> list[tuple[str, str]]:
+    found = []
+    for name in space:
+        match = re.fullmatch(r"(.*?)_?(re|real)", name, re.IGNORECASE)
+        if match is None:
+            continue
+        ends = {"re": "im", "real": "imag"}[match[2].lower()]
+        other = name[: len(name) - len(match[2])] + (ends if match[2].islower() else ends.capitalize())
+        if other in space and _is_value(name, space[name], count) and _is_value(other, space[other], count):
+            found.append((name, other))
+    return found
+
+
+def _beam_usd(name: str, space: Mapping[str, Any]) -> str:
+    """Return the name of the signal description that belongs to a value."""
+    descriptions = [key for key, one in space.items() if isinstance(one, dict) and "YUnit" in one]
+    match = _BEAM.match(name)
+    if match is not None:
+        ends = [key for key in descriptions if key.lower().endswith(match["axis"].lower()) and len(key) > 1]
+        if len(ends) == 1:
+            return ends[0]
+    return descriptions[0] if len(descriptions) == 1 else ""
+
+
+def _companion(names: tuple[str, ...], axis: str, space: Mapping[str, Any]) -> str:
+    for key in space:
+        plain = key.lower()
+        if any(plain in (name + (f"_{axis}" if axis else ""), name + axis) for name in names):
+            return key
+    return ""
