@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from kinematics.mass_record import MassRecord
 from kinematics.notices import Notice
 from kinematics.registration import Registration, displacement, fit_rigid
 from kinematics.spatial import DOF_NAMES
+
+if TYPE_CHECKING:
+    from kinematics.moved import SurfaceCheck
 
 Array = NDArray[np.float64]
 _STEP = 1e-5
@@ -36,8 +40,10 @@ class Placement:
     derivative : ndarray, (6, p)
         Displacement of the measurement's frame in its own axes (RigidTransform.perturbed) per parameter.
     registration : Registration or None
-        The fit of the fiducials, when there are any.
+        The fit of the fiducials or of points on a surface, when there are any.
     notices : tuple of Notice
+    checks : tuple of SurfaceCheck
+        Measured points against the surfaces of the scan (kinematics.moved).
     """
 
     transform: RigidTransform
@@ -46,6 +52,7 @@ class Placement:
     derivative: Array = None  # type: ignore[assignment]
     registration: Registration | None = None
     notices: tuple[Notice, ...] = ()
+    checks: tuple[SurfaceCheck, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -181,6 +188,40 @@ def _derivative(pose: Callable[[Array], RigidTransform], base: RigidTransform) -
         small[axis] = _STEP
         columns.append((displacement(base, pose(small)) - displacement(base, pose(-small))) / (2.0 * _STEP))
     return np.column_stack(columns)
+
+
+def place_on_surface(fit: Registration, mass: MassRecord) -> Placement:
+    """Find the pose from a registration to the scan itself.
+
+    Parameters
+    ----------
+    fit : Registration
+        scan_from_vibrometer.
+    mass : MassRecord
+
+    Raises
+    ------
+    KinematicsError
+        The registration leads to another frame than the scan's.
+    """
+
+    def pose(footplate: Array) -> RigidTransform:
+        return mass.scan_from_footplate.perturbed(footplate).inverse() @ fit.transform
+
+    transform = pose(np.zeros(6))
+    names = tuple(f"{source}.{name}" for source in ("registration", "footplate_frame") for name in DOF_NAMES)
+    derivative = np.hstack([np.eye(6), _derivative(pose, transform)])
+    covariance = _block_diagonal([fit.covariance_si, mass.footplate_covariance])
+    return Placement(transform, names, covariance, derivative, fit, fit.notices)
+
+
+def scan_guess(placement: Placement, mass: MassRecord) -> tuple[RigidTransform, Array]:
+    """Return scan_from_vibrometer of a placement and the covariance of its displacement, without the
+    footplate frame's error, which does not enter there."""
+    keep = [k for k, name in enumerate(placement.names) if not name.startswith("footplate_frame")]
+    slopes = placement.derivative[:, keep]
+    covariance = slopes @ placement.covariance[np.ix_(keep, keep)] @ slopes.T
+    return mass.scan_from_footplate @ placement.transform, covariance
 
 
 def _block_diagonal(blocks: list[Array]) -> Array:

@@ -47,6 +47,8 @@ class Registration:
         ``fiducials_coplanar``, ``fiducials_inconsistent``.
     kind : str
         What was fitted: ``fiducials``, ``plate points`` ...
+    plane_mm : (ndarray (3,), ndarray (3,)) or None
+        Centroid and normal of the best plane through the target points.
     """
 
     transform: RigidTransform
@@ -58,6 +60,7 @@ class Registration:
     flat_mm: float
     notices: tuple[Notice, ...] = field(default=())
     kind: str = "fiducials"
+    plane_mm: tuple[Array, Array] | None = None
 
     @property
     def rms_mm(self) -> float:
@@ -180,7 +183,10 @@ def _judged(
     in_source = np.einsum("ji,njk,kl->nil", transform.rotation, matrices, transform.rotation)
     covariance = scale * pose_covariance(a, in_source)
     chi2 = energy if stated else float("nan")
-    return Registration(transform, covariance, residuals, sd, chi2, n_dof, flat, tuple(notices))
+    plane = b.mean(axis=0), np.linalg.svd(b - b.mean(axis=0))[2][2]
+    return Registration(
+        transform, covariance, residuals, sd, chi2, n_dof, flat, tuple(notices), plane_mm=plane
+    )
 
 
 def _variances(sd_mm: ArrayLike | None, count: int) -> Array:
