@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics import packed
 from kinematics.beams import BeamSet
+from kinematics.line_noise import LineNoise, Lines, blocks
+from kinematics.line_solver import solve
+from kinematics.line_sums import Solution
+from kinematics.robust_fit import robust_solve, robust_weight
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-HUBER_TUNING = 2.0
-T_FREEDOM = 4.0
-_SINGULAR = 1e-9
-_ITERATIONS = 60
+Channels = slice | NDArray[np.bool_]
+_WHOLE = slice(None)
 
 
 @dataclass(frozen=True)
 class LineFit:
     """The fit of one body in one run.
+
+    Residuals, standard deviations and weights of all channels and lines are as large as the data: they are
+    made when asked for. ``blocks`` and ``at`` give them piece by piece.
 
     Attributes
     ----------
@@ -28,42 +35,148 @@ class LineFit:
         NaN at lines whose channels do not determine it.
     covariance : ndarray, (freq, m, m)
         Complex covariance E[dq dq^H], which is real here; channel noise only.
-    residual : ndarray, (channel, freq), complex
-        Measured minus fitted, m; zero where missing.
-    sd : ndarray, (channel, freq)
-        Standard deviation of the real part used, m; infinite where missing.
-    weights : ndarray, (channel, freq)
-        1 / (2 sd^2), times the robust weight.
-    inverse : ndarray, (freq, m, m)
-        Inverse Gram matrix of the weighted fit in the orthonormal basis.
     chi2 : ndarray, (freq,)
         Sum of |residual / sd|^2; NaN where q is.
     n_dof : ndarray, (freq,), int
         2 (channels - m).
+    value : ndarray, (channel, freq), complex
+        The data that were fitted, m; not a copy.
+    noise : LineNoise
+    solution : Solution
+        Coefficients and sums per channel.
+    robust : str
     robust_loss : float
         Factor by which a robust estimate widened the covariance; 1 without.
+    iterations : int
+        Most reweightings that a line took; 0 without a robust estimate.
+    unsettled : int
+        Lines at which the reweighting had not settled.
     """
 
     beams: BeamSet
     q: ComplexArray
     covariance: Array
-    residual: ComplexArray
-    sd: Array
-    weights: Array
-    inverse: Array
     chi2: Array
     n_dof: NDArray[np.int64]
+    value: ComplexArray
+    noise: LineNoise
+    solution: Solution
+    robust: str = "none"
     robust_loss: float = 1.0
+    iterations: int = 0
+    unsettled: int = 0
+
+    def at(self, lines: Lines, channels: Channels = _WHOLE) -> tuple[ComplexArray, Array, Array]:
+        """Return residual, sd and weights, each (channel, n), of some lines and channels.
+
+        ``residual`` is zero and ``sd`` infinite where missing; the weights are 1 / (2 sd^2), times the
+        robust weight.
+        """
+        value, sd = self.value[channels][:, lines], self.noise.at(lines, channels)
+        used = np.isfinite(value) & np.isfinite(sd)
+        residual = np.where(used, value - self.beams.basis[channels] @ self.solution.z[:, lines], 0.0)
+        sd = np.where(used, sd, np.inf)
+        weights = 0.5 / sd**2
+        if self.robust != "none":
+            weights = weights * robust_weight(np.abs(residual) / sd, self.robust)[0]
+        return residual, sd, weights
+
+    def blocks(self, channels: Channels = _WHOLE) -> Iterator[tuple[slice, ComplexArray, Array, Array]]:
+        """Yield lines, residual, sd and weights of ``at``, piece by piece."""
+        for part in blocks(*self.value.shape):
+            yield part, *self.at(part, channels)
+
+    @property
+    def residual(self) -> ComplexArray:
+        """Measured minus fitted, (channel, freq), m; zero where missing."""
+        return self.at(_WHOLE)[0]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of the real part used, (channel, freq), m; infinite where missing."""
+        sd = np.array(self.noise.at(_WHOLE))
+        sd[~(np.isfinite(self.value) & np.isfinite(sd))] = np.inf
+        return sd
+
+    @property
+    def weights(self) -> Array:
+        """1 / (2 sd^2), times the robust weight, (channel, freq)."""
+        return self.at(_WHOLE)[2]
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse Gram matrix of the weighted fit in the orthonormal basis, (freq, m, m)."""
+        return packed.unpack(self.solution.inverse, len(self.beams.dof))
+
+    @property
+    def channel_rms(self) -> Array:
+        """Root mean square of |residual| over the lines, (channel,), m; NaN where no line was used."""
+        used = self.solution.used
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.where(used > 0, np.sqrt(self.solution.energy / used), np.nan))
+
+    @property
+    def channel_weight(self) -> Array:
+        """Mean weight of each channel relative to the strongest of each line, (channel,)."""
+        lines = max(int(np.sum(self.solution.good)), 1)
+        return np.asarray(self.solution.weight / lines)
+
+    @property
+    def channel_energy(self) -> Array:
+        """Residual energy of each channel over that of its stated noise, corrected for leverage, (channel,).
+
+        Notes
+        -----
+        Under the stated noise the residual of channel c has the variance sd^2 (1 - h_c) in each part, with
+        h the diagonal of the weighted hat matrix, so that the mean of this ratio is 1. NaN where a channel
+        has no redundancy.
+        """
+        out = self.solution
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.where(out.freedom > 1e-9, out.scaled / out.freedom, np.nan))
 
     def leverage(self) -> Array:
         """Return the diagonal of the weighted hat matrix, (channel, freq)."""
-        basis = self.beams.basis
-        return np.asarray(
-            self.weights * np.einsum("ca,fab,cb->cf", basis, self.inverse, basis, optimize=True)
+        basis, inverse = self.beams.basis, self.solution.inverse
+        rows = packed.products(basis) * packed.doubled(basis.shape[1])
+        return np.asarray(self.weights * (rows @ inverse))
+
+    def is_rounding(self, share: float = 1e-8) -> bool:
+        """Tell whether the fit leaves nothing but the rounding of numbers, which is no noise to judge."""
+        left = float(np.sum(self.solution.misfit))
+        return left <= share**2 * (left + float(np.sum(self.solution.explained)))
+
+    def rescaled(self, factor: Array, floor: Array | None) -> LineFit:
+        """Return the fit for noise that is ``factor`` (freq,) times as large at all channels of a line.
+
+        ``floor`` (freq,) is the least sd in m; it may bind only where all channels of a line are alike.
+        """
+        before = self.noise.at(_WHOLE, slice(0, 1))[0]
+        stated = LineNoise(self.noise.stated, self._product(factor), floor)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = (stated.at(_WHOLE, slice(0, 1))[0] / before) ** 2
+        change = np.where(np.isfinite(change), change, 1.0)
+        return replace(
+            self,
+            covariance=self.covariance * change[:, None, None],
+            chi2=self.chi2 / change,
+            noise=stated,
+            solution=self.solution.rescaled(change),
         )
 
+    def _product(self, factor: Array) -> Array:
+        return factor if self.noise.factor is None else self.noise.factor * factor
 
-def fit_lines(beams: BeamSet, value: ComplexArray, sd: Array, robust: str = "none") -> LineFit:
+
+def fit_lines(
+    beams: BeamSet,
+    value: ComplexArray,
+    sd: Array,
+    robust: str = "none",
+    *,
+    factor: Array | None = None,
+    floor: Array | None = None,
+) -> LineFit:
     """Fit the motion of one body at all lines.
 
     Parameters
@@ -71,134 +184,39 @@ def fit_lines(beams: BeamSet, value: ComplexArray, sd: Array, robust: str = "non
     beams : BeamSet
     value : ndarray, (channel, freq), complex
         Displacement along the beams, m; NaN where missing.
-    sd : ndarray, (channel, freq)
+    sd : ndarray, broadcastable to (channel, freq)
         Standard deviation of its real part, m; positive, NaN or infinite where the value is not to be used.
     robust : str
         ``none``, ``huber`` or ``t4``: iteratively reweighted by the normalised size of each complex
-        residual.
+        residual until no line moves by more than 1e-6 of its standard deviation.
+    factor : ndarray, (freq,), optional
+        Multiplies ``sd``.
+    floor : ndarray, (freq,), optional
+        Least standard deviation, m.
 
     Notes
     -----
-    The columns were made dimensionless and orthonormal beforehand (BeamSet), so the Gram matrices of single
-    lines are as well conditioned as their weights allow, and one step of refinement restores the accuracy
-    of an orthogonal factorisation. The covariance of a robust fit is that of least squares
-    times the factor of _loss, pooled over lines.
+    The columns were made dimensionless and orthonormal beforehand (BeamSet). Lines whose channels keep the
+    ratios of their noise share one orthogonal factorisation; the others have Gram matrices of the orthonormal
+    columns, refined once where their condition asks for it, and an orthogonal factorisation of their own
+    where it passes 1e7. The covariance of a robust fit is that of least squares times the factor of
+    robust_fit.loss, pooled over lines.
     """
-    used = np.isfinite(value.real) & np.isfinite(value.imag) & np.isfinite(sd)
-    y = np.where(used, value, 0.0)
-    spread = np.where(used, sd, np.inf)
-    base = np.where(used, 0.5 / np.where(used, sd, 1.0) ** 2, 0.0)
-    z, inverse, good = _solve(beams.basis, y, base)
-    weights, loss = base, 1.0
-    if robust != "none":
-        weights, z, inverse, good, loss = _reweighted(beams.basis, y, base, spread, z, robust)
-        base_inverse = _solve(beams.basis, y, base)[1]
+    noise = LineNoise(np.broadcast_to(np.asarray(sd, dtype=float), value.shape), factor, floor)
+    if robust == "none":
+        solution, inverse, loss, turns, unsettled = solve(beams.basis, value, noise), None, 1.0, 0, 0
     else:
-        base_inverse = inverse
-    residual = np.where(used, y - beams.basis @ z, 0.0)
-    q = (beams.to_dof @ z).T
+        solution, inverse, loss, turns, unsettled = robust_solve(beams.basis, value, noise, robust)
+    size = len(beams.dof)
+    good = solution.good
+    q = np.ascontiguousarray((beams.to_dof @ solution.z).T)
     q[~good] = np.nan
-    covariance = beams.to_dof @ base_inverse @ beams.to_dof.T * loss
+    base = solution.inverse if inverse is None else inverse
+    covariance = packed.unpack(packed.congruence(beams.to_dof) @ base * loss, size)
     covariance[~good] = np.nan
-    with np.errstate(invalid="ignore"):
-        chi2 = np.sum(np.abs(residual / spread) ** 2, axis=0)
-    chi2[~good] = np.nan
-    n_dof = np.where(good, 2 * (used.sum(axis=0) - beams.basis.shape[1]), 0)
-    return LineFit(beams, q, covariance, residual, spread, weights, inverse, chi2, n_dof, loss)
-
-
-def _solve(basis: Array, y: ComplexArray, weights: Array) -> tuple[ComplexArray, Array, NDArray[np.bool_]]:
-    """Return coefficients (m, freq), inverse Gram matrices (freq, m, m), and which lines are determined."""
-    size = basis.shape[1]
-    scale = np.max(weights, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    relative = weights / scale
-    if _same_everywhere(relative):
-        gram = (basis.T * relative[:, 0]) @ basis
-        good = np.full(y.shape[1], _determined(gram[None])[0])
-        small = np.linalg.inv(gram) if good[0] else np.eye(size)
-        z = small @ (basis.T * relative[:, 0]) @ y
-        z += small @ (basis.T * relative[:, 0]) @ (y - basis @ z)
-        return z, small / scale[:, None, None], good
-    pairs = np.triu_indices(size)
-    packed = (basis[:, pairs[0]] * basis[:, pairs[1]]).T @ relative
-    grams = np.empty((y.shape[1], size, size))
-    grams[:, pairs[0], pairs[1]] = packed.T
-    grams[:, pairs[1], pairs[0]] = packed.T
-    good = _determined(grams)
-    grams[~good] = np.eye(size)
-    inverse = np.linalg.inv(grams)
-    z = np.einsum("fab,bf->af", inverse, basis.T @ (relative * y), optimize=True)
-    z += np.einsum("fab,bf->af", inverse, basis.T @ (relative * (y - basis @ z)), optimize=True)
-    return z, inverse / scale[:, None, None], good
-
-
-def _same_everywhere(relative: Array) -> bool:
-    return bool(np.all(relative == relative[:, :1]))
-
-
-def _determined(grams: Array) -> NDArray[np.bool_]:
-    values = np.linalg.eigvalsh(grams)
-    return np.asarray(values[:, 0] > _SINGULAR * np.maximum(values[:, -1], 1e-300))
-
-
-def robust_weight(size: Array, kind: str) -> tuple[Array, Array]:
-    """Return u(|e|) and d(|e| u)/d|e| for two-dimensional residuals e in units of sd.
-
-    ``huber``: u = min(1, k / |e|), k = 2. ``t4``: Student's t with 4 degrees of freedom,
-    u = 6 / (4 + |e|^2) (Lange, Little and Taylor 1989, doi:10.1080/01621459.1989.10478852).
-    """
-    if kind == "huber":
-        with np.errstate(divide="ignore"):
-            u = np.minimum(1.0, HUBER_TUNING / size)
-        return u, np.where(size <= HUBER_TUNING, 1.0, 0.0)
-    u = (T_FREEDOM + 2.0) / (T_FREEDOM + size**2)
-    return u, u * (T_FREEDOM - size**2) / (T_FREEDOM + size**2)
-
-
-def _reweighted(
-    basis: Array, y: ComplexArray, base: Array, sd: Array, z: ComplexArray, kind: str
-) -> tuple[Array, ComplexArray, Array, NDArray[np.bool_], float]:
-    used = base > 0.0
-    weights, inverse, good = base, np.empty(0), np.empty(0, dtype=bool)
-    for _ in range(_ITERATIONS):
-        size = np.abs(y - basis @ z) / sd
-        u, _along = robust_weight(size, kind)
-        weights = base * u
-        new, inverse, good = _solve(basis, y, weights)
-        step = np.sqrt(np.max(np.abs((new - z) * np.sqrt(1.0 / np.maximum(inverse[:, 0, 0], 1e-300)))))
-        z = new
-        if step < 1e-4:
-            break
-    used &= good
-    size = np.abs(y - basis @ z)[used] / sd[used]
-    share = basis.shape[1] * int(np.sum(good)) / max(size.size, 1)
-    return weights, z, inverse, good, _loss(size, share, kind) if 0.0 < share < 0.95 else 1.0
-
-
-def _loss(size: Array, share: float, kind: str) -> float:
-    """Return the variance of a robust estimate over that of weighted least squares without outliers.
-
-    Parameters
-    ----------
-    size : ndarray, (n,)
-        |residual| / sd of the robust fit.
-    share : float
-        Coefficients per complex value.
-
-    Notes
-    -----
-    El Karoui et al. 2013, doi:10.1073/pnas.1307842110: with many coefficients per value the residuals are
-    proximal images of the errors; c is the size of that contraction, found from mean(c psi' / (1 + c psi'))
-    = share. Here for residuals in the plane, whose psi' differs along and across the residual.
-    """
-    u, along = robust_weight(size, kind)
-    low, high = 0.0, 1e3
-    for _ in range(80):
-        c = 0.5 * (low + high)
-        taken = 0.5 * np.mean(c * along / (1.0 + c * along) + c * u / (1.0 + c * u))
-        low, high = (c, high) if taken < share else (low, c)
-    return float(c**2 * np.mean((u * size) ** 2) / 2.0 * (1.0 - share) / share**2)
+    chi2 = np.where(good, solution.misfit, np.nan)
+    n_dof = np.where(good, 2 * (solution.count - size), 0)
+    return LineFit(beams, q, covariance, chi2, n_dof, value, noise, solution, robust, loss, turns, unsettled)
 
 
 def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int = 400) -> Array:
