@@ -15,7 +15,8 @@ Writes kd.json and kd.html (named after --out). Example:
   dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
 
 Before measuring: dof2kd --plan plan.toml tells the standard deviations to expect of K, D and the modes, and
-what another direction, a wider band, more lines or less noise would bring (plan.json, named after --out).
+what another direction, a wider band, more lines or less noise would bring (plan.json and plan.html, named
+after --out).
 Every key has a default; plan.toml, e.g.:
 """
 
@@ -179,8 +180,8 @@ def _plan(options: argparse.Namespace) -> Outcome:
     from fitting.dof2kd import plan2kd
     from fitting.plan import summary_rows
 
-    found, content, file = plan2kd(options.plan, options.out or Path("plan.json"))
-    return Outcome("what the plan can reach", summary_rows(found), found.notices, [file], content)
+    found, content, files = plan2kd(options.plan, options.out or Path("plan.json"))
+    return Outcome("what the plan can reach", summary_rows(found), found.notices, list(files), content)
 
 
 def main() -> NoReturn:

@@ -18,6 +18,7 @@ from fitting.mass_file import read_mass
 from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
 from fitting.plan import Expectation, expect, plan_json
 from fitting.plan_file import read_plan
+from fitting.plan_page import plan_page
 from fitting.report import kd_page
 from kinematics.errors import sentence
 from kinematics.mass_record import MassRecord
@@ -74,8 +75,8 @@ def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path, re
     return KDResult(fit, content, (out, out.with_name(html)))
 
 
-def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], Path]:
-    """Read a plan, tell what it can reach and write ``out`` (plan.json).
+def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
+    """Read a plan, tell what it can reach and write ``out`` (plan.json) and the page of the same name.
 
     Raises
     ------
@@ -85,10 +86,13 @@ def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], Path]:
     out = _json_name(out)
     plan, mass_file = read_plan(path)
     found = expect(plan)
-    content = plan_json(found, record({"plan": path, "mass": mass_file}, {}))
+    provenance = record({"plan": path, "mass": mass_file}, {})
+    content = plan_json(found, provenance)
+    html = out.with_suffix(".html")
     with staged(out.parent) as folder:
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return found, content, out
+        plan_page(found, provenance).write(folder / html.name)
+    return found, content, (out, html)
 
 
 def _json_name(out: Path) -> Path:

@@ -77,6 +77,10 @@ def test_example_of_the_help_runs(tmp_path: Path, monkeypatch) -> None:
     assert content["options"][0]["name"] == "as planned"
     assert np.array(content["expected_stiffness_sd_si"]).shape == (3, 3)
     assert len(outcome.rows) <= 15
+    html = (tmp_path / "plan.html").read_text(encoding="utf-8")
+    for words in ("as planned", "one more run, rocked about x", "mass_uncertainty_not_given", "K, assumed"):
+        assert words in html
+    assert [file.name for file in outcome.files] == ["plan.json", "plan.html"]
 
 
 def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
