@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 _EPILOG = """\
-ldv.csv, one row per body, point, beam and frequency (comma separated, header required):
+Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
+they measure the same points again:
+  tidy table      .csv, below
+  universal file  .uff, .unv: functions 58 and 58b (frequency responses, spectra, coherence), nodes 15 or 2411,
+                  coordinate systems 18 or 2420, units 164
+  PSV text        a folder of a FastScan (one file per frequency) or of single points (Real & Imag.)
+  MATLAB, HDF5    .mat (v5, v7.3), .h5
+  time series     .csv with a column time_s, .npz, .wav
+Such files name points by numbers; --points or --body say which body each belongs to:
+  --body stapes=1-10,12 --body base=11,13-20      --body stapes=scan.uff:1-9 --body base=plate.uff
+  .svd files open in their own program only: export UFF or ASCII.
+Tidy table, one row per body, point, beam and frequency (comma separated, header required):
   body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s
   The value is v . dir, positive towards the laser head. `dir` may hold x, y, z, -x, -y or -z instead.
   amp_m_s, phase_deg instead of re, im. Units by suffix: m, mm, um, nm (displacement), m_s (velocity),
@@ -33,8 +44,40 @@ Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate 
 def parser() -> Parser:
     """Return the options of the command."""
     made = Parser("points2dof", "Vibrometer points to the degrees of freedom of rigid bodies.", _EPILOG)
-    made.add_argument("ldv", type=Path, metavar="LDV.csv", help="tidy table of complex amplitudes")
-    made.add_argument("--points", type=Path, metavar="FILE", help="positions of the points")
+    made.add_argument("ldv", type=Path, nargs="+", metavar="LDV", help="vibrometer file or folder")
+    made.add_argument("--points", type=Path, metavar="FILE", help="bodies and positions of the points")
+    made.add_argument(
+        "--body",
+        action="append",
+        default=[],
+        metavar="NAME=POINTS",
+        help="points of a body: 1-10,12 or FILE or FILE:1-10; once for each body",
+    )
+    made.add_argument(
+        "--run",
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="the excitation that a file belongs to; once for each file",
+    )
+    made.add_argument(
+        "--beam",
+        default="",
+        metavar="DIR",
+        help="direction towards the laser head where a file does not say it: x, -z ... or X,Y,Z",
+    )
+    made.add_argument(
+        "--amplitude",
+        default="",
+        choices=("peak", "rms"),
+        help="what amplitudes are where a file does not say it (default peak, with a warning)",
+    )
+    made.add_argument(
+        "--length-unit",
+        default="",
+        choices=("m", "mm", "um"),
+        help="unit of positions where a file does not say it (default m, with a warning)",
+    )
     made.add_argument("--fiducials", type=Path, metavar="FILE", help="points that tie vibrometer and scan")
     made.add_argument(
         "--frame",
@@ -65,30 +108,39 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     options = parser().parse(arguments)
     _check(options)
     from kinematics.fiducials import read_fiducials
-    from kinematics.ldv_csv import read_ldv
     from kinematics.mass_record import read_mass_record
     from kinematics.placement import place
     from kinematics.points2dof import Options, points2dof
     from kinematics.provenance import record
+    from kinematics.readers import InputOptions, inputs_of, read_measurement
     from kinematics.spatial import parse_dof
 
+    said = InputOptions(
+        tuple(options.body), tuple(options.run), options.beam, options.amplitude, options.length_unit
+    )
     chosen = Options(parse_dof(options.dof), options.reference, options.robust)
     mass = None if options.mass is None else read_mass_record(options.mass)
     fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
     frame = options.frame or "footplate"
-    measurement = read_ldv(options.ldv, options.points, "vibrometer" if fiducials else frame)
+    source = "vibrometer" if fiducials else frame
+    measurement = read_measurement(options.ldv, options.points, source, said)
     if options.mirror:
         measurement = measurement.mirrored(options.mirror)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
     placement = place(fiducials, frame, mass)
     provenance = record(
-        {"ldv": options.ldv, "points": options.points, "fiducials": options.fiducials, "mass": options.mass},
+        {**inputs_of(options.ldv, options.points), "fiducials": options.fiducials, "mass": options.mass},
         {
             "dof": list(chosen.dof),
             "reference": chosen.reference,
             "robust": chosen.robust,
             "frame": None if fiducials else frame,
             "mirror": options.mirror,
+            "body": list(options.body),
+            "run": list(options.run),
+            "beam": options.beam,
+            "amplitude": options.amplitude,
+            "length_unit": options.length_unit,
         },
         ["points2dof", *arguments],
     )
@@ -117,11 +169,11 @@ def _check(options: argparse.Namespace) -> None:
                 f"--frame {options.frame}", "given with --mass mass.json", "no --mass", next_step="Add --mass"
             )
         )
-    for name in ("ldv", "points", "fiducials", "mass"):
-        path = getattr(options, name)
+    named = [("the vibrometer file", path) for path in options.ldv]
+    named += [(f"--{name}", getattr(options, name)) for name in ("points", "fiducials", "mass")]
+    for thing, path in named:
         if path is not None and not path.exists():
-            option = "the vibrometer file" if name == "ldv" else f"--{name}"
-            faults.append(sentence(option, "an existing file", path, "", "Check its name and folder"))
+            faults.append(sentence(thing, "an existing file", path, "", "Check its name and folder"))
     raise_all(KinematicsError, faults)
 
 

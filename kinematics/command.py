@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 from kinematics.errors import StapeskitError, sentence
 from kinematics.notices import Notice
 
-_NUMBERS = re.compile(r"^-[\d.][\d.eE+,\- ]*$")
+_NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _is_numbers(value: list[Any]) -> bool:
 
 
 def _join_minus_lists(words: list[str], value_options: set[str]) -> list[str]:
-    """Join ``--option -0.9,0.1,0`` to ``--option=-0.9,0.1,0``, so that a minus does not read as an option."""
+    """Join ``--option -0.9,0.1,0`` (or ``-z``) to one word, so that a minus does not read as an option."""
     joined: list[str] = []
     for word in words:
         if joined and joined[-1] in value_options and _NUMBERS.match(word):

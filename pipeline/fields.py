@@ -41,6 +41,40 @@ def _file(value: object, info: ValidationInfo) -> Path:
     return path
 
 
+def _files(value: object, info: ValidationInfo) -> Path | tuple[Path, ...]:
+    """Resolve one path, or a list of them."""
+    if not isinstance(value, list):
+        return _file(value, info)
+    if not value:
+        raise refuse("a path, or a list of paths")
+    return tuple(_file(entry, info) for entry in value)
+
+
+def _named(value: object) -> tuple[str, ...]:
+    """Read a table of names, or a list of NAME=VALUE texts, to such texts."""
+    expected = 'a table like { stapes = "1-10", base = "11-19" }'
+    if isinstance(value, dict):
+        rows = [(name, entry if isinstance(entry, list) else [entry]) for name, entry in value.items()]
+        if all(_is_plain(part) for _, parts in rows for part in parts):
+            return tuple(f"{name}={','.join(map(str, parts))}" for name, parts in rows)
+    if isinstance(value, list) and all(isinstance(entry, str) and "=" in entry for entry in value):
+        return tuple(value)
+    raise refuse(expected)
+
+
+def _is_plain(value: object) -> bool:
+    return isinstance(value, int | str) and not isinstance(value, bool) and str(value).strip() != ""
+
+
+def _beam(value: object) -> str:
+    """Read a direction: a signed axis or three numbers."""
+    if isinstance(value, list) and len(value) == 3 and all(_is_number(entry) for entry in value):
+        return ",".join(repr(float(entry)) for entry in value)
+    if not isinstance(value, str) or not value.strip():
+        raise refuse("x, y, z, -x, -y, -z or three numbers of length 1")
+    return value.strip()
+
+
 def _value_with_sd(value: object) -> tuple[float, float | None]:
     expected = 'a positive number, or text with its standard deviation like "1900+-60"'
     if _is_number(value):
@@ -163,6 +197,9 @@ def _one_of(*known: str) -> Callable[[object], str]:
 
 
 File = Annotated[Path, BeforeValidator(_file)]
+Files = Annotated[Path | tuple[Path, ...], BeforeValidator(_files)]
+Named = Annotated[tuple[str, ...], BeforeValidator(_named)]
+Beam = Annotated[str, BeforeValidator(_beam)]
 ValueWithSd = Annotated[tuple[float, float | None], BeforeValidator(_value_with_sd)]
 Spacing = Annotated[tuple[float, ...], BeforeValidator(_spacing)]
 Box = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_box)]
@@ -180,6 +217,8 @@ Flag = Annotated[bool, BeforeValidator(_flag)]
 Bounds = Annotated[dict[str, float], BeforeValidator(_bounds)]
 Axis = Annotated[str, BeforeValidator(_one_of("x", "y", "z"))]
 Side = Annotated[str, BeforeValidator(_one_of("left", "right"))]
+Amplitude = Annotated[str, BeforeValidator(_one_of("peak", "rms"))]
+LengthUnit = Annotated[str, BeforeValidator(_one_of("m", "mm", "um"))]
 Frame = Annotated[str, BeforeValidator(_one_of("footplate", "plate", "scan"))]
 RobustPoints = Annotated[str, BeforeValidator(_one_of("none", "huber", "t4"))]
 RobustFit = Annotated[str, BeforeValidator(_one_of("none", "t4"))]

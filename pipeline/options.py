@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
+    from kinematics.readers import InputOptions
 
 _OTHER_NAMES = {
     "spacing": "spacing_mm",
@@ -84,6 +85,13 @@ def motion_options(ldv: Ldv) -> Options:
     from kinematics.points2dof import Options
 
     return Options(ldv.dof, ldv.reference, ldv.robust)
+
+
+def input_options(ldv: Ldv) -> InputOptions:
+    """Return what a study says about its vibrometer files."""
+    from kinematics.readers import InputOptions
+
+    return InputOptions(ldv.body, ldv.run, ldv.beam, ldv.amplitude, ldv.length_unit)
 
 
 def fit_options(fit: Fit) -> KDOptions:

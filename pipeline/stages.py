@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinematics.errors import StapeskitError, raise_all, sentence
 from pipeline.errors import PipelineError
-from pipeline.options import fit_options, in_study_words, mass_options, motion_options
+from pipeline.options import fit_options, in_study_words, input_options, mass_options, motion_options
 from pipeline.records import Told
 from pipeline.study import Study
 
@@ -86,7 +86,9 @@ class Motion:
     @staticmethod
     def inputs(study: Study) -> dict[str, Path | None]:
         """Return the files by role."""
-        return {"ldv": study.ldv.file, "points": study.ldv.points, "fiducials": study.ldv.fiducials}
+        from kinematics.readers import inputs_of
+
+        return {**inputs_of(study.ldv.files, study.ldv.points), "fiducials": study.ldv.fiducials}
 
     @staticmethod
     def parameters(study: Study, work: Workspace) -> dict[str, Any]:
@@ -189,12 +191,12 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
         What is wrong with them, row by row.
     """
     from kinematics.fiducials import read_fiducials
-    from kinematics.ldv_csv import read_ldv
+    from kinematics.readers import read_measurement as read_files
 
     ldv = study.ldv
     fiducials = None if ldv.fiducials is None else read_fiducials(ldv.fiducials)
     frame = "vibrometer" if fiducials is not None else ldv.frame or "footplate"
-    measurement = read_ldv(ldv.file, ldv.points, frame)
+    measurement = read_files(ldv.files, ldv.points, frame, input_options(ldv))
     if ldv.mirror is None:
         return measurement, fiducials
     mirrored = None if fiducials is None else fiducials.mirrored(ldv.mirror)
@@ -213,6 +215,7 @@ def check_inputs(study: Study) -> None:
     checks: tuple[tuple[str, Callable[[], object]], ...] = (
         ("scan", lambda: mass_options(study.scan)),
         ("ldv", lambda: motion_options(study.ldv)),
+        ("ldv", lambda: input_options(study.ldv)),
         ("fit", lambda: fit_options(study.fit)),
         ("ldv", lambda: _check_measurement(study)),
     )
@@ -221,13 +224,13 @@ def check_inputs(study: Study) -> None:
             check()
         except StapeskitError as fault:
             faults += in_study_words(str(fault), table).splitlines()
-    raise_all(PipelineError, faults)
+    raise_all(PipelineError, dict.fromkeys(faults))
 
 
 def _check_measurement(study: Study) -> None:
     measurement, _ = read_measurement(study)
     bodies = [body.body for body in measurement.bodies]
-    file = study.ldv.file.name
+    file = ", ".join(path.name for path in study.ldv.files)
     faults = [
         sentence(
             f"the body {name}",

@@ -54,14 +54,24 @@ class Scan(_Table):
 class Ldv(_Table):
     """``[ldv]``: the options of `points2dof`."""
 
-    file: fields.File
+    file: fields.Files
     points: fields.File | None = None
     fiducials: fields.File | None = None
+    body: fields.Named = ()
+    run: fields.Named = ()
+    beam: fields.Beam = ""
+    amplitude: fields.Amplitude = ""
+    length_unit: fields.LengthUnit = ""
     frame: fields.Frame | None = None
     dof: fields.Dof = ("x", "y", "z", "alpha", "beta", "gamma")
     reference: fields.Text = ""
     robust: fields.RobustPoints = "none"
     mirror: fields.Axis | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The vibrometer files, one or several."""
+        return self.file if isinstance(self.file, tuple) else (self.file,)
 
 
 class Fit(_Table):

@@ -47,6 +47,15 @@ density_kg_m3 = "1900+-60"
 [ldv]
 # body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s [, sd_m_s] ...
 file = "ldv.csv"
+# Or exports of the measuring system (universal file, folder of PSV text, .mat, .h5, time series); several as
+# a list ["first.uff", "second.uff"]: parts of one measurement, or runs when they measure the same points again.
+# Where such files do not say it: the points of each body (numbers, ranges, FILE or FILE:1-9), the excitation
+# of each file, the direction towards the laser head, peak or rms, the unit of positions.
+# body = { stapes = "1-10", base = "11-19" }
+# run = { push = "first.uff", tilt = "second.uff" }
+# beam = "z"
+# amplitude = "peak"
+# length_unit = "mm"
 # Positions of the points, where they do not stand in ldv.csv: body, point, x_mm, y_mm, z_mm [, sd_mm].
 # points = "points.csv"
 # Ties vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame, sd_mm].
