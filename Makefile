@@ -3,20 +3,20 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help setup demo test test-shared lint types imports format check bench sample paper clean
+.PHONY: help setup demo test test-shared lint types imports kernels format check bench sample paper clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
 	@echo "make test         set up and run the tests"
 	@echo "make test-shared  also the tests on data that may not be copied into the repository"
-	@echo "make check        lint, types, import rules"
+	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make sample       make the sample study anew"
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt tools/setup.sh
+$(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcard ct_inertia/native/*.[ch])
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
 
@@ -44,11 +44,15 @@ types: $(READY)
 imports: $(READY)
 	$(BIN)/lint-imports
 
+# compiled anew, every warning a fault
+kernels: $(READY)
+	$(BIN)/python hatch_build.py --strict
+
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-check: lint types imports
+check: lint types imports kernels
 
 sample: $(READY)
 	$(BIN)/python -m sample_volumes.make_sample

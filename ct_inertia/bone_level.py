@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels
 from ct_inertia.distance import capped_distance
 from ct_inertia.levels import Air, Surroundings
+from ct_inertia.normal import normal_cdf
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -67,8 +68,6 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
     linearly through the bone is told by its slope, what varies beyond that by the scatter between cells of
     a few voxels; both only as far as noise does not explain them.
     """
-    from scipy.special import ndtr
-
     box = _box_of(around.bone)
     inside = around.bone[box]
     grey = around.grey[box]
@@ -79,7 +78,7 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
         index = np.flatnonzero(depth > np.float32(least * sigma_mm + half))
         if index.size < _LEAST_DEEP:
             continue
-        share = ndtr((depth.ravel()[index].astype(float) - half) / sigma_mm)
+        share = normal_cdf((depth.ravel()[index].astype(float) - half) / sigma_mm)
         values = air.level + (grey.ravel()[index] - air.level) / share
         contrast = float(values.mean()) - air.level
         random = float(values.std()) / np.sqrt(values.size) * np.sqrt(air.correlation)

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.graphs import in_hull
+from ct_inertia.grids import boxes_and_sizes, labelled, majority, used_box
+
 Array = NDArray[np.float64]
 
 TYPICAL_MM3 = (0.8, 2.6)
@@ -101,35 +104,22 @@ def labelled_pieces(mask: NDArray[np.bool_], spacing_mm: Array) -> tuple[NDArray
     pieces : list of Piece
         From the largest to the smallest, nothing below 0.02 mm3.
     """
-    from scipy import ndimage
-
     labels = np.zeros(mask.shape, dtype=np.int32)
     box = used_box(mask)
     if box is None:
         return labels, []
     part = labels[box]
-    count = int(ndimage.label(mask[box], output=part))
-    sizes = np.bincount(part[mask[box]], minlength=count + 1)
+    _, count = labelled(mask[box], out=part)
+    boxes, sizes = boxes_and_sizes(part, count)
     voxel = float(np.prod(spacing_mm))
-    boxes = ndimage.find_objects(part)
     pieces = []
     for k in np.argsort(-sizes[1:]) + 1:
         if sizes[k] * voxel < _LEAST_MM3:
             break
-        found = zip(boxes[k - 1], box, strict=True)
+        found = zip(boxes[k - 1] or (), box, strict=True)
         place = tuple(slice(inner.start + outer.start, inner.stop + outer.start) for inner, outer in found)
         pieces.append(describe(labels, int(k), place, spacing_mm))
     return labels, pieces
-
-
-def used_box(mask: NDArray[np.bool_]) -> tuple[slice, ...] | None:
-    """Return the smallest box of slices (z, y, x) that holds a mask; None when it is empty."""
-    layers = np.asarray(mask.any(axis=(1, 2)))
-    if not np.any(layers):
-        return None
-    flat = np.asarray(mask[layers].any(axis=0))
-    places = [np.flatnonzero(line) for line in (layers, flat.any(axis=1), flat.any(axis=0))]
-    return tuple(slice(int(place[0]), int(place[-1]) + 1) for place in places)
 
 
 def describe(labels: NDArray[np.integer], label: int, box: tuple[slice, ...], spacing_mm: Array) -> Piece:
@@ -166,19 +156,14 @@ def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
         Pieces by number; 0 elsewhere.
     piece : Piece
     """
-    from scipy.spatial import ConvexHull
-
     box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
     part = labels[box][::2, ::2, ::2]
     own = np.argwhere(part == piece.label)
     other = np.argwhere((part > 0) & (part != piece.label))
     if len(other) == 0 or len(own) < 50 or np.any(np.ptp(own, axis=0) == 0):
         return 0.0
-    planes = ConvexHull(own[:: max(1, len(own) // (4 * _HULL_POINTS))]).equations
     every = max(1, len(other) // _HULL_POINTS)
-    inside = np.ones(len(other[::every]), dtype=bool)
-    for *normal, offset in planes:
-        inside &= other[::every] @ np.array(normal) + offset <= 1e-6
+    inside = in_hull(own[:: max(1, len(own) // (4 * _HULL_POINTS))], other[::every])
     return float(np.count_nonzero(inside) * every / len(own))
 
 
@@ -194,16 +179,13 @@ def count_holes(inside: NDArray[np.bool_]) -> int:
     Euler characteristic = 1 - tunnels + cavities. A pinhole of noise must not count as a tunnel, so the
     solid is smoothed by a majority vote first. Voxels that touch in a corner hang together.
     """
-    from scipy import ndimage
-
-    padded = np.pad(inside, 2).astype(np.float32)
-    smooth = np.asarray(ndimage.uniform_filter(padded, 3) > 0.5)
-    labels, count = ndimage.label(smooth, structure=np.ones((3, 3, 3)))
+    smooth = majority(np.pad(inside, 2))
+    labels, count = labelled(smooth, corners=True)
     if count == 0:
         return 0
     if count > 1:
         smooth = labels == int(np.argmax(np.bincount(labels[smooth])))
-    _, outside = ndimage.label(~smooth)
+    _, outside = labelled(~smooth)
     return 1 + (int(outside) - 1) - euler_number(smooth)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.blocks import sampled
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.grids import gaussian
 from ct_inertia.interior import Interior, interior
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -146,9 +147,7 @@ def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]
     """Smooth grey values that are to be thresholded when noise would make holes and specks of them."""
     if not loud(noise_share):
         return grey
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(grey, 1.0, truncate=3.0))
+    return gaussian(grey, 1.0, truncate=3.0)
 
 
 def noise_of(grey: NDArray[np.float32]) -> float:

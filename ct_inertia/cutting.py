@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.coarse import calmed
+from ct_inertia.grids import eroded, labelled
 from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight
 from ct_inertia.separate import flooded
@@ -134,12 +135,10 @@ def _box(volume: Volume, sight: Sight, most_mm: float) -> Working:
 
 
 def _view(working: Working, sight: Sight) -> _View:
-    from scipy import ndimage
-
     noise = sight.scan.noise if working.noise is None else working.noise
     quiet = calmed(working.grey, noise / (sight.bone - sight.air))
     bone = quiet > sight.between
-    labels, count = ndimage.label(bone)
+    labels, count = labelled(bone)
     own_cores, other_cores = _cores(sight, working)
     votes = np.bincount(labels[own_cores], minlength=count + 1)
     votes[0] = 0
@@ -151,8 +150,6 @@ def _view(working: Working, sight: Sight) -> _View:
 
 def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:
     """Return blocks z, y, x that surely belong to the stapes, and to other bone."""
-    from scipy.ndimage import binary_erosion
-
     if sight.markers is None:
         first, step = np.zeros(3, dtype=np.int64), sight.scan.step
         low = np.maximum((working.first // step) - 1, 0)
@@ -165,9 +162,9 @@ def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:
     own = pieces == sight.stapes.label
     other = np.isin(pieces, [piece.label for piece in sight.others])
     if sight.markers is None:
-        thinner = binary_erosion(own)
+        thinner = eroded(own)
         own = thinner if np.any(thinner) else own
-        other = binary_erosion(other)
+        other = eroded(other)
 
     def places(mask: NDArray[np.bool_]) -> Places:
         cells = np.stack(np.nonzero(mask)[::-1], axis=1) + low
@@ -187,9 +184,7 @@ def _flooded_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def _without_dust(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    from scipy import ndimage
-
-    labels, _ = ndimage.label(mask)
+    labels, _ = labelled(mask)
     kept = np.bincount(labels.ravel()) >= _DUST_VOXELS
     kept[0] = False
     return np.asarray(kept[labels])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.candidates import used_box
+from ct_inertia.grids import used_box
 
 Array = NDArray[np.float64]
 _PIECE = 200_000

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.grids import gaussian
 from ct_inertia.isosurface import iso_surface
+from ct_inertia.normal import normal_quantile
 from ct_inertia.surface import Surface
 
 Array = NDArray[np.float64]
@@ -40,8 +42,6 @@ def frame_surface(
     spacing h (found on balls of every size; linear interpolation between points errs by h^2 / 12 times the
     curvature on average). That is counted as blur.
     """
-    from scipy.special import ndtri
-
     spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
     block = np.maximum(np.floor(_GRID_MM / spacing + 1e-6), 1.0).astype(np.int64)
     first, part = _around(share, block)
@@ -49,14 +49,12 @@ def frame_surface(
         part = _block_means(part, block)
         variance = spacing**2 * (block**2 - 1.0) / 12.0
     else:
-        from scipy.ndimage import gaussian_filter
-
-        part = gaussian_filter(part, _SMOOTH_VOXELS, truncate=3.0)
+        part = gaussian(part, _SMOOTH_VOXELS, truncate=3.0)
         variance = (_SMOOTH_VOXELS * spacing) ** 2
     edge = (part > _LEAST_SHARE) & (part < 1.0 - _LEAST_SHARE)
-    limit = float(ndtri(_LEAST_SHARE))
+    limit = float(normal_quantile(_LEAST_SHARE))
     steep = np.where(part > 0.5, np.float32(-limit), np.float32(limit))
-    steep[edge] = ndtri(part[edge])
+    steep[edge] = normal_quantile(part[edge])
     transform = np.array(scan_from_index, dtype=float)
     transform[:3, :3] = scan_from_index[:3, :3] * block
     transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.contours import contoured
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.graphs import graph_pieces
 from ct_inertia.surface import Surface, enclosed_volume
 from kinematics.errors import sentence
 
@@ -160,44 +162,18 @@ def _below(field: NDArray[np.float32], level: float) -> float:
 
 
 def _contour(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.int64]]:
-    """Contour a padded field by flying edges; points in index x, y, z, faces outward."""
-    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-    from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
-    image = vtkImageData()
-    image.SetDimensions(*field.shape[::-1])
-    values = np.ascontiguousarray(field, dtype=np.float32)
-    image.GetPointData().SetScalars(numpy_to_vtk(values.ravel(), deep=False))
-    edges = vtkFlyingEdges3D()
-    edges.SetInputData(image)
-    edges.SetValue(0, float(level))
-    edges.ComputeNormalsOff()
-    edges.ComputeGradientsOff()
-    edges.ComputeScalarsOff()
-    edges.Update()
-    result = edges.GetOutput()
-    if result.GetNumberOfPolys() == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    points = vtk_to_numpy(result.GetPoints().GetData()).astype(float)
-    faces = vtk_to_numpy(result.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
-    if enclosed_volume(points, faces) < 0.0:
+    """Contour a padded field; points in index x, y, z, faces outward."""
+    points, faces = contoured(field, level)
+    if len(faces) and enclosed_volume(points, faces) < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     return points, faces
 
 
 def largest_part(points: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Keep the largest closed part of a surface and its cavities of more than 0.1 %; drop specks."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
     n = len(points)
-    corners = faces.astype(np.int32)
     # Two edges of every face join its corners.
-    start = np.concatenate([corners[:, 0], corners[:, 1]])
-    end = np.concatenate([corners[:, 1], corners[:, 2]])
-    graph = csr_matrix((np.ones(len(start), dtype=np.int8), (start, end)), shape=(n, n))
-    count, part = connected_components(graph, directed=False)
+    count, part = graph_pieces(n, np.concatenate([faces[:, :2], faces[:, 1:]]))
     if count == 1:
         return points, faces
     of_face = part[faces[:, 0]]
@@ -214,7 +190,7 @@ def largest_part(points: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArra
     return points[used], place[faces]
 
 
-def _inside_box(points: Array, part: NDArray[np.int32], main: int, count: int) -> NDArray[np.bool_]:
+def _inside_box(points: Array, part: NDArray[np.int64], main: int, count: int) -> NDArray[np.bool_]:
     low, high = points[part == main].min(axis=0), points[part == main].max(axis=0)
     outside = np.any((points < low) | (points > high), axis=1)
     return np.asarray(np.bincount(part, outside, minlength=count) == 0)

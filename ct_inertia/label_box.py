@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
-from ct_inertia.candidates import used_box
 from ct_inertia.coarse import calmed, finite, loud
 from ct_inertia.cutting import Cut
+from ct_inertia.grids import used_box
 from ct_inertia.measure import Measured
 from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight

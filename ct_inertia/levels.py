@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.distance import capped_distance
+from ct_inertia.grids import gaussian
+from ct_inertia.normal import normal_cdf, normal_quantile
 
 Array = NDArray[np.float64]
 
@@ -164,11 +166,9 @@ def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:
 
     With a = (level - lowest) / noise: pile = Phi(-a), mean - lowest = noise (a Phi(a) + phi(a)).
     """
-    from scipy.special import ndtr, ndtri
-
-    a = -float(ndtri(pile))
+    a = -float(normal_quantile(pile))
     bell = float(np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi))
-    noise = (mean - lowest) / (a * float(ndtr(a)) + bell)
+    noise = (mean - lowest) / (a * float(normal_cdf(a)) + bell)
     return lowest + a * noise, noise
 
 
@@ -197,22 +197,18 @@ def unclipped(
     a = (m - lowest) / s; the difference is subtracted. Without ``expected``, the mean is that of the
     surroundings (Gaussian of 0.8 voxels) and the relation is inverted.
     """
-    from scipy.special import ndtr
-
     if air.clipped == 0.0:
         return grey
     noise = air.single_noise or air.noise
     result = grey.copy()
     if expected is not None:
         a = (expected[where].astype(float) - air.lowest) / noise
-        added = np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi) - a * ndtr(-a)
+        added = np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi) - a * normal_cdf(-a)
         result[where] -= (noise * added).astype(np.float32)
         return result
-    from scipy.ndimage import gaussian_filter
-
     a = np.linspace(-6.0, 6.0, 2401)
-    mean = a * ndtr(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
-    local = (gaussian_filter(grey, 0.8)[where].astype(float) - air.lowest) / noise
+    mean = a * normal_cdf(a) + np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    local = (gaussian(grey, 0.8)[where].astype(float) - air.lowest) / noise
     true = np.interp(local, mean, a)
     result[where] -= (noise * np.where(local < mean[-1], local - true, 0.0)).astype(np.float32)
     return result

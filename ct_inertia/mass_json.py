@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.budget import budget, not_included
+from ct_inertia.native import which
 from ct_inertia.surface import Surface, write_surface
 from kinematics.frames import RigidTransform
 from kinematics.mass_record import SCHEMA, MassMatrix
@@ -53,6 +54,7 @@ def mass_json(
     places = dof_indices(REDUCED)
     reduced = np.ix_(places, places)
     provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256, hashes=hashes)
+    provenance["kernels"] = which()
     content = {
         "schema": SCHEMA,
         "density_kg_m3": body.density_kg_m3,

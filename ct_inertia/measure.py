@@ -11,6 +11,7 @@ from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
+from ct_inertia.grids import gaussian
 from ct_inertia.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
 from ct_inertia.levels import Air, Guess, Surroundings, measure_air, unclipped
 from ct_inertia.moments import Moments
@@ -132,11 +133,9 @@ def _unclipped(
     cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
 ) -> NDArray[np.float32]:
     """Take off what clipping added: first by the surroundings of each voxel, then by the body this shows."""
-    from scipy.ndimage import gaussian_filter
-
     first = unclipped(cut.grey, own, air)
     contrast = np.float32(bone - air.level)
-    share = gaussian_filter((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
+    share = gaussian((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
     known = own & ~spread(spread(around.foreign))
     body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
     expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
+from ct_inertia.grids import labelled
 from ct_inertia.level_fit import blurred, fit_bodies, spread
 from ct_inertia.moments import Moments
+from ct_inertia.normal import normal_cdf
 from ct_inertia.partial_volume import sensitivity
 from ct_inertia.separate import flooded
 from ct_inertia.volume import Volume
@@ -106,10 +108,8 @@ def _exchanging(sigma_mm: float) -> float:
 
     Of a plane body the layer s (phi(z) - z Phi(-z)) lies further out than z widths s of the blur.
     """
-    from scipy.special import ndtr
-
     z = np.linspace(0.0, 0.5 * _CLOSE_SIGMAS, 251)
-    layer = sigma_mm * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) - z * ndtr(-z))
+    layer = sigma_mm * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) - z * normal_cdf(-z))
     return 2.0 * sigma_mm * float(z[layer > _THIN_LAYER_MM].max(initial=0.0))
 
 
@@ -206,8 +206,6 @@ def cut_through_bone(
     others. Where blur alone fills a gap its middle stays darker than bone and shows the border: a voxel
     counts by the cube of its share of the way from the middle level to 90 % of bone.
     """
-    from scipy import ndimage
-
     air, full = levels
     middle = 0.5 * (air + full)
     bone = cut.grey > middle
@@ -216,7 +214,7 @@ def cut_through_bone(
     covariance = np.zeros((10, 10))
     if not np.any(edge):
         return ThroughBone(0.0, 0.0, covariance, None, cut.at_neck)
-    patches, count = ndimage.label(edge, structure=np.ones((3, 3, 3)))
+    patches, count = labelled(edge, corners=True)
     index = np.argwhere(edge)
     points = volume.scan_points(index[:, ::-1] + cut.first)
     weight = np.clip((cut.grey[edge].astype(float) - middle) / (_SOLID * (full - middle)), 0.0, 1.0) ** 3

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.normal import normal_cdf
 from ct_inertia.plane_faces import PlaneFace, fitted_plane
 from ct_inertia.volume import Volume
 
@@ -204,14 +205,12 @@ def _ends(face: PlaneFace, other: PlaneFace) -> bool:
 
 def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     """Say which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
-    from scipy.ndimage import binary_closing
-
     flat = (face.samples_mm - face.point_mm) @ face.basis
     start = flat.min(axis=0) - 2.0 * _CELL_MM
     cells = np.floor((flat - start) / _CELL_MM).astype(int)
     seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
     seen[cells[:, 0], cells[:, 1]] = True
-    inner = binary_closing(seen, np.ones((3, 3)))
+    inner = _closed(seen)
     place = np.floor(((points - face.point_mm) @ face.basis - start) / _CELL_MM).astype(int)
     valid = np.all((place >= 0) & (place < np.array(seen.shape)), axis=1)
     result = np.zeros(len(points), dtype=bool)
@@ -219,11 +218,18 @@ def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     return result
 
 
+def _closed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return cells (n, m) and those between them: grown by one all round and shrunk again."""
+    for joined in (np.logical_or, np.logical_and):
+        for axis in range(2):
+            lines = np.moveaxis(np.pad(cells, [(1 - axis, 1 - axis), (axis, axis)]), axis, 0)
+            cells = np.moveaxis(joined(joined(lines[:-2], lines[1:-1]), lines[2:]), 0, axis)
+    return cells
+
+
 def _below(height: Array) -> Array:
     """Return the share that a step blurred by 1 leaves at heights over it."""
-    from scipy.special import ndtr
-
-    return np.asarray(ndtr(-height))
+    return normal_cdf(-height)
 
 
 def _level(grey: Array, where: NDArray[np.bool_]) -> float:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import PlateFace
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
+from ct_inertia.grids import dilated, gaussian
 from ct_inertia.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.moments import Moments
+from ct_inertia.normal import normal_cdf
 from ct_inertia.partial_volume import sensitivity
 from ct_inertia.volume import Volume
 
@@ -101,11 +103,9 @@ def face_near(
 
 def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.bool_]) -> Array:
     """Return the grey value above air (n,) that the plate's face alone gives to voxels of a mask."""
-    from scipy.special import ndtr
-
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
     away = points @ face.normal - face.offset_mm
-    return np.asarray((face.plastic - face.air) * ndtr(-away / face.sigma_mm))
+    return np.asarray((face.plastic - face.air) * normal_cdf(-away / face.sigma_mm))
 
 
 def face_covariance(
@@ -132,8 +132,6 @@ def face_covariance(
     displaced : ndarray of float32, [z, y, x], optional
         As from ``displaced_share``: known to a part of itself, as voxels are shared by bone and plastic.
     """
-    from scipy.special import ndtr
-
     face = fit.face
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
     z = (points @ face.normal - face.offset_mm) / face.sigma_mm
@@ -141,7 +139,7 @@ def face_covariance(
     points, z = points[touched], z[touched]
     slope = (face.plastic - face.air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / face.sigma_mm
     flat = (points - fit.centre) @ fit.basis
-    cover = ndtr(-z)
+    cover = normal_cdf(-z)
     design = np.column_stack([slope, -slope * flat[:, 0], -slope * flat[:, 1], slope * z, -cover, cover])
     voxel = volume.voxel_mm3 / contrast
     f = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0)
@@ -234,11 +232,9 @@ def _edge_points(
     volume: Volume, cut: Cut, free: NDArray[np.bool_], air: float, plastic: float
 ) -> tuple[Array, Array]:
     """Return points (n, 3) on the plate's surface and outward normals, scan coordinates."""
-    from scipy.ndimage import binary_dilation, gaussian_filter
-
-    smooth = gaussian_filter(cut.grey, 1.0, truncate=3.0)
+    smooth = gaussian(cut.grey, 1.0, truncate=3.0)
     share = (smooth - air) / (plastic - air)
-    edge = binary_dilation(cut.plate, iterations=2) & free & (np.abs(share - 0.5) < 0.3)
+    edge = dilated(cut.plate, 2) & free & (np.abs(share - 0.5) < 0.3)
     for axis in range(3):
         part = np.moveaxis(edge, axis, 0)
         part[0] = part[-1] = False
@@ -293,8 +289,6 @@ def _refined(
 
     Where bone leaves too little of the face free, the plane through the edge points (n, 3) stands.
     """
-    from scipy.special import ndtr
-
     (normal, offset), (air, plastic, sigma) = plane, start
     under = _over_the_face(volume, cut, normal, offset, sigma)
     index = np.argwhere(free & under)
@@ -319,7 +313,7 @@ def _refined(
     known = np.array([np.inf, np.inf, np.inf, _KNOWN_BLUR * sigma, _KNOWN_AIR * contrast, _KNOWN * contrast])
     for _ in range(_ROUNDS):
         z = (points @ normal - offset) / sigma
-        cover, bell = ndtr(-z), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+        cover, bell = normal_cdf(-z), np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
         rest = grey - (air + (plastic - air) * cover)
         scale = max(1.4826 * float(np.median(np.abs(rest))), 1e-9 * abs(plastic - air))
         weight = np.clip(1.0 - (rest / (4.685 * scale)) ** 2, 0.0, None) ** 2
@@ -341,7 +335,7 @@ def _refined(
         air, plastic = air + step[4], plastic + step[5]
     z = (points @ normal - offset) / sigma
     middle = np.abs(z) < 0.7
-    rest = grey - (air + (plastic - air) * ndtr(-z))
+    rest = grey - (air + (plastic - air) * normal_cdf(-z))
     slope = (plastic - air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / sigma
     rms = float(np.sqrt(np.median((rest[middle] / slope[middle]) ** 2))) if np.any(middle) else 0.0
     covariance = scale**2 * np.linalg.inv(normal_matrix)

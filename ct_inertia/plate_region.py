@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.coarse import calmed
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.grids import dilated, eroded, gaussian, labelled
 from ct_inertia.isosurface import iso_surface
 from ct_inertia.search import Sight
 from ct_inertia.surface import Surface
@@ -65,8 +66,6 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     Voxels within 0.11 mm of bone are left out first: across such a rim the grey values pass through those
     of plastic. What remains is smoothed, labelled, and grown back by the same distance.
     """
-    from scipy import ndimage
-
     if sight.plastic is None:
         return None
     scan = sight.scan
@@ -77,17 +76,17 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     box = _crowded(coarse > middle, 3 * rim + 4)
     grey = coarse[box]
     bone = calmed(grey, scan.noise / (sight.bone - sight.air)) > sight.between
-    near_bone = ndimage.binary_dilation(bone, iterations=rim)
-    smooth = ndimage.gaussian_filter(grey, 0.7)
+    near_bone = dilated(bone, rim)
+    smooth = gaussian(grey, 0.7)
     free = (smooth > middle) & ~near_bone
-    labels, count = ndimage.label(ndimage.binary_opening(free))
+    labels, count = labelled(dilated(eroded(free)))
     if count == 0:
         return None
     sizes = np.bincount(labels.ravel())[1:]
     if sizes.max() * scan.voxel_mm3 * thin**3 < _LEAST_MM3:
         return None
     core = labels == int(np.argmax(sizes)) + 1
-    grown = ndimage.binary_dilation(core, mask=(smooth > middle) & ~bone, iterations=rim + 1)
+    grown = dilated(core, rim + 1, (smooth > middle) & ~bone)
     plastic = _pure(grey, core, rim, sight.plastic)
     air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
     mask = np.zeros(coarse.shape, dtype=bool)
@@ -120,9 +119,7 @@ def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess
     The levels of the coarse view are peaks of a histogram, 1 % off here and there: that would move the
     face of the plate by a micrometre.
     """
-    from scipy import ndimage
-
-    deep = grey[ndimage.binary_erosion(region, iterations=rim)]
+    deep = grey[eroded(region, rim)]
     if len(deep) < _LEAST_DEEP:
         return guess
     low, high = np.percentile(deep, (1.0, 99.0))
@@ -135,17 +132,15 @@ def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface |
     On the grid of the coarse view, at the level half way between air and plastic; None when nothing closed
     can be made of it.
     """
-    from scipy import ndimage
-
     index = np.nonzero(plate.mask)
     low = [max(int(k.min()) - 2, 0) for k in index]
     high = [int(k.max()) + 3 for k in index]
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     coarse = _thinned(sight.scan.grey, int(plate.step[0] // sight.scan.step[0]))
-    grey = ndimage.gaussian_filter(coarse[box], _SMOOTH_VOXELS, truncate=3.0)
-    region = ndimage.binary_dilation(plate.mask[box], iterations=2)
+    grey = gaussian(coarse[box], _SMOOTH_VOXELS, truncate=3.0)
+    region = dilated(plate.mask[box], 2)
     share = np.clip((grey - plate.air) / (plate.plastic - plate.air), -1.0, 1.0)
-    bone = ndimage.binary_dilation(grey > sight.between)
+    bone = dilated(grey > sight.between)
     share[~region | bone] = np.minimum(share[~region | bone], 0.0)
     transform = volume.scan_from_index.copy()
     first = _first(sight.scan.step, plate.step)

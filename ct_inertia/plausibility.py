@@ -8,6 +8,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate import FootplateFrame
+from ct_inertia.graphs import graph_pieces
 from ct_inertia.surface import Surface
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -111,13 +112,8 @@ def check_mesh(surface: Surface, name: str) -> None:
 
 def body_volumes(surface: Surface) -> list[float]:
     """Return the enclosed volume, mm3, of every connected piece of a surface; negative for a cavity."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     faces, count = surface.faces, len(surface.vertices_mm)
-    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    graph = coo_matrix((np.ones(len(start), dtype=np.int8), (start, end)), shape=(count, count))
-    number, piece = connected_components(graph, directed=False)
+    number, piece = graph_pieces(count, np.concatenate([faces[:, :2], faces[:, 1:]]))
     points = surface.vertices_mm - surface.vertices_mm.mean(axis=0)
     a, b, c = (points[faces[:, k]] for k in range(3))
     parts = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.grids import interpolated
+from ct_inertia.normal import normal_quantile
+
 Array = NDArray[np.float64]
 _REACH_WIDTHS = 3.6
 _MOST = 4_000
@@ -55,8 +58,6 @@ def edge_sigma(
     enough flat ones: a radius of curvature R lets s seem longer by the order of (s / R)^2. Beside a flat
     edge, 2.5 s along its tangents, the share is still 1/2.
     """
-    from scipy.special import ndtri
-
     spacing = np.asarray(spacing_mm)[::-1]
     width = float(spacing.mean())
     reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
@@ -73,14 +74,14 @@ def edge_sigma(
     w, size, gradient, index = w[good], size[good], gradient[good], index[good]
     if len(w) < _LEAST:
         return None
-    z = ndtri(w)
+    z = normal_quantile(w)
     total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
     middle = float(np.median(total))
     inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
     foot = index * spacing - z[:, None] * middle * inward
 
     def share_at(points: Array) -> Array:
-        return np.asarray((_interpolated(grey, points / spacing) - air) / (bone - air))
+        return np.asarray((interpolated(grey, points / spacing) - air) / (bone - air))
 
     low, high, deep = (share_at(foot + reach * middle * inward) for reach in (-2.6, 2.6, 3.6))
     slack = max(0.15, 2.5 * noise)
@@ -153,12 +154,6 @@ def _smooth_gradient(
     square = [(pair**2).sum(axis=0) for pair in pairs]
     spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
     return w, gradient, spread
-
-
-def _interpolated(grey: NDArray[np.float32], places: Array) -> Array:
-    from scipy.ndimage import map_coordinates
-
-    return np.asarray(map_coordinates(grey, places.T, order=1, mode="nearest", output=float))
 
 
 def _tangents(normal: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from ct_inertia.candidates import (
 from ct_inertia.coarse import CoarseScan, Glance, calmed, material_levels, take_glance
 from ct_inertia.doubts import USUAL, doubts, refuse_rivals
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.grids import dilated
 from ct_inertia.parting import CoarseGrid, Markers, partings
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -253,14 +254,12 @@ def _with_holes(sight: Sight, piece: Piece) -> Piece:
 
 def _thick(sight: Sight, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a piece with the darker voxels beside it: walls thinner than the blur are darker than bone."""
-    from scipy.ndimage import binary_dilation
-
     contrast = sight.bone - sight.air
     low = sight.air + _THIN_WALL * contrast
     if sight.plastic is not None:
         low = max(low, sight.plastic + _PLASTIC_MARGIN * contrast)
     quiet = calmed(sight.scan.grey[box], sight.scan.noise / contrast)
-    return np.asarray(inside | (binary_dilation(inside, iterations=2) & (quiet > low)))
+    return np.asarray(inside | (dilated(inside, 2) & (quiet > low)))
 
 
 def _judged(sight: Sight, piece: Piece) -> Piece:

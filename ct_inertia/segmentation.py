@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -30,16 +29,6 @@ from kinematics.background import Later
 from kinematics.notices import unique
 
 Array = NDArray[np.float64]
-
-# Slow to import, needed soon: imported while the coarse view is taken, and while the stapes is cut out.
-_NEEDED = ("scipy.special", "scipy.ndimage", "scipy.spatial")
-_NEEDED_LATER = (
-    "vtkmodules.util.numpy_support",
-    "vtkmodules.vtkCommonDataModel",
-    "vtkmodules.vtkFiltersCore",
-    "scipy.sparse.csgraph",
-    "scipy.sparse.linalg",
-)
 
 
 def find_bodies(
@@ -79,9 +68,7 @@ def find_bodies(
     if options.box_mm is not None:
         volume, glance = volume.cropped(options.box_mm), None
     glance = glance or Later(take_glance, volume)
-    _import(_NEEDED)
     sight = look(volume, options, glance.taken())
-    imports = Later(_import, _NEEDED_LATER)
     progress("cutting the stapes out")
     finding = Later(find_plate, sight)
     cut = cut_out(volume, sight, finding.result)
@@ -91,13 +78,7 @@ def find_bodies(
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
     progress("measuring the stapes")
     bodies = _assembled(volume, sight, plate, plate_mesh, cut, options)
-    imports.result()
     return bodies
-
-
-def _import(names: Sequence[str]) -> None:
-    for name in names:
-        import_module(name)
 
 
 def _assembled(

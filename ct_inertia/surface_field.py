@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.graphs import graph_pieces, solver
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -98,9 +100,6 @@ class Diffusion:
     """
 
     def __init__(self, mesh: Mesh, sigma_mm: float) -> None:
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
         self.mesh = mesh
         self.sigma_mm = sigma_mm
         vectors = mesh.area_vectors
@@ -120,21 +119,13 @@ class Diffusion:
             weights += [-half, -half, half, half]
         third = np.repeat(areas / 3.0, 3)
         self.mass = np.asarray(1e-15 + np.bincount(mesh.faces.ravel(), third, minlength=n), dtype=np.float64)
-        place = np.arange(n)
-        matrix = csc_matrix(
-            (
-                np.concatenate([*weights, self.mass]),
-                (np.concatenate([*rows, place]), np.concatenate([*columns, place])),
-            ),
-            shape=(n, n),
-        )
-        self._factors = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        self._solve = solver(
+            np.concatenate(rows), np.concatenate(columns), np.concatenate(weights), self.mass
         )
 
     def step(self, field: Array) -> Array:
         """Diffuse a field (n, k) by one step."""
-        return np.asarray(self._factors.solve(self.mass[:, None] * field))
+        return self._solve(self.mass[:, None] * field)
 
     def normals(self, points: Array | None = None) -> Array:
         """Return outward normals (n, 3) at the vertices after two steps; not yet of unit length.
@@ -151,7 +142,7 @@ class Diffusion:
             [np.bincount(flat, np.repeat(vectors[:, k], 3), minlength=len(mesh.points)) for k in range(3)],
             axis=1,
         )
-        return self.step(np.asarray(self._factors.solve(at_vertices)))
+        return self.step(self._solve(np.asarray(at_vertices, dtype=np.float64)))
 
 
 def unit(vectors: Array) -> Array:
@@ -273,16 +264,10 @@ class _Cut:
 
 
 def _largest_component(mesh: Mesh, inside: NDArray[np.bool_], areas: Array) -> NDArray[np.bool_] | None:
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not np.any(inside):
         return None
     pairs = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)])
-    edges = pairs[inside[pairs[:, 0]] & inside[pairs[:, 1]]].astype(np.int32)
-    n = len(mesh.points)
-    graph = csr_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
+    _, label = graph_pieces(len(mesh.points), pairs[inside[pairs[:, 0]] & inside[pairs[:, 1]]])
     size = np.bincount(label, np.where(inside, areas, 0.0))
     return np.asarray(inside & (label == int(np.argmax(size))))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt.
-_CHUNK = 1 << 21
+_CHUNK = 1 << 19
 _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
 
 

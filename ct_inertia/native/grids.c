@@ -1,0 +1,298 @@
+/* Masks and grey values on a grid: connected pieces, growing and shrinking, Gaussians, interpolation. */
+#include "stapes.h"
+
+static int32_t root_of(int32_t *parent, int32_t k)
+{
+    while (parent[k] != k) {
+        parent[k] = parent[parent[k]];
+        k = parent[k];
+    }
+    return k;
+}
+
+static int32_t joined(int32_t *parent, int32_t a, int32_t b)
+{
+    a = root_of(parent, a);
+    b = root_of(parent, b);
+    if (a < b) {
+        parent[b] = a;
+        return a;
+    }
+    parent[a] = b;
+    return b;
+}
+
+/* Number the connected pieces of a mask in the order of their first voxels; 0 elsewhere. Voxels hang together
+ * by faces, with `corners` by edges and corners too. Two passes with union-find (Rosenfeld and Pfaltz 1966,
+ * doi:10.1145/321356.321357). Returns how many pieces there are. */
+API int64_t label_pieces(const uint8_t *mask, const int64_t *shape, int64_t corners, int32_t *labels)
+{
+    const int64_t nz = shape[0], ny = shape[1], nx = shape[2], layer = ny * nx, total = nz * layer;
+    int64_t room = 1 << 16, used = 1, step[13];
+    int move[13][3], count = 0;
+    int32_t *parent = malloc((size_t)room * sizeof *parent);
+    if (!parent)
+        return -1;
+    parent[0] = 0;
+    for (int dz = -1; dz <= 0; dz++)
+        for (int dy = -1; dy <= 1; dy++)
+            for (int dx = -1; dx <= 1; dx++) {
+                const int before = dz < 0 || (dz == 0 && (dy < 0 || (dy == 0 && dx < 0)));
+                if (!before || (!corners && abs(dz) + abs(dy) + abs(dx) > 1))
+                    continue;
+                move[count][0] = dz;
+                move[count][1] = dy;
+                move[count][2] = dx;
+                step[count++] = dz * layer + dy * nx + dx;
+            }
+    for (int64_t z = 0; z < nz; z++)
+        for (int64_t y = 0; y < ny; y++) {
+            const int64_t row = z * layer + y * nx;
+            if (!memchr(mask + row, 1, (size_t)nx)) {
+                memset(labels + row, 0, (size_t)nx * sizeof *labels);
+                continue;
+            }
+            for (int64_t x = 0; x < nx; x++) {
+                int32_t own = 0;
+                if (!mask[row + x]) {
+                    labels[row + x] = 0;
+                    continue;
+                }
+                for (int k = 0; k < count; k++) {
+                    const int64_t y2 = y + move[k][1], x2 = x + move[k][2];
+                    if (z + move[k][0] < 0 || y2 < 0 || y2 >= ny || x2 < 0 || x2 >= nx)
+                        continue;
+                    const int32_t other = labels[row + x + step[k]];
+                    if (other && other != own)
+                        own = own ? joined(parent, own, other) : other;
+                }
+                if (!own) {
+                    if (used == room) {
+                        int32_t *more = used < INT32_MAX / 2 ? realloc(parent, (size_t)(2 * room) * sizeof *parent) : NULL;
+                        if (!more) {
+                            free(parent);
+                            return -1;
+                        }
+                        parent = more;
+                        room *= 2;
+                    }
+                    own = (int32_t)used;
+                    parent[used++] = own;
+                }
+                labels[row + x] = own;
+            }
+        }
+    int32_t pieces = 0;
+    for (int32_t k = 1; k < used; k++) /* roots come before what hangs on them */
+        parent[k] = parent[k] == k ? -(++pieces) : parent[k];
+    for (int32_t k = 1; k < used; k++)
+        if (parent[k] > 0)
+            parent[k] = parent[parent[k]];
+    for (int64_t i = 0; i < total; i++)
+        if (labels[i])
+            labels[i] = -parent[labels[i]];
+    free(parent);
+    return pieces;
+}
+
+/* The box of every piece (z0, z1, y0, y1, x0, x1; one past the last) and how many voxels it has, by number. */
+API void measure_pieces(const int32_t *labels, const int64_t *shape, int64_t count, int64_t *box, int64_t *size)
+{
+    for (int64_t k = 0; k <= count; k++) {
+        size[k] = 0;
+        for (int a = 0; a < 3; a++) {
+            box[6 * k + 2 * a] = shape[a];
+            box[6 * k + 2 * a + 1] = 0;
+        }
+    }
+    for (int64_t z = 0; z < shape[0]; z++)
+        for (int64_t y = 0; y < shape[1]; y++, labels += shape[2])
+            for (int64_t x = 0; x < shape[2];) {
+                const int32_t own = labels[x];
+                const int64_t first = x;
+                while (x < shape[2] && labels[x] == own)
+                    x++;
+                if (own < 0 || own > count)
+                    continue;
+                int64_t *b = box + 6 * own;
+                size[own] += x - first;
+                b[0] = least(b[0], z), b[1] = most(b[1], z + 1);
+                b[2] = least(b[2], y), b[3] = most(b[3], y + 1);
+                b[4] = least(b[4], first), b[5] = most(b[5], x);
+            }
+}
+
+/* The box of a mask, as above; 0 when it is empty. */
+API int64_t used_box(const uint8_t *mask, const int64_t *shape, int64_t *box)
+{
+    const int64_t nx = shape[2];
+    int64_t b[6] = {shape[0], 0, shape[1], 0, nx, 0};
+    for (int64_t z = 0; z < shape[0]; z++)
+        for (int64_t y = 0; y < shape[1]; y++, mask += nx) {
+            const uint8_t *found = memchr(mask, 1, (size_t)nx);
+            if (!found)
+                continue;
+            int64_t last = nx;
+            while (!mask[last - 1])
+                last--;
+            b[0] = least(b[0], z), b[1] = z + 1;
+            b[2] = least(b[2], y), b[3] = most(b[3], y + 1);
+            b[4] = least(b[4], found - mask), b[5] = most(b[5], last);
+        }
+    memcpy(box, b, sizeof b);
+    return b[1] > 0;
+}
+
+static void one_round(const uint8_t *in, const int64_t *shape, uint8_t outside, uint8_t *out)
+{
+    const int64_t nz = shape[0], ny = shape[1], nx = shape[2], layer = ny * nx;
+    for (int64_t z = 0; z < nz; z++)
+        for (int64_t y = 0; y < ny; y++) {
+            const uint8_t *row = in + z * layer + y * nx;
+            uint8_t *to = out + z * layer + y * nx;
+            memcpy(to, row, (size_t)nx);
+            const uint8_t *beside[4] = {z > 0 ? row - layer : NULL, z + 1 < nz ? row + layer : NULL,
+                                        y > 0 ? row - nx : NULL, y + 1 < ny ? row + nx : NULL};
+            for (int k = 0; k < 4; k++)
+                if (beside[k])
+                    for (int64_t x = 0; x < nx; x++)
+                        to[x] |= beside[k][x];
+                else if (outside)
+                    memset(to, 1, (size_t)nx);
+            for (int64_t x = 1; x < nx; x++)
+                to[x] |= row[x - 1];
+            for (int64_t x = 1; x < nx; x++)
+                to[x - 1] |= row[x];
+            to[0] |= outside;
+            to[nx - 1] |= outside;
+        }
+}
+
+/* Grow a mask across faces by some voxels, only `within` another mask when there is one; or shrink it, where
+ * what lies outside the grid counts as empty. */
+API int64_t grown(const uint8_t *mask, const uint8_t *within, const int64_t *shape, int64_t rounds, int64_t shrink,
+                  uint8_t *out)
+{
+    const int64_t total = shape[0] * shape[1] * shape[2];
+    uint8_t *from = malloc((size_t)total);
+    if (!from)
+        return -1;
+    for (int64_t i = 0; i < total; i++)
+        out[i] = shrink ? !mask[i] : mask[i] != 0;
+    for (int64_t k = 0; k < rounds; k++) {
+        memcpy(from, out, (size_t)total);
+        one_round(from, shape, shrink != 0, out);
+        if (within)
+            for (int64_t i = 0; i < total; i++)
+                out[i] = within[i] ? out[i] : mask[i] != 0;
+    }
+    if (shrink)
+        for (int64_t i = 0; i < total; i++)
+            out[i] = !out[i];
+    free(from);
+    return 0;
+}
+
+/* Voxels with more than half of the 27 around them in the mask; the outermost voxels come out empty. */
+API void majority(const uint8_t *mask, const int64_t *shape, uint8_t *out)
+{
+    const int64_t nz = shape[0], ny = shape[1], nx = shape[2], layer = ny * nx;
+    memset(out, 0, (size_t)(nz * layer));
+    for (int64_t z = 1; z + 1 < nz; z++)
+        for (int64_t y = 1; y + 1 < ny; y++)
+            for (int64_t x = 1; x + 1 < nx; x++) {
+                const uint8_t *at = mask + z * layer + y * nx + x;
+                int sum = 0;
+                for (int64_t dz = -layer; dz <= layer; dz += layer)
+                    for (int64_t dy = -nx; dy <= nx; dy += nx)
+                        sum += at[dz + dy - 1] + at[dz + dy] + at[dz + dy + 1];
+                out[z * layer + y * nx + x] = sum > 13;
+            }
+}
+
+static int64_t mirrored(int64_t k, int64_t n)
+{
+    k %= 2 * n;
+    if (k < 0)
+        k += 2 * n;
+    return k < n ? k : 2 * n - 1 - k;
+}
+
+/* Convolve with a symmetric kernel, weights[0] in the middle, along one axis; d c b a | a b c d | d c b a beyond
+ * the border. The sums are in double precision, from the outermost pair inward. */
+API int64_t smooth_axis(const float *in, const int64_t *shape, int64_t axis, int64_t radius, const double *weights,
+                        float *out)
+{
+    const int64_t n = shape[axis];
+    int64_t outer = 1, inner = 1;
+    for (int64_t a = 0; a < axis; a++)
+        outer *= shape[a];
+    for (int64_t a = axis + 1; a < 3; a++)
+        inner *= shape[a];
+    const int64_t width = inner == 1 ? n + 2 * radius : least(inner, 512);
+    double *sum = malloc((size_t)width * sizeof *sum);
+    if (!sum)
+        return -1;
+    for (int64_t o = 0; o < outer; o++) {
+        const float *from = in + o * n * inner;
+        float *to = out + o * n * inner;
+        if (inner == 1) {
+            for (int64_t k = -radius; k < n + radius; k++)
+                sum[k + radius] = from[k >= 0 && k < n ? k : mirrored(k, n)];
+            for (int64_t k = 0; k < n; k++) {
+                const double *at = sum + radius + k;
+                double total = at[0] * weights[0];
+                for (int64_t j = radius; j > 0; j--)
+                    total += (at[-j] + at[j]) * weights[j];
+                to[k] = (float)total;
+            }
+            continue;
+        }
+        for (int64_t start = 0; start < inner; start += width) {
+            const int64_t count = least(width, inner - start);
+            for (int64_t k = 0; k < n; k++) {
+                const float *middle = from + k * inner + start;
+                for (int64_t i = 0; i < count; i++)
+                    sum[i] = (double)middle[i] * weights[0];
+                for (int64_t j = radius; j > 0; j--) {
+                    const float *a = from + mirrored(k - j, n) * inner + start;
+                    const float *b = from + mirrored(k + j, n) * inner + start;
+                    const double w = weights[j];
+                    for (int64_t i = 0; i < count; i++)
+                        sum[i] += ((double)a[i] + (double)b[i]) * w;
+                }
+                for (int64_t i = 0; i < count; i++)
+                    to[k * inner + start + i] = (float)sum[i];
+            }
+        }
+    }
+    free(sum);
+    return 0;
+}
+
+/* Grey values at places (n, 3; z, y, x) by linear interpolation, those of the border beyond it. */
+API void interpolated(const float *grey, const int64_t *shape, const double *places, int64_t count, double *out)
+{
+    for (int64_t k = 0; k < count; k++) {
+        int64_t low[3], high[3];
+        double share[3];
+        for (int a = 0; a < 3; a++) {
+            double p = places[3 * k + a];
+            if (!(p > 0.0))
+                p = 0.0;
+            if (p > (double)(shape[a] - 1))
+                p = (double)(shape[a] - 1);
+            low[a] = (int64_t)p;
+            high[a] = least(low[a] + 1, shape[a] - 1);
+            share[a] = p - (double)low[a];
+        }
+        double total = 0.0;
+        for (int c = 0; c < 8; c++) {
+            const int64_t z = c & 4 ? high[0] : low[0], y = c & 2 ? high[1] : low[1], x = c & 1 ? high[2] : low[2];
+            const double w = (c & 4 ? share[0] : 1.0 - share[0]) * (c & 2 ? share[1] : 1.0 - share[1]) *
+                             (c & 1 ? share[2] : 1.0 - share[2]);
+            total += w * grey[(z * shape[1] + y) * shape[2] + x];
+        }
+        out[k] = total;
+    }
+}

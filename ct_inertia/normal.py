@@ -1,0 +1,40 @@
+"""The normal distribution, by compiled kernels where there are any."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.native import compiled
+
+Array = NDArray[np.float64]
+
+
+def normal_cdf(z: Any) -> Array:
+    """Return the share of the standard normal distribution below z; any shape."""
+    kernels = compiled()
+    if kernels is None:
+        from scipy.special import ndtr
+
+        return np.asarray(ndtr(np.asarray(z, dtype=float)))
+    return _each(kernels.normal_cdf, z)
+
+
+def normal_quantile(share: Any) -> Array:
+    """Return where the standard normal distribution has a share (0 to 1) below; any shape."""
+    kernels = compiled()
+    if kernels is None:
+        from scipy.special import ndtri
+
+        return np.asarray(ndtri(np.asarray(share, dtype=float)))
+    return _each(kernels.normal_quantile, share)
+
+
+def _each(kernel: Any, values: Any) -> Array:
+    given = np.asarray(values, dtype=float)
+    flat = np.ascontiguousarray(given.ravel())
+    out = np.empty_like(flat)
+    kernel(flat.ctypes.data, flat.size, out.ctypes.data)
+    return out.reshape(given.shape)

@@ -1,0 +1,115 @@
+"""Builds the compiled kernels of ct_inertia when stapeskit is installed or packed.
+
+    python hatch_build.py        builds them in place
+
+The system's C compiler comes first (`CC`, cc, gcc, clang), else zig's, a wheel that is required for the
+build where there is none. Where nothing compiles, stapeskit is installed without them and computes the same
+numbers, more slowly, in numpy, scipy and VTK. `STAPESKIT_KERNELS=numpy` leaves them out on purpose.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parent / "ct_inertia" / "native"
+FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
+STRICT = ["-Wall", "-Wextra", "-Werror"]
+
+
+def system_compiler() -> list[str] | None:
+    """Return the command of the system's C compiler, if there is one."""
+    given = shlex.split(os.environ.get("CC", ""))
+    for command in (given, ["cc"], ["gcc"], ["clang"]):
+        if command and shutil.which(command[0]):
+            return command
+    return None
+
+
+def compiler() -> list[str] | None:
+    """Return the command of a C compiler: the system's, or zig's."""
+    found = system_compiler()
+    if found is None:
+        try:
+            import ziglang  # noqa: F401
+        except ImportError:
+            return None
+        found = [sys.executable, "-m", "ziglang", "cc"]
+    return found
+
+
+def library_name() -> str:
+    """Return the file name of the library, which carries a check sum of its sources."""
+    total = 0
+    for source in sorted(FOLDER.glob("*.[ch]")):
+        total = zlib.crc32(source.read_bytes().replace(b"\r\n", b"\n"), total)
+    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    return f"kernels-{total:08x}{ending}"
+
+
+def build(strict: bool = False) -> Path | None:
+    """Compile the kernels beside their sources; return the library, or None with a word why not."""
+    if os.environ.get("STAPESKIT_KERNELS") == "numpy":
+        return None
+    target = FOLDER / library_name()
+    if target.is_file() and not strict:
+        return target
+    command = compiler()
+    if command is None:
+        sys.stderr.write("stapeskit: no C compiler; the kernels are left out, and numpy takes their place\n")
+        return None
+    with tempfile.TemporaryDirectory(dir=FOLDER) as place:
+        made = Path(place) / target.name
+        line = [*command, *FLAGS, *(STRICT if strict else []), "-o", str(made)]
+        line += [str(source) for source in sorted(FOLDER.glob("*.c"))]
+        line += [] if sys.platform == "win32" else ["-fPIC", "-lm"]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        if done.returncode or not made.is_file():
+            sys.stderr.write(
+                f"stapeskit: the kernels could not be compiled; numpy takes their place\n{done.stderr}"
+            )
+            return None
+        for old in FOLDER.glob("kernels-*"):
+            old.unlink()
+        made.replace(target)
+    return target
+
+
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ImportError:  # built in place, without hatchling
+    BuildHookInterface = object  # type: ignore[assignment, misc]
+
+
+class KernelHook(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
+    """Compiles the kernels before a wheel is packed or installed in place."""
+
+    def dependencies(self) -> list[str]:
+        """Return what the build needs: zig's compiler where the system has none."""
+        off = os.environ.get("STAPESKIT_KERNELS") == "numpy"
+        return [] if self.target_name != "wheel" or off or system_compiler() else ["ziglang"]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and tag the wheel for this platform when that worked."""
+        del version  # standard or editable: both hold the library
+        if self.target_name != "wheel":
+            return
+        library = build()
+        if library is None:
+            return
+        build_data["pure_python"] = False
+        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data["tag"] = f"py3-none-{platform}"
+        build_data["artifacts"].append(f"/{library.relative_to(FOLDER.parents[1]).as_posix()}")
+
+
+if __name__ == "__main__":
+    sys.exit(0 if build(strict="--strict" in sys.argv) else 1)
