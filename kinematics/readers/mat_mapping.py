@@ -4,9 +4,9 @@ The file beside ``scan.mat`` (``--mapping FILE``, or ``scan.mat.toml`` found by 
 
     frequency = "f"            # F numbers, Hz
     position = "xyz"           # points x 3 (left out: from --points)
-    position_unit = "m"        # m, mm or um
+    position_unit = "m"        # m, mm or um (left out: by the ending _mm of the name, or --length-unit)
     points = "names"           # names or numbers of the points (left out: 1, 2, 3, ...)
-    amplitude = "peak"         # or "rms"
+    amplitude = "peak"         # or "rms" (left out: --amplitude)
     convention = "+"           # e^{+iwt}; "-" for e^{-iwt}, which is conjugated
     each = ""                  # name of a struct array or cell array with one element a point, if any
 
@@ -89,7 +89,7 @@ class Layout:
     position: str = ""
     position_unit: str = ""
     points: str = ""
-    amplitude: str = "peak"
+    amplitude: str = ""
     convention: str = "+"
     each: str = ""
     body: str = ""

@@ -26,9 +26,9 @@ from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 
 Array = NDArray[np.float64]
+_LENGTH_END = r"_(mm|um|m)$"
 _SCALES = {"m": 1e3, "mm": 1.0, "um": 1e-3}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_LARGEST_M = 0.5
 
 
 def read(path: Path, mapping: Path | None = None) -> Recordings:
@@ -46,14 +46,33 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
         The file is damaged, its layout is not recognised (the variables found are listed), a unit is
         missing or unknown, shapes do not match, or values are not complex.
     """
-    path = Path(path)
-    tree = read_mat(path)
+    return with_mapping(read_mat(Path(path)), Path(path), mapping)
+
+
+def with_mapping(tree: Mapping[str, Any], path: Path, mapping: Path | None) -> Recordings:
+    """Read variables as a mapping says; without one as ``<path>.toml`` says, else by their names.
+
+    Raises
+    ------
+    KinematicsError
+        As in read.
+    """
     beside = path.with_name(path.name + ".toml")
     if mapping is None and beside.is_file():
         mapping = beside
     if mapping is not None:
-        layout = read_mapping(mapping)
-        return _joined([_from_layout(tree, layout, path.name, tree)], path.name)
+        return _joined([_from_layout(tree, read_mapping(mapping), path.name, tree)], path.name)
+    return of_tree(tree, path)
+
+
+def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
+    """Recognise a layout in the variables of a file.
+
+    Raises
+    ------
+    KinematicsError
+        None is recognised; the variables found are listed.
+    """
     blocks = _found(tree, tree, path.name)
     if not blocks:
         raise KinematicsError(_unrecognised(tree, path))
@@ -72,7 +91,13 @@ def _unrecognised(tree: Mapping[str, Any], path: Path) -> str:
 def _joined(blocks: list[Recordings], name: str) -> Recordings:
     recordings = tuple(one for block in blocks for one in block.recordings)
     notices = tuple(dict.fromkeys(notice for block in blocks for notice in block.notices))
-    return Recordings(recordings, notices, f"MATLAB file {name}")
+    return Recordings(
+        recordings,
+        notices,
+        f"variables of {name}",
+        amplitude_stated=all(block.amplitude_stated for block in blocks),
+        length_stated=all(block.length_stated for block in blocks),
+    )
 
 
 def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> list[Recordings]:
@@ -112,7 +137,7 @@ def _elements(
     for number, (part, layout) in enumerate(zip(parts, layouts, strict=True), 1):
         if layout is None:
             text = f"element {number} holds no spectrum and is left out ({where})."
-            blocks.append(Recordings((), (Notice("missing_point", text),)))
+            blocks.append(Recordings((), (Notice("missing_point", text),), amplitude_stated=True))
         else:
             blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
     return blocks
@@ -139,7 +164,6 @@ def _from_layout(
         step = "Say which variable holds the frequencies in a mapping"
         raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", "others", where, step))
     recordings: list[Recording] = []
-    notices: list[Notice] = []
     for signal in layout.signal:
         values, name = _values(space, signal, len(freq), where, tree)
         unit = _unit(space, signal, name, where, tree)
@@ -147,8 +171,7 @@ def _from_layout(
         if layout.convention == "-":
             values = values.conj()
         names = _names(space, layout, len(values), where, tree, point)
-        places, told = _positions(space, layout, len(values), where, tree)
-        notices += told
+        places = _positions(space, layout, len(values), where, tree)
         coherence = _companion(space, signal.coherence, values.shape, where, tree)
         spread = _companion(space, signal.sd, values.shape, where, tree)
         count = _count(space, signal, where, tree)
@@ -172,7 +195,12 @@ def _from_layout(
                         per=unit.per,
                     )
                 )
-    return Recordings(tuple(recordings), tuple(dict.fromkeys(notices)))
+    length = bool(layout.position_unit or re.search(_LENGTH_END, layout.position))
+    return Recordings(
+        tuple(recordings),
+        amplitude_stated=bool(layout.amplitude),
+        length_stated=length or not layout.position,
+    )
 
 
 def _variable(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> Any:
@@ -274,9 +302,9 @@ def _names(
 
 def _positions(
     space: Mapping[str, Any], layout: Layout, count: int, where: str, tree: Mapping[str, Any]
-) -> tuple[list[Array], list[Notice]]:
+) -> list[Array]:
     if not layout.position:
-        return [unknown_vector()] * count, []
+        return [unknown_vector()] * count
     found = np.asarray(_numbers(space, layout.position, where, tree), dtype=float)
     if found.shape == (3, count) and count != 3:
         found = found.T
@@ -286,21 +314,10 @@ def _positions(
         got = " x ".join(map(str, found.shape))
         raise KinematicsError(sentence(layout.position, want, got, where))
     unit = layout.position_unit
-    ending = re.search(r"_(mm|um|m)$", layout.position)
+    ending = re.search(_LENGTH_END, layout.position)
     if unit or ending:
-        return list(found * _SCALES[unit or (ending[1] if ending else "m")]), []
-    extent = float(np.nanmax(np.ptp(found, axis=0))) if np.any(np.isfinite(found)) else 0.0
-    if extent > _LARGEST_M:
-        step = 'Say position_unit = "mm" in a mapping if they are mm'
-        got = f"points {extent:g} apart"
-        raise KinematicsError(
-            sentence(layout.position, "in m, as GetXYZCoordinates returns them", got, where, step)
-        )
-    text = (
-        f"positions of {layout.position} are taken in m, as GetXYZCoordinates returns them: the points lie "
-        f"within {1e3 * extent:.3g} mm of each other. A mapping can say another unit."
-    )
-    return list(found * 1e3), [Notice("position_unit_assumed", text)]
+        return list(found * _SCALES[unit or (ending[1] if ending else "m")])
+    return list(found * 1e3)
 
 
 def _companion(

@@ -1,0 +1,324 @@
+"""Read and write spectra in HDF5: a small layout of its own that any program can write.
+
+The file ``ldv.h5``:
+
+=============  =======================  ==============================================================
+name           shape                    holds
+=============  =======================  ==============================================================
+freq_hz        (freq)                   Hz, ascending
+re, im         (channel, freq) or       the value along the beam, positive towards the laser head, or one
+               (run, channel, freq)     complex data set ``value`` (compound with two fields)
+direction      (channel, 3)             unit vectors towards the laser head
+position_mm    (channel, 3)             optional: else from --points
+sd             as re, or (channel)      optional: of the real (= imaginary) part, in the unit of the value
+coherence      as re                    optional
+n_avg          scalar or (channel)      optional
+body, point    (channel) texts          data sets, or attributes of the file with semicolons between them
+run            (run) texts              the same, optional
+=============  =======================  ==============================================================
+
+Attributes of the file: ``schema = "stapeskit.ldv/1"``, ``unit`` (``m/s``, ``nm``, ``(m/s)/V``, ...),
+``amplitude`` (``peak`` or ``rms``), ``convention`` (``+`` for e^{+iwt}, default, or ``-``). MATLAB writes
+dimensions in reverse; that is recognised by the length of freq_hz, and where both orders would fit the
+attribute ``dims`` says which: ``channel,freq`` or ``freq,channel``, as h5dump shows them.
+
+In MATLAB (v: channels x F, complex)::
+
+    h5create('ldv.h5', '/freq_hz', numel(f));      h5write('ldv.h5', '/freq_hz', f(:));
+    h5create('ldv.h5', '/re', size(v));            h5write('ldv.h5', '/re', real(v));
+    h5create('ldv.h5', '/im', size(v));            h5write('ldv.h5', '/im', imag(v));
+    h5create('ldv.h5', '/direction', size(d));     h5write('ldv.h5', '/direction', d);
+    h5create('ldv.h5', '/position_mm', size(p));   h5write('ldv.h5', '/position_mm', p);
+    h5writeatt('ldv.h5', '/', 'schema', 'stapeskit.ldv/1');
+    h5writeatt('ldv.h5', '/', 'unit', 'm/s');
+    h5writeatt('ldv.h5', '/', 'amplitude', 'peak');
+    h5writeatt('ldv.h5', '/', 'body', strjoin(body, ';'));
+    h5writeatt('ldv.h5', '/', 'point', strjoin(point, ';'));
+
+Other HDF5 files are read when their names and shapes are those that kinematics.readers.matlab knows, or as
+a mapping says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
+from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.unit_labels import MOTIONS, motion_unit
+
+Array = NDArray[np.float64]
+SCHEMA = "stapeskit.ldv/1"
+_DEEPEST = 6
+
+
+def read(path: Path, mapping: Path | None = None) -> Recordings:
+    """Read spectra from an HDF5 file.
+
+    Parameters
+    ----------
+    path : Path
+    mapping : Path, optional
+        Which data set is what, for files of other layouts; see kinematics.readers.mat_mapping.
+
+    Raises
+    ------
+    KinematicsError
+        The file is damaged or of another layout (its data sets are listed), something is missing, has
+        another shape, or is of an unknown unit; all faults together.
+    """
+    from kinematics.readers.matlab import with_mapping
+
+    path = Path(path)
+    with opened(path, "an HDF5 file") as file:
+        if mapping is None and "freq_hz" in file and ("re" in file or "value" in file):
+            return _own(file, path.name)
+        tree = plain_tree(file, path.name)
+    return with_mapping(tree, path, mapping)
+
+
+def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
+    """Return groups as dictionaries, data sets as arrays or texts.
+
+    Raises
+    ------
+    KinematicsError
+        A data set claims more than the file holds.
+    """
+    import h5py
+
+    tree: dict[str, Any] = {}
+    for name, node in group.items():
+        if isinstance(node, h5py.Group):
+            if depth < _DEEPEST:
+                tree[name] = plain_tree(node, f"{where}, {name}", depth + 1)
+        elif h5py.check_string_dtype(node.dtype) is not None:
+            texts = texts_of(array_of(node, f"{where}, {name}"))
+            tree[name] = texts[0] if len(texts) == 1 else texts
+        elif node.dtype.kind in "fiubc" or node.dtype.names:
+            tree[name] = complex_of(array_of(node, f"{where}, {name}"))
+    return tree
+
+
+def _own(file: Any, name: str) -> Recordings:
+    freq = array_of(file["freq_hz"], f"{name}, freq_hz").astype(float).reshape(-1)
+    value, turned = _value(file, name, len(freq))
+    runs, channels = value.shape[:2]
+    faults: list[str] = []
+    unit = motion_unit(_attribute(file, "unit"))
+    if unit is None:
+        got = f'"{_attribute(file, "unit")}"' if "unit" in file.attrs else "none"
+        faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name))
+    schema, amplitude = _attribute(file, "schema"), _attribute(file, "amplitude")
+    if schema not in ("", SCHEMA):
+        faults.append(sentence("the attribute schema", SCHEMA, schema, name))
+    if amplitude not in ("", "peak", "rms"):
+        faults.append(sentence("the attribute amplitude", "peak or rms", amplitude, name))
+    sign = _attribute(file, "convention") or "+"
+    if sign not in ("+", "-"):
+        faults.append(sentence("the attribute convention", "+ or -", sign, name))
+    points = _texts(file, "point", channels, name, faults)
+    bodies = _texts(file, "body", channels, name, faults) or [""] * channels
+    run_names = _texts(file, "run", runs, name, faults) or [""] * runs
+    direction = _vectors(file, "direction", channels, turned, name, faults)
+    position = _vectors(file, "position_mm", channels, turned, name, faults)
+    spread = _like(file, "sd", value.shape, turned, name, faults)
+    coherence = _like(file, "coherence", value.shape, turned, name, faults)
+    count = _like(file, "n_avg", (1, channels, 1), turned, name, faults)
+    if not points and not faults:
+        step = "Write it as a data set of texts, or as an attribute with semicolons"
+        faults.append(sentence("point", f"the names of {channels} channels", "none", name, step))
+    if np.any(~np.isfinite(freq)) or np.any(np.diff(freq) <= 0.0):
+        faults.append(sentence("freq_hz", "ascending and finite", "others", name, "Sort the lines"))
+    raise_all(KinematicsError, faults)
+    if unit is None:
+        raise KinematicsError(sentence("the attribute unit", "known", "none", name))
+    scale = unit.scale * (np.sqrt(2.0) if amplitude == "rms" else 1.0)
+    value = value.conj() if sign == "-" else value
+    made = []
+    for run in range(runs):
+        for k in range(channels):
+            if np.all(np.isnan(value[run, k])):
+                continue
+            made.append(
+                Recording(
+                    points[k],
+                    freq,
+                    value[run, k] * scale,
+                    unit.order,
+                    f"{name}, channel {k + 1}" + (f", run {run + 1}" if runs > 1 else ""),
+                    run_names[run] or (str(run + 1) if runs > 1 else ""),
+                    bodies[k],
+                    position[k],
+                    direction[k],
+                    None if spread is None else spread[run, k] * scale,
+                    None if coherence is None else coherence[run, k],
+                    None if count is None else float(count[0, k, 0]),
+                    per=unit.per,
+                )
+            )
+    return Recordings(
+        tuple(made), (), "position_mm, direction", name, amplitude_stated=bool(amplitude), length_stated=True
+    )
+
+
+def _attribute(file: Any, name: str) -> str:
+    return text_of(file.attrs[name]).strip() if name in file.attrs else ""
+
+
+def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bool]:
+    """Return values (run, channel, freq) and whether dimensions are written in reverse."""
+    if "value" in file:
+        found = complex_of(array_of(file["value"], f"{name}, value"))
+    elif "im" in file:
+        parts = [array_of(file[part], f"{name}, {part}").astype(float) for part in ("re", "im")]
+        if parts[0].shape != parts[1].shape:
+            got = f"{parts[0].shape} and {parts[1].shape}"
+            raise KinematicsError(sentence("re and im", "of one shape", got, name))
+        found = parts[0] + 1j * parts[1]
+    else:
+        step = "Write the imaginary part: without phase there is no motion"
+        raise KinematicsError(sentence("the data set im", "in the file", "re alone", name, step))
+    if found.dtype.kind not in "c":
+        raise KinematicsError(sentence("value", "complex", "real numbers", name, "Write re and im"))
+    dims = _attribute(file, "dims").replace(" ", "")
+    if dims not in ("", "channel,freq", "run,channel,freq", "freq,channel", "freq,channel,run"):
+        raise KinematicsError(sentence("the attribute dims", "channel,freq or freq,channel", dims, name))
+    if found.ndim not in (2, 3) or lines not in (found.shape[0], found.shape[-1]):
+        want = f"of shape (channel, freq) with {lines} frequencies"
+        raise KinematicsError(sentence("the values", want, found.shape, name))
+    if not dims and found.shape[0] == found.shape[-1]:
+        step = 'Write the attribute dims, "channel,freq" or (MATLAB) "freq,channel"'
+        raise KinematicsError(
+            sentence("the order of dimensions", "clear", "as many channels as lines", name, step)
+        )
+    turned = dims.startswith("freq") if dims else found.shape[-1] != lines
+    found = found.T if turned else found
+    if found.shape[-1] != lines:
+        raise KinematicsError(sentence("the values", f"as dims says, {dims}", found.shape, name))
+    return np.asarray(found[None] if found.ndim == 2 else found, dtype=complex), turned
+
+
+def _texts(file: Any, key: str, count: int, name: str, faults: list[str]) -> list[str]:
+    if key in file:
+        node = file[key]
+        values = array_of(node, f"{name}, {key}")
+        texts = [f"{v:g}" for v in values.reshape(-1)] if values.dtype.kind in "fiu" else texts_of(values)
+    elif key in file.attrs:
+        raw = file.attrs[key]
+        texts = [text_of(one) for one in np.asarray(raw).reshape(-1)]
+        texts = [part.strip() for part in texts[0].split(";")] if len(texts) == 1 else texts
+    else:
+        return []
+    if len(texts) == 1 and key == "body":
+        texts = texts * count
+    if len(texts) != count or not all(texts):
+        faults.append(sentence(key, f"{count} names", f"{len([t for t in texts if t])}", name))
+        return []
+    return texts
+
+
+def _vectors(file: Any, key: str, count: int, turned: bool, name: str, faults: list[str]) -> Array:
+    unknown = np.tile(unknown_vector(), (count, 1))
+    if key not in file:
+        return unknown
+    found = array_of(file[key], f"{name}, {key}")
+    found = found.T if turned else found
+    if found.shape != (count, 3) or found.dtype.kind not in "fiu":
+        faults.append(sentence(key, f"numbers of shape ({count}, 3)", found.shape, name))
+        return unknown
+    return found.astype(float)
+
+
+def _like(
+    file: Any, key: str, shape: tuple[int, ...], turned: bool, name: str, faults: list[str]
+) -> Array | None:
+    if key not in file:
+        return None
+    found = array_of(file[key], f"{name}, {key}")
+    found = found.T if turned else found
+    found = found.reshape(1, -1, 1) if found.ndim == 1 and found.size == shape[1] else found
+    try:
+        return np.broadcast_to(found.astype(float), shape)
+    except ValueError:
+        faults.append(sentence(key, f"of shape {shape[1:]} or ({shape[1]},)", found.shape, name))
+        return None
+
+
+def write_hdf5(
+    path: Path,
+    freq_hz: ArrayLike,
+    value: ArrayLike,
+    *,
+    point: Sequence[str],
+    direction: ArrayLike,
+    unit: str,
+    body: Sequence[str] | str = "",
+    position_mm: ArrayLike | None = None,
+    sd: ArrayLike | None = None,
+    coherence: ArrayLike | None = None,
+    n_avg: ArrayLike | None = None,
+    run: Sequence[str] = (),
+    amplitude: str = "peak",
+) -> None:
+    """Write spectra in the layout that `read` knows.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced when it exists.
+    freq_hz : array_like, (freq,)
+    value : array_like, (channel, freq) or (run, channel, freq), complex
+        In ``unit``, e^{+iwt}.
+    point : sequence of str, (channel,)
+    direction : array_like, (channel, 3)
+        Unit vectors towards the laser head.
+    unit : str
+        ``m/s``, ``nm``, ``(m/s)/V``, ...
+    body : sequence of str, (channel,), or str
+        Empty when it is told elsewhere.
+    position_mm : array_like, (channel, 3), optional
+    sd, coherence : array_like, shape of ``value``, optional
+    n_avg : array_like, scalar or (channel,), optional
+    run : sequence of str, (run,)
+    amplitude : str
+        ``peak`` or ``rms``.
+
+    Raises
+    ------
+    KinematicsError
+        A shape, unit or name that `read` would refuse.
+    """
+    from kinematics.output import staged
+
+    path = Path(path)
+    numbers = np.asarray(value, dtype=complex)
+    with staged(path.parent) as stage:
+        import h5py
+
+        with h5py.File(stage / path.name, "w") as file:
+            file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
+            file.attrs["convention"] = "+"
+            file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"
+            file["freq_hz"] = np.asarray(freq_hz, dtype=float)
+            file["re"], file["im"] = numbers.real, numbers.imag
+            more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
+            for name, array in {"direction": direction, **more}.items():
+                if array is not None:
+                    file[name] = np.asarray(array, dtype=float)
+            texts = {
+                "point": point,
+                "run": run,
+                "body": [body] * len(point) if isinstance(body, str) else body,
+            }
+            for name, words in texts.items():
+                if any(words):
+                    file.create_dataset(name, data=list(words), dtype=h5py.string_dtype())
+        with opened(stage / path.name, path.name) as file:
+            _own(file, path.name)
