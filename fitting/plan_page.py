@@ -61,8 +61,8 @@ def _entries(found: Expectation) -> Section:
         page.figure(
             _figure(found.options),
             "Expected standard deviation of every entry, channel noise alone, relative to sqrt(Xii Xjj) for "
-            "entry (i, j) of X = K or D. Left of the dashed line (10 %) an entry is known well; entries far to "
-            "the right are not measured by this plan.",
+            "entry (i, j) of X = K or D. Left of the dashed line (10 %) an entry is known well; entries far "
+            "to the right are not measured by this plan.",
             "expected relative standard deviation of every entry for the plan and its changes",
         )
     )
