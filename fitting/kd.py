@@ -64,6 +64,8 @@ class KDOptions:
         Bounds of entries in SI by name, e.g. ``{"K11": 100.0}`` (constrained only).
     bands : int
         Parts of the band in which K and D are compared with those of the whole; 0 for none.
+    profile : bool
+        Whether to look for profile likelihood intervals where the data are weak.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class KDOptions:
     lower: Mapping[str, float] = field(default_factory=dict)
     upper: Mapping[str, float] = field(default_factory=dict)
     bands: int = USUAL_BANDS
+    profile: bool = True
 
     def __post_init__(self) -> None:
         faults = []
@@ -366,7 +369,7 @@ def _result(
         problem,
         (),
     )
-    if known.weak and known.worst < _HOPELESS and budget.method == "fisher":
+    if options.profile and known.weak and known.worst < _HOPELESS and budget.method == "fisher":
         ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)
         fit = replace(fit, profile=ends * problem.units[:, None])
     if options.bands:

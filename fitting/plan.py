@@ -169,7 +169,8 @@ def _ways(plan: Plan) -> list[tuple[str, Plan]]:
 
 
 def _fit(plan: Plan) -> KDFit:
-    return fit_kd(planned_motion(plan), plan.mass, KDOptions(dof=plan.dof, damping=plan.law.name))
+    options = KDOptions(dof=plan.dof, damping=plan.law.name, bands=0, profile=False)
+    return fit_kd(planned_motion(plan), plan.mass, options)
 
 
 def planned_motion(plan: Plan) -> RigidMotion:
