@@ -58,7 +58,19 @@ _POSITIONS = (
     "position",
     "position_mm",
 )
-_POINTS = ("points", "point", "names", "labels", "index", "indices", "indexes", "point_index", "pointindex")
+_POINTS = (
+    "points",
+    "point",
+    "names",
+    "name",
+    "label",
+    "labels",
+    "index",
+    "indices",
+    "indexes",
+    "point_index",
+    "pointindex",
+)
 _COHERENCES = ("coh", "coherence", "gamma2")
 _COUNTS = ("n_avg", "navg", "averages", "n_averages")
 _BEAM = re.compile(r"^(?P<stem>.+?)_?(?P<axis>[xyzXYZ])$")
@@ -199,9 +211,23 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
     return Layout(
         frequency,
         next((low[name] for name in _POSITIONS if name in low), ""),
-        points=next((low[name] for name in _POINTS if name in low), ""),
+        points=_point_names(space, low, signals[0], count),
         signal=tuple(made),
     )
+
+
+def _point_names(space: Mapping[str, Any], low: Mapping[str, str], signal: Signal, count: int) -> str:
+    """Return the variable with one name or number for every row of the values."""
+    shape = np.shape(_stacked(space[signal.value or signal.value_re]))
+    rows = shape[0] if shape[1] in (count, 2 * count) else shape[1]
+    for name in _POINTS:
+        found = space.get(low.get(name, ""), None)
+        size = 1 if isinstance(found, str) else np.size(found) if isinstance(found, np.ndarray) else None
+        if isinstance(found, list) and not any(isinstance(one, (dict, list)) for one in found):
+            size = len(found)
+        if size == rows:
+            return low[name]
+    return ""
 
 
 def _is_axis(value: Any) -> bool:
@@ -229,7 +255,7 @@ stacked = _stacked
 
 def _is_value(name: str, value: Any, count: int) -> bool:
     value = _stacked(value)
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fc" or value.ndim < 2:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiuc" or value.ndim < 2:
         return False
     if name.lower().startswith((*_COHERENCES, "ref", "sd")) or name.lower() in _POSITIONS:
         return False

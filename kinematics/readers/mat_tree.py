@@ -84,7 +84,7 @@ def _scipy_tree(path: Path) -> Tree:
     from scipy.io import loadmat
 
     try:
-        found = loadmat(path, struct_as_record=False, squeeze_me=False, mat_dtype=True, appendmat=False)
+        found = loadmat(path, struct_as_record=False, squeeze_me=False, appendmat=False)
         return {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
     except Exception as fault:  # the parser meets damaged bytes with errors of many kinds
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
