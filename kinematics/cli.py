@@ -19,8 +19,8 @@ _EPILOG = """\
 Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
 they measure the same points again:
   tidy table      .csv, below
-  universal file  .uff, .unv: functions 58 and 58b (frequency responses, spectra, coherence), nodes 15 or 2411,
-                  coordinate systems 18 or 2420, units 164
+  universal file  .uff, .unv: functions 58 and 58b (frequency responses, spectra, coherence),
+                  nodes 15 or 2411, coordinate systems 18 or 2420, units 164
   PSV text        a folder of a FastScan (one file per frequency) or of single points (Real & Imag.)
   MATLAB, HDF5    .mat (v5, v7.3), .h5
   time series     .csv with a column time_s, .npz, .wav

@@ -48,7 +48,7 @@ density_kg_m3 = "1900+-60"
 # body, point, [x_mm, y_mm, z_mm,] dir_x, dir_y, dir_z, freq_hz, re_m_s, im_m_s [, sd_m_s] ...
 file = "ldv.csv"
 # Or exports of the measuring system (universal file, folder of PSV text, .mat, .h5, time series); several as
-# a list ["first.uff", "second.uff"]: parts of one measurement, or runs when they measure the same points again.
+# a list ["first.uff", "second.uff"]: parts of one measurement, or runs when they measure the same points.
 # Where such files do not say it: the points of each body (numbers, ranges, FILE or FILE:1-9), the excitation
 # of each file, the direction towards the laser head, peak or rms, the unit of positions.
 # body = { stapes = "1-10", base = "11-19" }

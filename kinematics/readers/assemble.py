@@ -218,7 +218,7 @@ def _level(one: Recording) -> float | None:
 
 
 def _channel(one: Recording) -> Channel:
-    x, y, z = (int(round(value * 1e6)) for value in one.direction)
+    x, y, z = (round(float(value) * 1e6) for value in one.direction)
     return one.body, one.point, (x, y, z)
 
 

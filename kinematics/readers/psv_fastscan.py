@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +141,7 @@ def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Noti
 
 def _check_once(lines: Sequence[_Line]) -> None:
     faults = []
-    for one, two in zip(lines[:-1], lines[1:], strict=True):
+    for one, two in pairwise(lines):
         if two.freq_hz - one.freq_hz <= 1e-9 * two.freq_hz:
             step = "Put every excitation into a folder of its own, and give all folders"
             thing = f"the frequency {two.freq_hz:g} Hz"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +82,7 @@ def read(path: Path) -> Recordings:
     coherence = _coherences(functions)
     made = [_recording(motion, geometry, runs, coherence, path.name) for motion in chosen]
     _check_once(made, chosen)
+    made = _repeats(made, chosen)
     notices += geometry.notices
     stated = geometry.length_factor is not None
     units = f"lengths by dataset 164, {geometry.length_factor:g} per metre" if stated else "lengths as metres"
@@ -336,6 +337,16 @@ def _matched(coherence: Function, freq: Array, where: str) -> Array | None:
         got = f"{value.min():g} to {value.max():g}"
         raise KinematicsError(sentence("the coherence", "within 0 and 1", got, where, "Export it again"))
     return np.clip(value, 0.0, 1.0)
+
+
+def _repeats(made: Sequence[Recording], chosen: Sequence[_Motion]) -> list[Recording]:
+    """Name repeats by the version number where one channel is there in several."""
+    channels = Counter((one.point, one.direction.tobytes(), one.run) for one in made)
+    if max(channels.values()) == 1:
+        return list(made)
+    return [
+        replace(one, repeat=str(motion.function.version)) for one, motion in zip(made, chosen, strict=True)
+    ]
 
 
 def _check_once(made: Sequence[Recording], chosen: Sequence[_Motion]) -> None:

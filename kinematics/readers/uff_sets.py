@@ -69,12 +69,9 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
         where = f"{file}, dataset {place}"
         number = _NUMBER.match(content, min(start.end() + 1, len(content)))
         if number is None:
-            if not content[start.end() :].strip():
-                return
-            got = content[start.end() :].split(b"\n")[1][:40].decode("latin-1").strip() or "an empty line"
-            raise KinematicsError(
-                sentence("the line after -1", "the number of a dataset", f'"{got}"', where, "Export it again")
-            )
+            rest = content[start.end() :].strip().split(b"\n")[0][:40].decode("latin-1").strip()
+            got = f'"{rest}"' if rest else "the end of the file"
+            raise KinematicsError(sentence("the line after -1", "the number of a dataset", got, where, CUT))
         if number[2] and int(number[1]) == 58:
             made, position = _binary(content, number, place, where)
             yield made
@@ -87,6 +84,10 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
         body = content[number.end() : end.start()]
         position = end.end()
         yield _text(int(number[1]), place, body)
+    rest = content[position:].strip(b" \t\r\n\x00\x1a")
+    if rest:
+        got = f'"{rest.splitlines()[0][:40].decode("latin-1")}"'
+        raise KinematicsError(sentence("the last line of a universal file", "-1", got, file, CUT))
 
 
 def _text(number: int, place: int, body: bytes) -> Dataset:
@@ -131,15 +132,16 @@ def _binary(content: bytes, number: re.Match[bytes], place: int, where: str) -> 
     if len(head) < count:
         raise KinematicsError(sentence("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
     needed = values_size(head, where)
-    ends = [start + length for length in dict.fromkeys((size, *needed))]
-    for end in ends:
+    # The stated number of bytes only decides between possible ones: some writers state half of it.
+    for length in sorted(needed, key=lambda length: (length != size, -length)):
+        end = start + length
         tail = _BINARY_TAIL.match(content, end)
-        if tail is not None and end - start >= min(needed):
+        if tail is not None:
             made = Dataset(58, place, head, content[start:end], True, order == 2)
             return made, tail.end()
     got = f"{len(content) - start} bytes up to the end of the file"
     if len(content) - start >= min(needed):
-        got = f"{size} bytes by its first line, and no line of -1 behind them"
+        got = f"no line of -1 behind so many, and {size} bytes by its first line"
     expected = f"of {' or '.join(map(str, needed))} bytes of values, as its header says"
     raise KinematicsError(sentence("a dataset 58b", expected, got, where, CUT))
 

@@ -20,8 +20,8 @@ def read(path: Path) -> NoReturn:
         Always; it says how to export.
     """
     step = (
-        "Export the spectra of all points in the program that wrote it, as UFF (universal file, with geometry) "
-        "or as ASCII (Real & Imag.), and give that file or folder"
+        "Export the spectra of all points in the program that wrote it, as UFF (universal file, with "
+        "geometry) or as ASCII (Real & Imag.), and give that file or folder"
     )
     raise KinematicsError(
         sentence(
