@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Channels = slice | NDArray[np.bool_]
 _WHOLE = slice(None)
+_SMALL = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,16 @@ class LineFit:
     iterations: int = 0
     unsettled: int = 0
 
+    @property
+    def complete(self) -> bool:
+        """Whether every channel was used at every line."""
+        return bool(np.all(self.solution.count == len(self.beams.rows)))
+
+    @cached_property
+    def common(self) -> tuple[Array, Array] | None:
+        """Noise per channel, at most 1, and per line, m, whose products are all sd; None if no such."""
+        return self.noise.common()
+
     def at(self, lines: Lines, channels: Channels = _WHOLE) -> tuple[ComplexArray, Array, Array]:
         """Return residual, sd and weights, each (channel, n), of some lines and channels.
 
@@ -89,11 +101,17 @@ class LineFit:
     @property
     def residual(self) -> ComplexArray:
         """Measured minus fitted, (channel, freq), m; zero where missing."""
-        return self.at(_WHOLE)[0]
+        return self._small[0] if self.value.size <= _SMALL else self.at(_WHOLE)[0]
+
+    @cached_property
+    def _small(self) -> tuple[ComplexArray, Array, Array]:
+        return self.at(_WHOLE)
 
     @property
     def sd(self) -> Array:
         """Standard deviation of the real part used, (channel, freq), m; infinite where missing."""
+        if self.value.size <= _SMALL:
+            return self._small[1]
         sd = np.array(self.noise.at(_WHOLE))
         sd[~(np.isfinite(self.value) & np.isfinite(sd))] = np.inf
         return sd
@@ -101,7 +119,7 @@ class LineFit:
     @property
     def weights(self) -> Array:
         """1 / (2 sd^2), times the robust weight, (channel, freq)."""
-        return self.at(_WHOLE)[2]
+        return self._small[2] if self.value.size <= _SMALL else self.at(_WHOLE)[2]
 
     @property
     def inverse(self) -> Array:
@@ -217,6 +235,11 @@ def fit_lines(
     chi2 = np.where(good, solution.misfit, np.nan)
     n_dof = np.where(good, 2 * (solution.count - size), 0)
     return LineFit(beams, q, covariance, chi2, n_dof, value, noise, solution, robust, loss, turns, unsettled)
+
+
+def refitted(beams: BeamSet, fit: LineFit) -> LineFit:
+    """Fit the same data with other degrees of freedom and the same noise, by least squares."""
+    return fit_lines(beams, fit.value, fit.noise.stated, factor=fit.noise.factor, floor=fit.noise.floor)
 
 
 def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int = 400) -> Array:
