@@ -1,141 +1,218 @@
-"""The kinds of fault a channel, a point or a whole body can have, and how each is undone."""
+"""The kinds of fault a channel, a point, a laser or a whole body can have, and how each is undone."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fault_model import Fault, FaultFit, LineData
+from kinematics.compact import Compact
 from kinematics.frames import rotation_from_vector
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+GAIN, DIRECTION_DEG, AXES_DEG = 0.1, 4.0, 2.0
+POSITION_OF_LEVER = 0.2
 
 
-def gain_fault(data: LineData, channels: list[int]) -> Fault:
-    """Return a complex factor common to some channels, parameters (real - 1, imaginary)."""
-    own = data.beams.basis[channels].astype(complex)
-    return Fault("gain", channels, lambda p: own * (1.0 + p[0] + 1j * p[1]), 2)
+@dataclass(frozen=True)
+class Fault:
+    """One possible fault.
+
+    Attributes
+    ----------
+    kind : str
+        ``gain``, ``phase``, ``delay``, ``drift``, ``direction``, ``position``, ``label_swap``, ``axes``.
+    channels : list of int
+        The channels it changes.
+    size : int
+        Number of real parameters.
+    rows : callable
+        Data and parameters (size,) to the rows of those channels, (n, m) or (segment, n, m) in the basis.
+    undone : callable
+        Data and parameters to data without the fault.
+    scale : ndarray, (size,)
+        How large each parameter commonly is.
+    owner : str
+        What is at fault: ``channel``, ``point``, ``laser``, ``body``, ``points``, ``beams``, ``lasers``.
+    """
+
+    kind: str
+    channels: list[int]
+    size: int
+    rows: Callable[[Compact, Array], ComplexArray | Array]
+    undone: Callable[[Compact, Array], Compact]
+    scale: Array
+    owner: str = "channel"
 
 
-def drift_fault(data: LineData, channels: list[int]) -> Fault:
-    """Return a complex factor that runs linearly over the lines: two parameters constant, two of slope."""
-    own = data.beams.basis[channels].astype(complex)
+def gain(channels: list[int], owner: str = "channel") -> Fault:
+    """Return a real factor common to some channels, parameter factor - 1."""
 
-    def rows(p: Array) -> ComplexArray:
-        factor = 1.0 + p[0] + 1j * p[1] + (p[2] + 1j * p[3]) * data.tau
-        return np.asarray(own[None] * factor[:, None, None])
+    def undone(data: Compact, p: Array) -> Compact:
+        return data.scaled(channels, np.full(len(data.tau), 1.0 + p[0] + 0j))
 
-    return Fault("drift", channels, rows, 4)
-
-
-def direction_fault(data: LineData, channel: int) -> Fault:
-    """Return a beam that points elsewhere: two angles across it, rad."""
-    old = data.directions[channel]
-    first, second = _across(old)
-
-    def rows(p: Array) -> ComplexArray:
-        new = old + p[0] * first + p[1] * second
-        return data.row(data.arms_m[[channel]], (new / np.linalg.norm(new))[None]).astype(complex)
-
-    return Fault("direction", [channel], rows, 2)
-
-
-def position_fault(data: LineData, channels: list[int]) -> Fault:
-    """Return a point that lies elsewhere: three shifts, m."""
     return Fault(
-        "position",
+        "gain",
         channels,
-        lambda p: data.row(data.arms_m[channels] + p, data.directions[channels]).astype(complex),
-        3,
+        1,
+        lambda data, p: data.beams.basis[channels] * (1.0 + p[0]),
+        undone,
+        np.array([GAIN]),
+        owner,
     )
 
 
-def swap_fault(data: LineData, first: list[int], second: list[int], what: str) -> Fault:
-    """Return two points (or two beams of a point) whose names were exchanged: no parameters."""
-    channels = [*first, *second]
-    arms, directions = swapped(data, first, second, what)
-    rows = data.row(arms[channels], directions[channels]).astype(complex)
-    return Fault("label_swap", channels, lambda _p: rows, 0)
+def phase(channels: list[int], owner: str = "channel") -> Fault:
+    """Return a complex factor common to some channels, parameters (real - 1, imaginary)."""
+
+    def undone(data: Compact, p: Array) -> Compact:
+        return data.scaled(channels, np.full(len(data.tau), 1.0 + p[0] + 1j * p[1]))
+
+    return Fault(
+        "phase",
+        channels,
+        2,
+        lambda data, p: data.beams.basis[channels] * (1.0 + p[0] + 1j * p[1]),
+        undone,
+        np.full(2, GAIN),
+        owner,
+    )
 
 
-def swapped(data: LineData, first: list[int], second: list[int], what: str) -> tuple[Array, Array]:
-    """Return arms and directions (channel, 3) with two points' places or two beams' directions exchanged."""
-    arms, directions = data.arms_m.copy(), data.directions.copy()
-    if what == "points":
-        arms[first], arms[second] = data.arms_m[second[0]], data.arms_m[first[0]]
-    else:
-        directions[first], directions[second] = data.directions[second], data.directions[first]
-    return arms, directions
+def delay(data: Compact, channels: list[int], owner: str = "channel") -> Fault:
+    """Return a delay of some channels; parameter: phase lag at the mean frequency, rad."""
+    ratio = data.freq_hz / np.mean(data.freq_hz)
+
+    def factor(p: Array) -> ComplexArray:
+        return np.asarray(np.exp(-1j * p[0] * ratio))
+
+    return Fault(
+        "delay",
+        channels,
+        1,
+        lambda data, p: data.beams.basis[channels] * factor(p)[:, None, None],
+        lambda data, p: data.scaled(channels, factor(p)),
+        np.array([GAIN]),
+        owner,
+    )
 
 
-def swap_parts(data: LineData, fault: Fault) -> tuple[list[int], list[int], str]:
-    """Return the two sides of a label swap and whether points or beams changed places."""
-    own = data.points[fault.channels[0]]
-    one = [c for c in fault.channels if data.points[c] == own]
-    two = [c for c in fault.channels if c not in one]
-    return (one, two, "points") if two else (one[:1], one[1:], "beams")
+def drift(channels: list[int], owner: str = "channel") -> Fault:
+    """Return a complex factor that runs linearly over the lines: two parameters constant, two of slope."""
+
+    def factor(data: Compact, p: Array) -> ComplexArray:
+        return np.asarray(1.0 + p[0] + 1j * p[1] + (p[2] + 1j * p[3]) * data.tau)
+
+    return Fault(
+        "drift",
+        channels,
+        4,
+        lambda data, p: data.beams.basis[channels] * factor(data, p)[:, None, None],
+        lambda data, p: data.scaled(channels, factor(data, p)),
+        np.full(4, 0.5 * GAIN),
+        owner,
+    )
 
 
-def corrected(data: LineData, fit: FaultFit) -> LineData:
-    """Return the data with a fitted fault undone."""
-    fault, p = fit.fault, fit.parameters
-    if fault.kind in ("gain", "drift"):
-        factor = np.full(len(data.tau), 1.0 + p[0] + 1j * p[1])
-        if fault.kind == "drift":
-            factor = factor + (p[2] + 1j * p[3]) * data.tau
-        y, s = data.y.copy(), data.s.copy()
-        y[fault.channels] /= factor
-        s[fault.channels] *= np.abs(factor)
-        return replace(data, y=y, s=s)
-    if fault.kind == "position":
+def direction(data: Compact, channels: list[int], owner: str = "channel") -> Fault:
+    """Return beams (parallel ones) that point elsewhere: two angles across them, rad."""
+    first, second = across(data.directions[channels[0]])
+
+    def turned(data: Compact, p: Array) -> Array:
+        new = data.directions[channels] + p[0] * first + p[1] * second
+        return np.asarray(new / np.linalg.norm(new, axis=1, keepdims=True))
+
+    def undone(data: Compact, p: Array) -> Compact:
+        directions = data.directions.copy()
+        directions[channels] = turned(data, p)
+        return data.moved(directions=directions)
+
+    return Fault(
+        "direction",
+        channels,
+        2,
+        lambda data, p: data.row(data.arms_m[channels], turned(data, p)),
+        undone,
+        np.full(2, np.radians(DIRECTION_DEG)),
+        owner,
+    )
+
+
+def position(data: Compact, channels: list[int]) -> Fault:
+    """Return a point that lies elsewhere: three shifts, m."""
+
+    def undone(data: Compact, p: Array) -> Compact:
         arms = data.arms_m.copy()
-        arms[fault.channels] += p
+        arms[channels] += p
         return data.moved(arms_m=arms)
-    if fault.kind == "label_swap":
-        arms, directions = swapped(data, *swap_parts(data, fault))
+
+    return Fault(
+        "position",
+        channels,
+        3,
+        lambda data, p: data.row(data.arms_m[channels] + p, data.directions[channels]),
+        undone,
+        np.full(3, POSITION_OF_LEVER * data.beams.lever_m),
+        "point",
+    )
+
+
+def axes(data: Compact) -> Fault:
+    """Return beam axes that are turned as a whole against the positions: a rotation vector, rad."""
+    channels = data.live
+
+    def undone(data: Compact, p: Array) -> Compact:
+        return data.moved(directions=data.directions @ rotation_from_vector(p).T)
+
+    return Fault(
+        "axes",
+        channels,
+        3,
+        lambda data, p: data.row(
+            data.arms_m[channels], data.directions[channels] @ rotation_from_vector(p).T
+        ),
+        undone,
+        np.full(3, np.radians(AXES_DEG)),
+        "body",
+    )
+
+
+def swap(data: Compact, first: list[int], second: list[int], owner: str) -> Fault:
+    """Return two points whose names, or beams whose directions, were exchanged: no parameters.
+
+    Parameters
+    ----------
+    data : Compact
+    first, second : list of int
+        Channels of either.
+    owner : str
+        ``points`` exchange their places; ``beams`` (of one point) and ``lasers`` (at all points, listed in
+        the
+        same order) their directions.
+    """
+    channels = [*first, *second]
+    given = data.arms_m
+
+    def undone(data: Compact, _p: Array) -> Compact:
+        arms, directions = data.arms_m.copy(), data.directions.copy()
+        if owner == "points":
+            arms[first] += given[second[0]] - given[first[0]]
+            arms[second] += given[first[0]] - given[second[0]]
+        else:
+            directions[first], directions[second] = data.directions[second], data.directions[first]
         return data.moved(arms, directions)
-    directions = data.directions.copy()
-    if fault.kind == "axes":
-        directions = directions @ rotation_from_vector(p).T
-    else:
-        channel = fault.channels[0]
-        first, second = _across(directions[channel])
-        new = directions[channel] + p[0] * first + p[1] * second
-        directions[channel] = new / np.linalg.norm(new)
-    return data.moved(directions=directions)
+
+    def rows(data: Compact, p: Array) -> Array:
+        return undone(data, p).beams.basis[channels]
+
+    return Fault("label_swap", channels, 0, rows, undone, np.zeros(0), owner)
 
 
-def rebuilt(data: LineData, fault: Fault) -> Fault:
-    """Return the same kind of fault on data with other positions or directions."""
-    if fault.kind == "gain":
-        return gain_fault(data, fault.channels)
-    if fault.kind == "drift":
-        return drift_fault(data, fault.channels)
-    if fault.kind == "direction":
-        return direction_fault(data, fault.channels[0])
-    if fault.kind == "position":
-        return position_fault(data, fault.channels)
-    if fault.kind == "axes":
-        return axes_fault(data)
-    return swap_fault(data, *swap_parts(data, fault))
-
-
-def _across(direction: Array) -> tuple[Array, Array]:
+def across(direction: Array) -> tuple[Array, Array]:
     """Return two unit vectors square to a beam and to each other."""
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
     return first, np.cross(direction, first)
-
-
-def axes_fault(data: LineData) -> Fault:
-    """Return beam axes that are turned as a whole against the positions: a rotation vector, rad."""
-    channels = list(range(len(data.points)))
-    return Fault(
-        "axes",
-        channels,
-        lambda p: data.row(data.arms_m, data.directions @ rotation_from_vector(p).T).astype(complex),
-        3,
-    )

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.beams import BeamSet, beam_set, unseen_motions
-from kinematics.diagnose import Diagnosis, diagnose, line_data, nothing_found
+from kinematics.calibrate import Calibration
+from kinematics.calibrated_fit import calibrated, calibration_errors
+from kinematics.compact import compact
+from kinematics.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.geometry_model import GeometryPriors
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion import RigidMotion, SharedErrors
@@ -20,16 +24,17 @@ from kinematics.noise import with_noise
 from kinematics.notices import Notice, unique
 from kinematics.phase import phase_notice
 from kinematics.placement import Placement, place
+from kinematics.pooling import pooled, with_gain_errors
 from kinematics.ratio import parse_reference, per_reference
-from kinematics.rigid_fit import LineFit
+from kinematics.repeats import RunRepeats
+from kinematics.rigid_fit import LineFit, refitted
 from kinematics.screening import Screened, empty_faults, screened
-from kinematics.shared_errors import pose_derivatives, position_derivatives, position_parameters
+from kinematics.shared_errors import pose_derivatives, position_errors
 from kinematics.spatial import DOF_NAMES
 from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
-_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class Options:
         ``BODY:DOF`` for responses per unit of that motion; empty for absolute motion.
     robust : str
         ``none``, ``huber`` or ``t4``.
+    calibrate : GeometryPriors or None
+        Estimate the geometry together with the motion.
 
     Raises
     ------
@@ -54,6 +61,7 @@ class Options:
     dof: tuple[str, ...] = DOF_NAMES
     reference: str = ""
     robust: str = "none"
+    calibrate: GeometryPriors | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -82,6 +90,10 @@ class Points2Dof:
     options : Options
     unseen : mapping of str to tuple of str
         By body: the rigid motions that its beams cannot see, in words.
+    calibration : Calibration or None
+        The geometry as estimated, when that was asked for.
+    repeats : tuple of RunRepeats
+        What the comparison of repeats and levels gave, for each run that had any.
     """
 
     motion: RigidMotion
@@ -92,6 +104,8 @@ class Points2Dof:
     diagnoses: Mapping[tuple[int, int], Diagnosis]
     options: Options
     unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    calibration: Calibration | None = None
+    repeats: tuple[RunRepeats, ...] = ()
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -131,14 +145,23 @@ def points2dof(
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
     raise_all(KinematicsError, empty_faults(measurement))
+    repeats = pooled(measurement)
+    measurement = repeats.measurement
     placed = measurement.mapped(placement.transform)
     beams = _beam_sets(placed, options.dof)
     screens = [screened(body, placed.runs, options.dof) for body in placed.bodies]
     placed = replace(placed, bodies=tuple(screen.body for screen in screens))
+    calibration = None
+    if options.calibrate is not None:
+        calibration = calibrated(placed, options.dof, options.calibrate, options.robust)
+        placed = calibration.measurement
+        screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
+        beams = _beam_sets(placed, options.dof)
     fits: dict[tuple[int, int], LineFit] = {}
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
     verdicts: list[ChannelVerdict] = []
     notices = [*measurement.notices, *placement.notices]
+    notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
     notices += _uncommon_lines(placed)
@@ -147,21 +170,33 @@ def points2dof(
             key = (run, number)
             fits[key], known, said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
-            diagnoses[key] = _diagnosed(screen, run, fits[key], options.dof, known)
+            diagnoses[key] = _diagnosed(placed, screen, fits[key], options.dof, known)
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
     motion = _motion(placed, fits, options.dof)
     _check_determined(motion)
     motion = replace(
-        motion, shared=_shared(placed, fits, placement, motion), provenance=dict(provenance or {})
+        motion, shared=_shared(placed, fits, placement, motion, calibration), provenance=dict(provenance or {})
     )
+    motion = with_gain_errors(motion, repeats.repeats)
     notices += phase_notice(motion, mass)
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices
     motion = replace(motion, notices=unique(notices))
     unseen = {body.body: tuple(unseen_motions(body.positions_mm, body.directions)) for body in placed.bodies}
-    return Points2Dof(motion, tuple(verdicts), placed, placement, fits, diagnoses, options, unseen)
+    return Points2Dof(
+        motion,
+        tuple(verdicts),
+        placed,
+        placement,
+        fits,
+        diagnoses,
+        options,
+        unseen,
+        calibration,
+        repeats.repeats,
+    )
 
 
 def _uncommon_lines(placed: Measurement) -> list[Notice]:
@@ -191,23 +226,20 @@ def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
     return made
 
 
-def _diagnosed(screen: Screened, run: int, fit: LineFit, dof: tuple[str, ...], known: bool) -> Diagnosis:
+def _diagnosed(
+    placed: Measurement, screen: Screened, fit: LineFit, dof: tuple[str, ...], known: bool
+) -> Diagnosis:
     """Search for faults with all degrees of freedom that the beams observe, fitted or not."""
     body = screen.body
-    wide = fit.beams if len(dof) == 6 else extended_beams(body, dof)
-    data = line_data(
-        wide, body.positions_mm * 1e-3, body.directions, body.points, body.displacement[run], fit.sd
-    )
-    if data.y.shape[1] < 3 or _is_rounding(fit, body.displacement[run]):
-        return nothing_found(data)
-    return diagnose(data, body.position_sd_mm * 1e-3, known)
-
-
-def _is_rounding(fit: LineFit, value: NDArray[np.complex128]) -> bool:
-    """Tell whether the rigid fit leaves nothing but the rounding of numbers, which is no noise to judge."""
-    used = np.isfinite(fit.sd) & np.isfinite(value.real)
-    size = float(np.sum(np.abs(value[used]) ** 2))
-    return float(np.sum(np.abs(fit.residual[used]) ** 2)) <= _ROUNDING**2 * size
+    lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
+    if lines < 3 or fit.is_rounding():
+        return nothing_found(fit.beams, fit.sd)
+    whole = fit
+    if len(dof) < 6:
+        whole = refitted(extended_beams(body, dof), fit)
+    data = compact(whole, body, placed.freq_hz, known)
+    alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
+    return diagnose(data, body.position_sd_mm * 1e-3, known, alarm)
 
 
 def _check_determined(motion: RigidMotion) -> None:
@@ -226,7 +258,7 @@ def _body_notices(
     several = len(placed.runs) > 1
     where = f" in run {placed.runs[run]}" if several else ""
     notices = fault_notices(placed.runs[run], body, diagnosis, several)
-    notices += neglected_notice(fit, body, body.displacement[run], where)
+    notices += neglected_notice(fit, body, where)
     measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
     lost = int(np.sum(~np.isfinite(fit.q[:, 0].real) & measured))
     if lost:
@@ -247,14 +279,9 @@ def _body_notices(
 def _verdicts(
     run_name: str, screen: Screened, run: int, fit: LineFit, found: Diagnosis
 ) -> list[ChannelVerdict]:
-    used = np.isfinite(fit.sd)
-    number = np.sum(used, axis=1)
-    with np.errstate(invalid="ignore"):
-        rms = np.sqrt(np.sum(np.abs(fit.residual) ** 2, axis=1) / np.where(number > 0, number, np.nan))
-    relative = fit.weights / np.maximum(np.max(fit.weights, axis=0), 1e-300)
-    weight = np.mean(relative, axis=1)
+    weight = fit.channel_weight
     weight = weight / max(float(np.max(weight)), 1e-300)
-    return channel_verdicts(run_name, screen.body, found, rms, weight, screen.unused[run])
+    return channel_verdicts(run_name, screen.body, found, fit.channel_rms, weight, screen.unused[run])
 
 
 def _motion(
@@ -278,28 +305,27 @@ def _motion(
 
 
 def _shared(
-    placed: Measurement, fits: Mapping[tuple[int, int], LineFit], placement: Placement, motion: RigidMotion
+    placed: Measurement,
+    fits: Mapping[tuple[int, int], LineFit],
+    placement: Placement,
+    motion: RigidMotion,
+    calibration: Calibration | None,
 ) -> SharedErrors | None:
-    positions = position_parameters(placed.bodies)
+    if calibration is None:
+        positions = position_errors(fits, placed.bodies)
+        others, spread, slopes = positions.names, np.diag(positions.variances), positions.derivatives
+    else:
+        others, spread, slopes = calibration_errors(calibration, fits, motion.q.shape)
     count = len(placement.names)
-    if count + len(positions) == 0:
+    names = (*placement.names, *others)
+    if not names:
         return None
-    names = list(placement.names)
-    names += [
-        f"position.{placed.bodies[b].body}.{point}.{axis}" for b, point, _ in positions for axis in "xyz"
-    ]
     derivatives = np.zeros((len(names), *motion.q.shape), dtype=complex)
-    for (run, number), fit in fits.items():
-        body = placed.bodies[number]
-        if count:
-            by_pose = pose_derivatives(fit, body, placement)
-            derivatives[:count, run, number] = np.einsum("kp,kfm->pfm", placement.derivative, by_pose)
-        for place_, (owner, point, _) in enumerate(positions):
-            if owner == number:
-                start = count + 3 * place_
-                derivatives[start : start + 3, run, number] = position_derivatives(fit, body, point)
+    derivatives[count:] = slopes
+    for (run, number), fit in fits.items() if count else ():
+        by_pose = pose_derivatives(fit, placed.bodies[number], placement)
+        derivatives[:count, run, number] = np.einsum("kp,kfm->pfm", placement.derivative, by_pose)
     covariance = np.zeros((len(names), len(names)))
     covariance[:count, :count] = placement.covariance
-    variances = np.repeat([sd**2 for _, _, sd in positions], 3)
-    covariance[np.arange(count, len(names)), np.arange(count, len(names))] = variances
-    return SharedErrors(tuple(names), covariance, derivatives)
+    covariance[count:, count:] = spread
+    return SharedErrors(names, covariance, derivatives)

@@ -8,25 +8,22 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fault_kinds import (
-    axes_fault,
-    corrected,
-    direction_fault,
-    drift_fault,
-    gain_fault,
-    position_fault,
-    rebuilt,
-    swap_fault,
-)
-from kinematics.fault_model import Fault, FaultFit, LineData, fit_fault, score_statistic, solve
-from kinematics.position_prior import Settled, settled
-from kinematics.structure import structure_of
+from kinematics import fault_kinds as kinds
+from kinematics.compact import Compact
+from kinematics.evidence import log_evidence
+from kinematics.fault_kinds import Fault
+from kinematics.fault_model import FaultFit, Places, fit_fault, objective, solve, static
+from kinematics.score_tests import Batch, ScoreTests, Tested, axes_batch, batches
+from kinematics.structure import Structure, structure_of
 
 Array = NDArray[np.float64]
-FALSE_ALARM = 0.005
-_NOISY_KNOWN, _NOISY_UNKNOWN = 1.5, 2.0
-_QUOTA = {("gain", 1): 4, ("drift", 1): 3, ("direction", 1): 4, ("position", 3): 3, ("axes", 3): 1}
-_FREE_M = 1.0
+FALSE_ALARM = 0.01
+NOISY_KNOWN, NOISY_UNKNOWN = 1.5, 2.0
+_QUIET = 1.3
+_FITTED = {"channel": 4, "point": 3, "laser": 3, "body": 1}
+_SUSPECTS = 10
+_NEAR = 3.0
+_VARYING = ("delay", "drift")
 
 
 @dataclass(frozen=True)
@@ -36,13 +33,16 @@ class Finding:
     Attributes
     ----------
     kind : str
-        ``gain``, ``drift``, ``direction``, ``position``, ``label_swap``, ``noise``, ``axes``, ``flexible``.
+        ``gain``, ``phase``, ``delay``, ``drift``, ``direction``, ``position``, ``label_swap``, ``noise``,
+        ``axes``, ``flexible``.
     channels : list of int
     p_value : float
         Corrected for the number of tests.
     fit : FaultFit or None
     size : float
         Of a noise or flexible finding: factor of the noise, share of the motion.
+    rivals : tuple of Finding
+        Other explanations that the data hardly tell from this one.
     """
 
     kind: str
@@ -50,12 +50,19 @@ class Finding:
     p_value: float
     fit: FaultFit | None = None
     size: float = 0.0
+    rivals: tuple[Finding, ...] = ()
+
+    @property
+    def owner(self) -> str:
+        """What is at fault, as of a Fault."""
+        if self.fit is not None:
+            return self.fit.fault.owner
+        return "body" if self.kind == "flexible" else "channel"
 
 
-def can_lose(data: LineData, channels: list[int]) -> bool:
+def can_lose(data: Compact, channels: list[int]) -> bool:
     """Tell whether the other channels still determine the motion with some redundancy."""
-    left = np.any(data.without(channels).s > 0.0, axis=1)
-    basis = data.beams.basis[left]
+    basis = data.beams.basis[data.without(channels).live]
     if len(basis) <= basis.shape[1] + 1:
         return False
     values = np.linalg.svd(basis, compute_uv=False)
@@ -67,207 +74,235 @@ class Search:
 
     Attributes
     ----------
-    raw, data : LineData
+    raw, data : Compact
         As given, and with the points moved within their stated position errors.
     """
 
-    def __init__(self, data: LineData, position_sd_m: Array, noise_known: bool) -> None:
-        self.raw = data
-        self.prior = np.where(np.isfinite(position_sd_m), position_sd_m, 0.0)
-        self.noise_known = noise_known
-        self.settled = settled(data, self.prior)
-        self.data = self.settled.data
+    def __init__(self, data: Compact, prior_m: Array, noise_known: bool, alarm: float = FALSE_ALARM) -> None:
+        self.raw, self.known, self.alarm = data, noise_known, alarm
+        self.places = Places.of(data, prior_m)
+        self.flat = static(data)
+        shift = np.zeros((0, 3))
+        if self.places.owners:
+            shift = fit_fault(self.flat, self.places, None)[1]
+        self.data = self.places.moved(data, shift)
         self.state = solve(self.data)
-        self.live = [c for c in range(len(data.points)) if np.any(data.s[c] > 0.0)]
-        self.lines = np.sum(data.s > 0.0, axis=1)
-        groups = {
-            name: [c for c in self.live if data.points[c] == name] for name in dict.fromkeys(data.points)
-        }
-        self.by_point = {name: channels for name, channels in groups.items() if channels}
-        self.structure = structure_of(self.data, self.state)
-        self.energies = self.state.energy()
-        self.blame = self.energies
-        self.count = int(np.sum(self.lines))
-        self.level, self.level_p = self._level()
+        self.before = float(np.sum(np.abs(self.state.e) ** 2)) + self.places.penalty(shift)
+        self.live = data.live
+        self.h = self.state.h
+        self.rest = self.state.rest()
+        self.samples = self.rest.shape[1]
+        self.ratios = self._ratios()
+        self.level = float(np.median(self.ratios[self.live])) if self.live else 1.0
+        self.scale = max(1.0, self.level) if noise_known else self.level
+        groups: dict[str, list[int]] = {}
+        for channel in self.live:
+            groups.setdefault(data.points[channel], []).append(channel)
+        self.by_point = groups
+        self.structure: Structure = structure_of(self.state, self.rest, self.scale)
+        self.tested: list[Tested] = []
+        self.number = 1
 
-    def _level(self) -> tuple[float, float]:
+    def _ratios(self) -> Array:
+        """Return the mean leverage-corrected energy of each channel on the lines without motion."""
+        held = self.rest if self.samples >= 8 else np.hstack([self.state.e, self.rest])
+        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
+        return np.asarray(np.sum(np.abs(held) ** 2, axis=1) / left / max(held.shape[1], 1))
+
+    def energy(self) -> Array:
+        """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
+        both = np.sum(np.abs(self.state.e) ** 2, axis=1) + np.sum(np.abs(self.rest) ** 2, axis=1)
+        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
+        return np.asarray(both / left / (self.state.e.shape[1] + self.samples))
+
+    def level_p(self) -> float:
+        """Return the probability of so large a total residual by chance."""
         from scipy.special import chdtrc
 
-        energies = self.energies[self.live]
-        level = float(np.median(energies)) if len(energies) else 1.0
-        residual = 2.0 * float(np.sum(np.abs(self.state.e) ** 2))
-        freedom = 2.0 * (float(np.sum(self.lines)) - self.state.z.size)
-        return level, float(chdtrc(max(freedom, 1.0), residual)) if freedom > 0.0 else 1.0
+        columns = self.state.e.shape[1] + self.samples
+        freedom = 2.0 * columns * (len(self.live) - self.state.span.shape[1])
+        total = 2.0 * float(np.sum(np.abs(self.state.e) ** 2) + np.sum(np.abs(self.rest) ** 2))
+        return float(chdtrc(freedom, total)) if freedom > 0.0 else 1.0
+
+    def _freedom(self) -> float:
+        """Return the degrees of freedom that an estimated noise rests on."""
+        columns = self.samples if self.samples >= 8 else self.state.e.shape[1] + self.samples
+        return max(2.0 * columns * max(len(self.live) - self.state.span.shape[1], 1), 1.0)
+
+    def chance(self, statistic: float | Array, size: int | Array) -> Array:
+        """Return the probability of statistics by chance: chi-squared, or F when the noise is estimated."""
+        from scipy.special import chdtrc, fdtrc
+
+        value = np.maximum(statistic, 0.0) / self.scale
+        if self.known:
+            return np.asarray(chdtrc(size, value))
+        return np.asarray(fdtrc(size, self._freedom(), value / size))
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""
-        if len(self.live) <= self.state.z.shape[1]:
+        if len(self.live) <= self.state.span.shape[1] or not self.scale > 0.0:
             return None
-        tests = self._tests()
-        if not any(p < FALSE_ALARM / len(tests) for p, _ in tests) and not self.structure.significant:
+        self._test()
+        noisy = self._noisy()
+        lowest = min((float(np.min(self._p(found))) for found in self.tested), default=1.0)
+        unsure = self.structure.p_value > 0.1 * self.alarm
+        if lowest > self.alarm / self.number and unsure and not noisy:
             return None
-        if np.any(self.prior > 0.0):
-            self.blame = self._blame()
-        reference = self._reference_level()
-        scored = []
-        for fit in self._suspects(tests):
-            scored.append((self._score(fit, reference), self._finding(fit, reference, len(tests))))
-        scored += self._noisy(reference, len(tests))
-        scored = [(score, finding) for score, finding in scored if finding.p_value < FALSE_ALARM]
-        if self.structure.significant and not self.structure.concentrated:
-            scored.append((self.structure.gain / reference, self.flexible()))
+        scored = list(noisy)
+        for fit in self._suspects():
+            finding = self._finding(fit)
+            if finding.p_value < self.alarm:
+                scored.append((log_evidence(fit, self.scale, self._alike(fit.fault)), finding))
+        if not unsure and not self.structure.concentrated:
+            scored.append((self.structure.gain / self.scale, self.flexible()))
         if not scored:
             return None
-        return max(scored, key=lambda entry: entry[0])[1]
+        scored.sort(key=lambda entry: -entry[0])
+        top, finding = scored[0]
+        rivals = tuple(
+            other for value, other in scored[1:] if value > top - _NEAR and _differ(finding, other)
+        )
+        return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
-        moved = np.abs(self.data.beams.basis @ self.state.z.T) * self.data.s
-        excess = max(float(np.sum(np.abs(self.state.e) ** 2)) - self.count + self.state.z.size, 0.0)
-        share = float(np.sqrt(excess / max(float(np.sum(moved**2)), 1e-300)))
+        moved = self.data.a[:, None] * (self.data.beams.basis @ self.state.z)
+        left = len(self.live) - self.state.span.shape[1]
+        excess = float(np.sum(np.abs(self.state.e) ** 2)) - self.scale * left * self.state.e.shape[1]
+        share = float(np.sqrt(max(excess, 0.0) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)))
         return Finding("flexible", list(self.live), self.structure.p_value, None, share)
 
-    def _tests(self) -> list[tuple[float, Fault | None]]:
-        """Return (p-value, fault) of every test; None stands for the energy of a channel."""
-        from scipy.special import chdtrc
+    def _p(self, found: Tested) -> Array:
+        return self.chance(found.statistic, np.maximum(found.freedom, 1))
 
-        scale = max(1.0, self.level)
-        made: list[tuple[float, Fault | None]] = []
-        for fault in self._faults():
-            own = self.data.points[fault.channels[0]]
-            if fault.kind == "position" and own in self.settled.evidence:
-                value = self.settled.evidence[own]
-            else:
-                value = score_statistic(self.data, self.state, fault) / scale
-            made.append((float(chdtrc(fault.size, value)), fault))
-        margin = 1.0 if self.noise_known else 1.2**2
+    def _test(self) -> None:
+        tests = ScoreTests(self.state, self.places)
+        free = [c for c in self.live if self.h[c] < 0.98]
+        points = [
+            own for own in self.by_point.values() if len(self.live) - len(own) >= self.state.span.shape[1]
+        ]
+        made = batches(tests, free, points, self._lasers())
+        if len(self.live) == len(self.data.points):
+            made.append(axes_batch(tests))
+        self.tests = tests
+        self.tested = [tests.run(batch) for batch in made]
+        self.number = sum(len(found.statistic) for found in self.tested) + len(self.live) + 1
+
+    def _lasers(self) -> list[list[int]]:
+        """Return the channels of beams that are parallel at several points, when there are other beams."""
+        keys = np.round(self.data.directions, 5) + 0.0
+        groups: dict[tuple[float, ...], list[int]] = {}
         for channel in self.live:
-            number = 2.0 * self.lines[channel]
-            excess = self.energies[channel] / scale / margin
-            made.append((float(chdtrc(number, number * excess)), None))
-        return made
+            groups.setdefault(tuple(keys[channel]), []).append(channel)
+        many = [own for own in groups.values() if len({self.data.points[c] for c in own}) > 2]
+        return many if len(groups) > 1 and len(many) <= 8 else []
 
-    def _faults(self) -> list[Fault]:
-        """Return every fault of one channel, one point or all beams that the others can judge."""
-        free = [c for c in self.live if np.median(self.state.h[c]) < 0.98]
-        faults = [make(self.data, [c]) for make in (gain_fault, drift_fault) for c in free]
-        faults += [direction_fault(self.data, c) for c in free]
-        for channels in self.by_point.values():
-            if len(self.live) - len(channels) < self.state.z.shape[1]:
-                continue
-            faults.append(position_fault(self.data, channels))
-            if len(channels) > 1:
-                faults += [gain_fault(self.data, channels), drift_fault(self.data, channels)]
-        return [*faults, axes_fault(self.data)] if len(self.live) == len(self.data.points) else faults
+    def _suspects(self) -> list[FaultFit]:
+        """Fit the most significant faults of every kind."""
+        faults = []
+        for found in self.tested:
+            order = np.argsort(-found.statistic, kind="stable")[: _FITTED[found.batch.owner]]
+            faults += [
+                self._fault(found.batch, int(k)) for k in order if found.statistic[k] > 4.0 * self.scale
+            ]
+        return [self.fitted(fault) for fault in [*faults, *self._swaps()]]
 
-    def _blame(self) -> Array:
-        """Return, per channel, how much the objective falls without it, positions settled anew each time."""
-        before = self.settled.objective()
-        drops = {
-            name: before - settled(self.raw.without(channels), self.prior).objective()
-            for name, channels in self.by_point.items()
-        }
-        blame = np.zeros(len(self.data.points))
-        for name in sorted(drops, key=lambda key: -drops[key])[:4]:
-            for channel in self.by_point[name]:
-                alone = before - settled(self.raw.without([channel]), self.prior).objective()
-                blame[channel] = max(alone, 1e-3 * drops[name]) / max(int(self.lines[channel]), 1)
-        return blame
+    def _fault(self, batch: Batch, place: int) -> Fault:
+        channels = [int(c) for c in batch.channels[place]]
+        if batch.kind == "gain":
+            return kinds.gain(channels, batch.owner)
+        if batch.kind == "phase":
+            return kinds.phase(channels, batch.owner)
+        if batch.kind == "delay":
+            return kinds.delay(self.raw, channels, batch.owner)
+        if batch.kind == "drift":
+            return kinds.drift(channels, batch.owner)
+        if batch.kind == "direction":
+            return kinds.direction(self.raw, channels, batch.owner)
+        return kinds.position(self.raw, channels) if batch.kind == "position" else kinds.axes(self.raw)
 
-    def _reference_level(self) -> float:
-        """Return the residual level without the worst point: what the noise is when one point is at fault."""
-        worst = max(self.by_point.values(), key=lambda cs: max(self.blame[cs]))
-        if not can_lose(self.data, worst):
-            return max(1.0, self.level)
-        energies = solve(settled(self.raw.without(worst), self.prior).data).energy()
-        left = [c for c in self.live if c not in worst]
-        return max(1.0, float(np.median(energies[left])))
+    def fitted(self, fault: Fault) -> FaultFit:
+        """Fit a fault, jointly with the positions where these are uncertain."""
+        if fault.kind in _VARYING:
+            return fit_fault(self.raw, self.places, fault, self.before)[0]
+        fit, shift = fit_fault(self.flat, self.places, fault)
+        return replace(fit, drop=self.before - objective(self.raw, self.places, fit, shift))
 
-    def _suspects(self, tests: list[tuple[float, Fault | None]]) -> list[FaultFit]:
-        """Fit the most significant faults of every kind and, with uncertain positions, the most blamed."""
-        faults = [(p, fault) for p, fault in tests if fault is not None]
-        orders = [sorted(faults, key=lambda entry: (max(entry[0], 1e-250), -self._blamed(entry[1])))]
-        if np.any(self.prior > 0.0):
-            orders.append(sorted(faults, key=lambda entry: -self._blamed(entry[1])))
-        chosen: dict[int, Fault] = {}
-        for order in orders:
-            used: dict[tuple[str, int], int] = {}
-            for _, fault in order:
-                key = (fault.kind, 1 if len(fault.channels) == 1 else 3)
-                if used.get(key, 0) < _QUOTA.get(key, 3):
-                    used[key] = used.get(key, 0) + 1
-                    chosen[id(fault)] = fault
-        return [self._fitted(fault) for fault in [*chosen.values(), *self._swaps()]]
-
-    def _blamed(self, fault: Fault) -> float:
-        return float(np.max(self.blame[fault.channels]))
+    def _alike(self, fault: Fault) -> int:
+        points = len(self.by_point)
+        if fault.kind == "label_swap":
+            return {"points": points * (points - 1) // 2, "beams": len(self.live)}.get(fault.owner, 3)
+        return {"channel": len(self.live), "point": points, "laser": 3}.get(fault.owner, 1)
 
     def _swaps(self) -> list[Fault]:
-        order = sorted(self.by_point, key=lambda name: -float(np.sum(self.blame[self.by_point[name]])))
-        faults = []
-        for one, two in combinations(order[:4], 2):
-            faults.append(swap_fault(self.data, self.by_point[one], self.by_point[two], "points"))
-        for name in order[:3]:
-            for first, second in combinations(self.by_point[name], 2):
-                faults.append(swap_fault(self.data, [first], [second], "beams"))
-        return faults
+        """Return the exchanges of names that are most likely at first sight."""
+        stand = dict.fromkeys(self.by_point, 0.0)
+        for found in self.tested:
+            if found.batch.kind in ("position", "gain", "direction"):
+                for own, value in zip(found.batch.channels, found.statistic, strict=True):
+                    if found.batch.owner in ("channel", "point"):
+                        name = self.data.points[own[0]]
+                        stand[name] = max(stand[name], float(value))
+        order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
+        made = [
+            kinds.swap(self.raw, self.by_point[one], self.by_point[two], "points")
+            for one, two in combinations(order, 2)
+        ]
+        for name in order[:4]:
+            own = self.by_point[name]
+            made += [kinds.swap(self.raw, [one], [two], "beams") for one, two in combinations(own, 2)]
+        for one, two in combinations(self._lasers(), 2):
+            same = {self.data.points[c]: c for c in two}
+            both = [(c, same[self.data.points[c]]) for c in one if self.data.points[c] in same]
+            if len(both) > 2:
+                made.append(kinds.swap(self.raw, [c for c, _ in both], [d for _, d in both], "lasers"))
+        if len(made) <= 12:
+            return made
+        gains = [self._at_sight(fault) for fault in made]
+        best = sorted(range(len(made)), key=lambda k: -gains[k])[:8]
+        return [made[k] for k in best]
 
-    def _fitted(self, fault: Fault) -> FaultFit:
-        """Fit a fault, jointly with the positions where these are uncertain."""
-        if not np.any(self.prior > 0.0):
-            return fit_fault(self.data, self.state, fault)
-        before = self.settled.objective()
-        if fault.kind == "position":
-            return self._free_position(fault, before)
-        found = (
-            settled(self.raw.without(fault.channels), self.prior) if fault.kind != "axes" else self.settled
-        )
-        arms = found.data.arms_m
-        for _ in range(2):
-            moved = self.raw.moved(arms_m=arms)
-            if fault.kind == "label_swap":
-                fit = FaultFit(fault, np.zeros(0), np.zeros((0, 0)), 0.0)
-            else:
-                fit = fit_fault(moved, solve(moved), rebuilt(moved, fault))
-            found = settled(corrected(self.raw, fit), self.prior)
-            arms = found.data.arms_m
-            if fault.kind == "label_swap":
-                break
-        return replace(fit, drop=before - found.objective())
+    def _at_sight(self, fault: Fault) -> float:
+        """Return about how much an exchange of names would explain."""
+        new = self.raw.a[fault.channels][:, None] * fault.rows(self.raw, np.zeros(0))
+        change = new - self.raw.a[fault.channels][:, None] * self.raw.beams.basis[fault.channels]
+        batch = Batch("label_swap", fault.owner, np.array([fault.channels]), change[None, None])
+        score, information = self.tests.parts(batch)
+        return float(2.0 * score[0, 0] - information[0, 0, 0])
 
-    def _free_position(self, fault: Fault, before: float) -> FaultFit:
-        prior = self.prior.copy()
-        prior[fault.channels] = _FREE_M
-        found: Settled = settled(self.raw, prior)
-        name = self.data.points[fault.channels[0]]
-        return FaultFit(fault, found.shifts_m[name], found.covariances[name], before - found.objective())
-
-    def _score(self, fit: FaultFit, reference: float) -> float:
-        """Return the likelihood less its price: a gain without phase counts as one parameter."""
-        size = fit.fault.size
-        if fit.fault.kind == "gain" and abs(fit.parameters[1]) < 3.0 * float(np.sqrt(fit.covariance[1, 1])):
-            size = 1
-        return fit.drop / reference - 0.5 * size * float(np.log(2.0 * self.count))
-
-    def _finding(self, fit: FaultFit, reference: float, tests: int) -> Finding:
-        from scipy.special import chdtrc
-
-        value = 2.0 * max(fit.drop, 0.0) / reference
-        p = min(1.0, float(chdtrc(max(fit.fault.size, 1), value)) * tests)
+    def _finding(self, fit: FaultFit) -> Finding:
+        size = max(fit.fault.size, 1)
+        p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self.number)
         return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
 
-    def _noisy(self, reference: float, tests: int) -> list[tuple[float, Finding]]:
-        """Return the three worst channels as noisy ones, with their likelihood."""
+    def _noisy(self) -> list[tuple[float, Finding]]:
+        """Return channels whose noise is larger than stated, with their log evidence."""
         from scipy.special import chdtrc
 
         made = []
-        limit = _NOISY_KNOWN if self.noise_known else _NOISY_UNKNOWN
-        for channel in sorted(self.live, key=lambda c: -self.blame[c])[:3]:
-            ratio = max(self.blame[channel], self.energies[channel]) / reference
-            if ratio < limit**2:
+        limit = NOISY_KNOWN if self.known else NOISY_UNKNOWN
+        margin = 1.0 if self.known else 1.2**2
+        count = self.samples if self.samples >= 8 else self.samples + self.state.e.shape[1]
+        whole = self.samples + self.state.e.shape[1]
+        energy = self.energy() / self.scale
+        for channel in sorted(self.live, key=lambda c: -self.ratios[c])[:3]:
+            ratio, h = self.ratios[channel] / self.scale, self.h[channel]
+            if ratio < _QUIET or h > 0.98 or energy[channel] - h < limit**2 * (1.0 - h):
                 continue
-            number = float(self.lines[channel])
-            p = min(1.0, float(chdtrc(2.0 * number, 2.0 * number * ratio)) * tests)
-            score = number * (ratio - 1.0 - float(np.log(ratio))) - 0.5 * float(np.log(2.0 * self.count))
-            made.append((score, Finding("noise", [channel], p, None, float(np.sqrt(ratio)))))
+            p = min(1.0, float(chdtrc(2.0 * count, 2.0 * count * ratio / margin)) * self.number)
+            if p > self.alarm:
+                continue
+            score = whole * (energy[channel] - 1.0 - float(np.log(energy[channel])))
+            score -= float(np.log(len(self.live))) + 0.5 * float(np.log(whole))
+            size = float(np.sqrt((energy[channel] - h) / (1.0 - h)))
+            made.append((score, Finding("noise", [channel], p, None, size)))
         return made
+
+
+def _differ(one: Finding, two: Finding) -> bool:
+    """Tell whether two findings are different statements: a phase includes a gain."""
+    same = {"phase": "gain", "delay": "gain"}
+    return (same.get(one.kind, one.kind), sorted(one.channels)) != (
+        same.get(two.kind, two.kind),
+        sorted(two.channels),
+    )

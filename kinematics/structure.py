@@ -8,9 +8,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fault_model import LineData, State
+from kinematics.compact import Compact
+from kinematics.fault_model import State
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 _ONE_POINT = 0.85
 _TWO_POINTS = 0.93
 
@@ -45,34 +47,46 @@ class Structure:
         return self.p_value < 1e-3
 
 
-def structure_of(data: LineData, state: State) -> Structure:
+def structure_of(state: State, rest: ComplexArray, scale: float = 1.0) -> Structure:
     """Look for patterns in whitened residuals.
+
+    Parameters
+    ----------
+    state : State
+    rest : ndarray, (channel, sample), complex
+        Whitened residuals of lines without motion.
+    scale : float
+        Variance of the noise, at least that of which patterns are judged.
 
     Notes
     -----
     Under noise the eigenvalues of the residual covariance of F lines in p free directions end at
-    (1 + sqrt(p / F))^2 times the noise level (not below the stated one) with Tracy-Widom fluctuations
-    (Johansson 2000, doi:10.1007/s002200050027, for complex data); the tail of that law is bounded by
-    exp(-4/3 s^1.5).
+    (1 + sqrt(p / F))^2 times the noise level with Tracy-Widom fluctuations (Johansson 2000,
+    doi:10.1007/s002200050027, for complex data); the tail of that law is bounded by exp(-4/3 s^1.5).
     """
-    live = np.flatnonzero(np.any(data.s > 0.0, axis=1))
-    nothing = Structure(0.0, 1.0, True, 0.0, np.zeros(len(data.points)))
-    free = len(live) - data.beams.basis.shape[1]
-    lines = data.y.shape[1]
+    data = state.data
+    count, size = state.span.shape
+    live = np.flatnonzero(data.a > 0.0)
+    nothing = Structure(0.0, 1.0, True, 0.0, np.zeros(count))
+    residual = np.hstack([state.e, rest])[live]
+    free, lines = len(live) - size, residual.shape[1]
     if free < 2 or lines < 8:
         return nothing
-    mean_s = np.sqrt(np.mean(data.s[live] ** 2, axis=1))
-    left = np.linalg.svd(mean_s[:, None] * data.beams.basis[live])[0][:, data.beams.basis.shape[1] :]
-    residual = state.e[live].T @ left
-    covariance = residual.conj().T @ residual / lines
-    values, vectors = np.linalg.eigh(covariance)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    level = max(1.0, float(np.median(values)) / _median_factor(free, lines))
+    left = np.linalg.qr(state.span[live], mode="complete")[0][:, size:]
+    inside = left.T @ residual
+    if lines < free:
+        inside_covariance = inside.conj().T @ inside / lines
+        values = np.linalg.eigvalsh(inside_covariance)[::-1]
+        vectors = np.linalg.svd(inside, full_matrices=False)[0]
+    else:
+        values, vectors = np.linalg.eigh(inside @ inside.conj().T / lines)
+        values, vectors = values[::-1], vectors[:, ::-1]
+    level = max(scale, float(np.median(values)) / _median_factor(free, lines) if lines >= free else 0.0)
     edge = (1.0 + np.sqrt(free / lines)) ** 2
     width = (np.sqrt(lines) + np.sqrt(free)) * (lines**-0.5 + free**-0.5) ** (1.0 / 3.0) / lines
     s = (values[0] / level - edge) / width
     p = float(np.exp(-4.0 / 3.0 * s**1.5)) if s > 0.0 else 1.0
-    pattern = np.zeros(len(data.points))
+    pattern = np.zeros(count)
     shape = left @ vectors[:, 0]
     pattern[live] = np.abs(shape) * np.sqrt(values[0])
     above = values[values > level * (edge + 3.0 * width)]
@@ -93,7 +107,7 @@ def _median_factor(free: int, lines: int) -> float:
 
 
 def _concentrated(
-    data: LineData, live: NDArray[np.intp], left: Array, pattern: NDArray[np.complex128]
+    data: Compact, live: NDArray[np.intp], left: Array, pattern: NDArray[np.complex128]
 ) -> bool:
     """Tell whether faults at one point, or at two, could make the pattern alone."""
     names = [data.points[c] for c in live]

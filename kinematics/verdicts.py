@@ -59,13 +59,10 @@ def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     if finding.kind == "flexible" or fit is None:
         return "flexible", f"non-rigid motion {100.0 * finding.size:.2g} % of the motion"
     p, sd = fit.parameters, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    if finding.kind == "gain":
-        factor = 1.0 + p[0] + 1j * p[1]
-        if abs(factor + 1.0) < _SIGN:
-            return "sign", f"factor {factor.real:.3f} +- {sd[0]:.2g}"
-        turn = np.rad2deg(np.angle(factor))
-        phase = f", phase {turn:.2g} deg" if abs(p[1]) > 3.0 * sd[1] else ""
-        return "gain", f"factor {abs(factor):.4g} +- {sd[0]:.2g}{phase}"
+    if finding.kind in ("gain", "phase"):
+        return _factored(p, sd)
+    if finding.kind == "delay":
+        return "gain", f"delayed, phase lag {np.rad2deg(p[0]):.3g} +- {np.rad2deg(sd[0]):.2g} deg at mid-band"
     if finding.kind == "drift":
         start, end = 1.0 + p[0] + 1j * p[1] - p[2] - 1j * p[3], 1.0 + p[0] + 1j * p[1] + p[2] + 1j * p[3]
         return "drift", f"factor {_factor(start)} at the first line, {_factor(end)} at the last"
@@ -79,6 +76,17 @@ def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
         shift = ", ".join(f"{value * 1e3:.3g}" for value in p)
         return "position", f"point off by ({shift}) +- {float(np.sqrt(np.mean(sd**2))) * 1e3:.2g} mm"
     return "label_swap", _partner(finding, body)
+
+
+def _factored(p: Array, sd: Array) -> tuple[str, str]:
+    """Describe a real factor, or a complex one."""
+    factor = 1.0 + p[0] + 1j * (p[1] if len(p) > 1 else 0.0)
+    if abs(factor + 1.0) < _SIGN:
+        return "sign", f"factor {factor.real:.3f} +- {sd[0]:.2g}"
+    if len(p) == 1:
+        return "gain", f"factor {factor.real:.4g} +- {sd[0]:.2g}"
+    turn = np.rad2deg(np.angle(factor))
+    return "gain", f"factor {abs(factor):.4g} +- {sd[0]:.2g}, phase {turn:.2g} deg"
 
 
 def _factor(value: complex) -> str:
