@@ -218,6 +218,7 @@ def from_arrays(
     frame: str = "footplate",
     order: int = 1,
     runs: tuple[str, ...] = ("1",),
+    overwrite: bool = False,
 ) -> Measurement:
     """Build a measurement from arrays.
 
@@ -230,12 +231,17 @@ def from_arrays(
     freq_hz : ndarray, (freq,)
     frame, order, runs
         As in Measurement.
+    overwrite : bool
+        Turn complex ``value`` arrays into displacements in place, so that the data stand in memory once.
+        Displacements (order 0) are never copied.
     """
     factor = (2j * np.pi * np.asarray(freq_hz, dtype=float)) ** order
     made = []
     for name, parts in bodies.items():
         value = np.asarray(parts["value"], dtype=complex)
         value = value[None] if value.ndim == 2 else value
+        if order:
+            value = np.divide(value, factor, out=value if overwrite else None)
         sd = parts.get("sd")
         spread = np.asarray(parts.get("position_sd_mm", np.nan), dtype=float)
         made.append(
@@ -244,10 +250,10 @@ def from_arrays(
                 tuple(parts["points"]),  # type: ignore[arg-type]
                 np.asarray(parts["positions_mm"], dtype=float),
                 np.asarray(parts["directions"], dtype=float),
-                value / factor,
+                value,
                 None
                 if sd is None
-                else np.broadcast_to(np.asarray(sd, dtype=float), value.shape) / np.abs(factor),
+                else np.broadcast_to(np.asarray(sd, dtype=float) / np.abs(factor), value.shape),
                 position_sd_mm=np.broadcast_to(spread, (value.shape[1],)).copy(),
             )
         )

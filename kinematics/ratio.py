@@ -12,7 +12,9 @@ from kinematics.motion import RigidMotion, SharedErrors
 from kinematics.motion_files import standard_deviation
 from kinematics.notices import Notice
 
+ComplexArray = NDArray[np.complex128]
 _CLEAR = 10.0
+_LINES = 2048
 
 
 def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) -> tuple[int, int]:
@@ -67,19 +69,12 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     ref = motion.q[:, body, :, place]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = motion.q / ref[:, None, :, None]
-    flat = ratio.transpose(0, 2, 1, 3).reshape(runs, lines, bodies * n)
-    jacobian = np.zeros((runs, lines, bodies * n, bodies * n), dtype=complex)
-    jacobian[..., np.arange(bodies * n), np.arange(bodies * n)] = 1.0
-    jacobian[..., :, body * n + place] -= np.where(np.isfinite(flat), flat, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        jacobian /= ref[:, :, None, None]
-    joint = np.zeros_like(jacobian)
-    for number in range(bodies):
-        part = slice(number * n, (number + 1) * n)
-        joint[:, :, part, part] = motion.covariance[:, number]
-    covariance = jacobian @ _finite(joint) @ jacobian.conj().transpose(0, 1, 3, 2)
-    missing = ~np.isfinite(flat)
-    covariance[missing[..., :, None] | missing[..., None, :]] = np.nan
+    covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)
+    for run in range(runs):
+        for start in range(0, lines, _LINES):
+            part = slice(start, start + _LINES)
+            own = motion.covariance[run, :, part]
+            covariance[run, part] = _joint(own, ratio[run, :, part], ref[run, part], body, place)
     shared = None if motion.shared is None else _shared(motion.shared, ratio, ref, body, place)
     notices = (*motion.notices, *_noisy(motion, ref, body, place, reference))
     ratio[~np.isfinite(ratio)] = np.nan
@@ -88,12 +83,38 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     )
 
 
-def _finite(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    return np.where(np.isfinite(values), values, 0.0)
+def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int, place: int) -> ComplexArray:
+    """Return the joint covariance of ratios, (freq, body*dof, body*dof).
+
+    ``own`` is (body, freq, dof, dof), ``ratio`` (body, freq, dof). With c the column of the reference,
+    |q_ref|^2 C' = C - H c^H - c H^H + H var(q_ref) H^H. NaN where a motion or its noise is not known.
+    """
+    bodies, lines, n = ratio.shape
+    flat = ratio.transpose(1, 0, 2).reshape(lines, bodies * n)
+    missing = ~np.isfinite(flat)
+    h = np.where(missing, 0.0, flat)
+    joint = np.zeros((lines, bodies * n, bodies * n), dtype=complex)
+    for number in range(bodies):
+        part = slice(number * n, (number + 1) * n)
+        known = np.isfinite(own[number])
+        joint[:, part, part] = np.where(known, own[number], 0.0)
+        missing[:, part] |= ~np.all(known, axis=(1, 2))[:, None]
+    at = body * n + place
+    missing |= missing[:, at, None]
+    column = joint[:, :, at].copy()
+    variance = column[:, at].real[:, None, None]
+    cross = h[:, :, None] * column.conj()[:, None, :]
+    joint -= cross
+    joint -= cross.conj().transpose(0, 2, 1)
+    joint += h[:, :, None] * variance * h.conj()[:, None, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        joint /= (np.abs(ref) ** 2)[:, None, None]
+    joint[missing[:, :, None] | missing[:, None, :]] = np.nan
+    return joint
 
 
 def _shared(
-    shared: SharedErrors, ratio: NDArray[np.complex128], ref: NDArray[np.complex128], body: int, place: int
+    shared: SharedErrors, ratio: ComplexArray, ref: ComplexArray, body: int, place: int
 ) -> SharedErrors:
     moved = shared.derivatives[:, :, body, :, place]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -103,9 +124,7 @@ def _shared(
     return SharedErrors(shared.names, shared.covariance, derivatives)
 
 
-def _noisy(
-    motion: RigidMotion, ref: NDArray[np.complex128], body: int, place: int, reference: str
-) -> list[Notice]:
+def _noisy(motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str) -> list[Notice]:
     sd = standard_deviation(motion)[:, body, :, place]
     with np.errstate(invalid="ignore"):
         weak = int(np.sum(np.abs(ref) < _CLEAR * sd))
