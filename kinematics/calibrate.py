@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from kinematics.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Weights = Callable[[Measurement, int, int], Array]
+Weights = Mapping[tuple[int, int], Array]
 _ROUNDS = 12
 _SEPARABLE = 1e-6
 _MOST_WORK = 4e10
@@ -94,8 +94,8 @@ def calibrate(
     dof : sequence of sequence of str
         By body: the degrees of freedom that are left free at every line.
     priors : GeometryPriors
-    weights : callable
-        (measurement, run, body) to 1 / (2 sd^2), (channel, freq), zero where a value is not used.
+    weights : mapping of (run, body) to ndarray, (channel, freq)
+        1 / (2 sd^2), zero where a value is not used.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def calibrate(
         block
         for run in range(len(placed.runs))
         for body in range(len(placed.bodies))
-        if (block := _block(placed, run, body, weights(placed, run, body), len(model.names))) is not None
+        if (block := _block(placed, run, body, weights[run, body], len(model.names))) is not None
     ]
     energy = _energy(model, blocks, dof, values)
     start, target = energy, energy
@@ -202,7 +202,7 @@ def _fitted(block: _Block, rows: Array) -> tuple[Array, ComplexArray, ComplexArr
     whole = block.s * block.y
     z = np.einsum("fcm,cf->fm", q, whole)
     residual = np.asarray(whole - np.einsum("fcm,fm->cf", q, z))
-    return np.asarray(q, dtype=float), residual, np.asarray(np.linalg.solve(r, z[:, :, None])[:, :, 0].T)
+    return np.asarray(q.real), residual, np.asarray(np.linalg.solve(r, z[:, :, None])[:, :, 0].T)
 
 
 def _energy(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,12 +32,17 @@ class ScanSurfaces:
 
     Attributes
     ----------
-    folder : Path
-        The folder of mass.json.
+    find : callable
+        From a file's name to its path, which need not exist.
     """
 
-    folder: Path
+    find: Callable[[str], Path]
     _read: dict[str, TriangleSurface | None] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def beside(cls, mass_file: Path) -> ScanSurfaces:
+        """Return the surfaces in the folder of a mass.json."""
+        return cls(lambda name: Path(mass_file).parent / name)
 
     def mesh(self, name: str) -> TriangleSurface | None:
         """Return ``stapes`` or ``plate``, or None when there is no such file.
@@ -47,13 +53,13 @@ class ScanSurfaces:
             The file holds no triangles.
         """
         if name not in self._read:
-            path = self.folder / f"{name}.ply"
+            path = self.find(f"{name}.ply")
             self._read[name] = read_mesh(path, name) if path.is_file() else None
         return self._read[name]
 
     def bone_near(self, points_mm: Array) -> TriangleSurface | None:
         """Return the boundary of the other bone around points (n, 3), or None when there is none there."""
-        path = self.folder / "labels.nrrd"
+        path = self.find("labels.nrrd")
         if not path.is_file():
             return None
         return label_surface(read_labels(path), OTHER_BONE, points_mm)
