@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from kinematics.command import Outcome, Parser, run
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,7 +24,9 @@ they measure the same points again:
                   nodes 15 or 2411, coordinate systems 18 or 2420, units 164
   PSV text        a folder of a FastScan (one file per frequency) or of single points (Real & Imag.)
   MATLAB, HDF5    .mat (v5, v7.3), .h5
-  time series     .csv with a column time_s, .npz, .wav
+  time series     .csv with a column time_s, .npz, .wav, .mat, .h5, with --channels FILE:
+                  channel, role (response, reference, ignore), body, point, dir or dir_x, dir_y, dir_z,
+                  unit (mm/s ...) or sensitivity (5 mm/s/V, 100 mV/g) [, x_mm, y_mm, z_mm] [, run] [, file]
 Such files name points by numbers; --points or --body say which body each belongs to:
   --body stapes=1-10,12 --body base=11,13-20      --body stapes=scan.uff:1-9 --body base=plate.uff
   .svd files open in their own program only: export UFF or ASCII.
@@ -78,6 +81,12 @@ def parser() -> Parser:
         choices=("m", "mm", "um"),
         help="unit of positions where a file does not say it (default m, with a warning)",
     )
+    made.add_argument(
+        "--mapping",
+        type=Path,
+        metavar="FILE.toml",
+        help="which variable of a MATLAB or HDF5 file is what (default: FILE.mat.toml, or told by names)",
+    )
     made.add_argument("--fiducials", type=Path, metavar="FILE", help="points that tie vibrometer and scan")
     made.add_argument(
         "--frame",
@@ -99,6 +108,7 @@ def parser() -> Parser:
         "--mirror", choices=("x", "y", "z"), help="turn this axis of left-handed scanner coordinates round"
     )
     made.add_argument("--out", type=Path, default=Path("dof.csv"), metavar="FILE.csv", help="default dof.csv")
+    add_series_arguments(made)
     made.add_config()
     return made
 
@@ -116,7 +126,13 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     from kinematics.spatial import parse_dof
 
     said = InputOptions(
-        tuple(options.body), tuple(options.run), options.beam, options.amplitude, options.length_unit
+        tuple(options.body),
+        tuple(options.run),
+        options.beam,
+        options.amplitude,
+        options.length_unit,
+        options.mapping,
+        series_options(options),
     )
     chosen = Options(parse_dof(options.dof), options.reference, options.robust)
     mass = None if options.mass is None else read_mass_record(options.mass)
@@ -129,7 +145,14 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
     placement = place(fiducials, frame, mass)
     provenance = record(
-        {**inputs_of(options.ldv, options.points), "fiducials": options.fiducials, "mass": options.mass},
+        {
+            **inputs_of(options.ldv, options.points),
+            "fiducials": options.fiducials,
+            "mass": options.mass,
+            "mapping": options.mapping,
+            "channels": options.channels,
+            "steps": options.steps,
+        },
         {
             "dof": list(chosen.dof),
             "reference": chosen.reference,
@@ -141,6 +164,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
             "beam": options.beam,
             "amplitude": options.amplitude,
             "length_unit": options.length_unit,
+            "series": None if said.series is None else {k: str(v) for k, v in vars(said.series).items()},
         },
         ["points2dof", *arguments],
     )
@@ -170,7 +194,7 @@ def _check(options: argparse.Namespace) -> None:
             )
         )
     named = [("the vibrometer file", path) for path in options.ldv]
-    named += [(f"--{name}", getattr(options, name)) for name in ("points", "fiducials", "mass")]
+    named += [(f"--{name}", getattr(options, name)) for name in ("points", "fiducials", "mass", "mapping")]
     for thing, path in named:
         if path is not None and not path.exists():
             faults.append(sentence(thing, "an existing file", path, "", "Check its name and folder"))

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.frf_noise import Frf, check_signals, common_notice, split_noise
+from kinematics.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
-ESTIMATORS = ("h1", "h2", "hv")
-WINDOWS = ("none", "hann", "hamming", "blackman", "flattop")
 _FEWEST = 3
 
 
@@ -149,7 +148,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     and v = Gyy - |H|^2 u: E|dH|^2 = (v + |H|^2 e + e v / u) / ((n - 1) u) (Fuller 1987, eq. 1.3.12), for
     the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)).
     """
-    records = _checked(records, sample_rate_hz, where)
+    records = checked_records(records, sample_rate_hz, where)
     taper = how.taper()
     counts = [1 + (len(x) - how.segment) // how.hop if len(x) >= how.segment else 0 for x, _ in records]
     averages = sum(effective_averages(taper, how.hop, count) for count in counts if count)
@@ -232,7 +231,14 @@ def _estimated(
     return value, variance, coherence
 
 
-def _checked(records: Records, sample_rate_hz: float, where: str) -> list[tuple[Array, Array]]:
+def checked_records(records: Records, sample_rate_hz: float, where: str) -> list[tuple[Array, Array]]:
+    """Return the records as arrays.
+
+    Raises
+    ------
+    KinematicsError
+        No record, records of different channels, or what check_signals says.
+    """
     if not records:
         raise KinematicsError(sentence("the records", "one at least", "none", where))
     made = []

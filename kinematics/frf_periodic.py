@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.frf import Records, _checked
+from kinematics.frf import Records, checked_records
 from kinematics.frf_noise import Frf, common_notice, split_noise
 from kinematics.notices import Notice
 
@@ -97,7 +97,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     is averaged over neighbouring lines. Where records differ by more than their noise (nonlinear
     distortion, drift), the standard deviation is widened to what they differ by, with a warning.
     """
-    checked = _checked(records, sample_rate_hz, where)
+    checked = checked_records(records, sample_rate_hz, where)
     samples, per_block = how.block(sample_rate_hz, where)
     skip = -(-how.skip // per_block) * samples
     stacks = [(_blocks(x[skip:], samples), _blocks(y[:, skip:], samples)) for x, y in checked]

@@ -61,7 +61,9 @@ def read_measurement(
         try:
             tidy = kind == TIDY
             files.append(
-                _as_recordings(read_ldv(path, points, frame), path) if tidy else read_recordings(path)
+                _as_recordings(read_ldv(path, points, frame), path)
+                if tidy
+                else read_recordings(path, options)
             )
         except KinematicsError as fault:
             faults.append(str(fault))
@@ -97,6 +99,8 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
         "--beam": "columns of the direction",
         "--amplitude": "unit of its columns",
         "--length-unit": "columns x_mm, y_mm, z_mm",
+        "--mapping": "header",
+        "--channels": "columns (those of time series have time_s)",
     }
     step = "Leave it out"
     raise_all(

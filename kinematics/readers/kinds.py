@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kinematics.errors import KinematicsError, sentence
 from kinematics.readers import vendor
+from kinematics.readers.options import InputOptions
 from kinematics.readers.psv_fastscan import looks_like_fastscan
 from kinematics.readers.psv_points import looks_like_points
 from kinematics.readers.psv_text import decoded
@@ -106,7 +107,7 @@ def _split(line: str) -> list[str]:
     return line.split(max((",", ";", "\t"), key=line.count))
 
 
-def read_recordings(path: Path) -> Recordings:
+def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:
     """Read any file but a tidy table, and note its name.
 
     Raises
@@ -116,6 +117,14 @@ def read_recordings(path: Path) -> Recordings:
     """
     from dataclasses import replace
 
+    path, said = Path(path), options or InputOptions()
     kind = kind_of(path)
-    made: Recordings = import_module(_MODULES[kind]).read(Path(path))
-    return replace(made, file=Path(path).name)
+    if kind == "time" or (said.series is not None and kind in ("matlab", "hdf5")):
+        from kinematics.readers import time_series
+
+        made = time_series.read(path, said.series)
+    elif kind in ("matlab", "hdf5"):
+        made = import_module(_MODULES[kind]).read(path, said.mapping)
+    else:
+        made = import_module(_MODULES[kind]).read(path)
+    return replace(made, file=path.name)

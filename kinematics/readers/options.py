@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.series_options import SeriesOptions
 
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")
@@ -63,6 +65,11 @@ class InputOptions:
     length_unit : str
         Of positions whose unit a file does not say; empty: m, with a warning.
 
+    mapping : Path, optional
+        Which variable of a MATLAB or HDF5 file is what; see kinematics.readers.mat_mapping.
+    series : SeriesOptions, optional
+        How files with time series are turned into spectra; with it, MATLAB and HDF5 files hold time series.
+
     Raises
     ------
     KinematicsError
@@ -74,6 +81,8 @@ class InputOptions:
     beam: str = ""
     amplitude: str = ""
     length_unit: str = ""
+    mapping: Path | None = None
+    series: SeriesOptions | None = None
     bodies: tuple[tuple[str, tuple[Chosen, ...]], ...] = field(init=False, default=())
     runs: tuple[tuple[str, str], ...] = field(init=False, default=())
     direction: Array | None = field(init=False, default=None, compare=False)
@@ -100,6 +109,8 @@ class InputOptions:
             "--beam": self.beam,
             "--amplitude": self.amplitude,
             "--length-unit": self.length_unit,
+            "--mapping": self.mapping,
+            "--channels": self.series,
         }
         return tuple(name for name, value in given.items() if value)
 

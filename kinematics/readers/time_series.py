@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.frf import ESTIMATORS, WINDOWS, Welch, segment_for, welch_frf
+from kinematics.frf import Welch, segment_for, welch_frf
 from kinematics.frf_noise import Frf
 from kinematics.frf_periodic import Periodic, periodic_frf
 from kinematics.lock_in import SteppedSine
@@ -23,87 +23,10 @@ from kinematics.notices import Notice, unique
 from kinematics.readers.channel_table import Channel, read_channels
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series_files import Series, read_series
-from kinematics.stepped_sine import Step, steps_of, stepped_amplitudes, stepped_frf
+from kinematics.series_options import SeriesOptions
+from kinematics.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 
 Array = NDArray[np.float64]
-_AVERAGES = 30
-
-
-@dataclass(frozen=True)
-class SeriesOptions:
-    """How time series are turned into frequency responses.
-
-    Attributes
-    ----------
-    channels : Path
-        The channel table.
-    reference : str
-        The reference among several of the table; empty: the only one.
-    estimator : str
-        ``h1``, ``h2`` or ``hv``.
-    window : str
-    overlap : float
-    averages : int
-        Segments in a record (30), unless ``resolution_hz`` is given.
-    resolution_hz : float
-        NaN: by ``averages``.
-    period_s : float
-        Period of a periodic excitation; NaN: none.
-    skip_periods : int
-    steps : Path, optional
-        CSV with start_s, stop_s, freq_hz of a stepped sine.
-    settle : float
-        Share of every step left out at its start.
-    band_hz : tuple of (float, float), optional
-        Lines kept.
-
-    Raises
-    ------
-    KinematicsError
-        A value out of its range or options that exclude each other; all together.
-    """
-
-    channels: Path
-    reference: str = ""
-    estimator: str = "h1"
-    window: str = "hann"
-    overlap: float = 0.5
-    averages: int = _AVERAGES
-    resolution_hz: float = float("nan")
-    period_s: float = float("nan")
-    skip_periods: int = 1
-    steps: Path | None = None
-    settle: float = 0.2
-    band_hz: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        faults = []
-        if self.estimator not in ESTIMATORS:
-            faults.append(sentence("--frf", ", ".join(ESTIMATORS), self.estimator))
-        if self.window not in WINDOWS:
-            faults.append(sentence("--window", ", ".join(WINDOWS), self.window))
-        if not 0.0 <= self.overlap <= 0.95:
-            faults.append(sentence("--overlap", "between 0 and 0.95", self.overlap))
-        if self.averages < 3:
-            faults.append(sentence("--averages", "3 at least", self.averages))
-        if not np.isnan(self.resolution_hz) and not 0.0 < self.resolution_hz < np.inf:
-            faults.append(sentence("--resolution", "positive, in Hz", self.resolution_hz))
-        if not np.isnan(self.period_s) and not 0.0 < self.period_s < np.inf:
-            faults.append(sentence("--period", "positive, in s", self.period_s))
-        if not np.isnan(self.period_s) and self.steps is not None:
-            step = "Excitation is periodic or stepped"
-            faults.append(sentence("--steps", "left out beside --period", self.steps, "", step))
-        if self.skip_periods < 0:
-            faults.append(sentence("--skip-periods", "0 or more", self.skip_periods))
-        if not 0.0 <= self.settle <= 0.9:
-            faults.append(sentence("--settle", "from 0 to 0.9", self.settle))
-        if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
-            faults.append(sentence("--band", "two frequencies, the lower first", self.band_hz))
-        if self.steps is not None and not self.steps.is_file():
-            faults.append(sentence("--steps", "an existing file", self.steps, "", "Check its name"))
-        if not self.channels.is_file():
-            faults.append(sentence("--channels", "an existing file", self.channels, "", "Check its name"))
-        raise_all(KinematicsError, faults)
 
 
 def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
@@ -147,7 +70,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
         recordings += _recordings(group, frf, reference, series, options)
         notices += list(frf.notices)
     if not recordings:
-        step = "Widen --band, or record longer"
+        step = "Widen --frf-band, or record longer"
         raise KinematicsError(sentence("the band", "with one line at least", "none", path.name, step))
     return Recordings(
         tuple(recordings),
@@ -183,7 +106,7 @@ def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | Non
 
 @dataclass(frozen=True)
 class _Group:
-    """Channels recorded together: for every record the reference (sample,) and responses (channel, sample)."""
+    """Channels recorded together: per record, reference and responses (channel, sample)."""
 
     channels: tuple[Channel, ...]
     points: tuple[str, ...]
@@ -245,8 +168,8 @@ def _groups(
 
 def _alive(series: Series, channels: Sequence[Channel], k: int) -> tuple[list[Channel], list[Notice]]:
     """Leave out channels without any signal in a row: missing points are rows of zeros or NaN."""
-    alive = []
-    dead = []
+    alive: list[Channel] = []
+    dead: list[Channel] = []
     for one in channels:
         signal = series.channels[one.name][k]
         good = bool(np.all(np.isfinite(signal)) and np.any(signal != signal[0]))
