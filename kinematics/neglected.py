@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from kinematics.beams import WEAK, BeamSet, beam_set, observability
 from kinematics.measurement import BodyChannels
 from kinematics.notices import Notice
-from kinematics.rigid_fit import LineFit, fit_lines
+from kinematics.rigid_fit import LineFit, refitted
 from kinematics.spatial import DOF_NAMES, dof_indices
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def leaks(fit: LineFit, channel_weight: Array) -> Array:
     return np.asarray(solved / scale[:, None])
 
 
-def neglected_notice(fit: LineFit, body: BodyChannels, value: ComplexArray, where: str) -> list[Notice]:
+def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notice]:
     """Warn when motion outside the fitted subset enters it.
 
     Motion that the beams do observe is measured, and its effect stated when it is significant; motion that
@@ -53,14 +53,14 @@ def neglected_notice(fit: LineFit, body: BodyChannels, value: ComplexArray, wher
     dof = fit.beams.dof
     if len(dof) == 6:
         return []
-    weight = np.mean(fit.weights, axis=1)
+    weight = fit.channel_weight
     if not np.any(weight > 0.0):
         return []
     leak = leaks(fit, weight / np.max(weight))
     wide = extended_dof(body, dof)
     texts = _hidden(leak, dof, [name for name in DOF_NAMES if name not in wide], fit.beams.lever_m)
     if wide != dof:
-        texts += _measured(fit, body, value, leak, wide)
+        texts += _measured(fit, body, leak, wide)
     if not texts:
         return []
     return [Notice("neglected_motion", f"body {body.body}{where}: {'; '.join(texts)}.")]
@@ -83,13 +83,13 @@ def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) 
 
 
 def _measured(
-    fit: LineFit, body: BodyChannels, value: ComplexArray, leak: Array, wide: tuple[str, ...]
+    fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]
 ) -> list[str]:
     """Describe significant measured motion outside the subset and its effect on the fitted motion."""
     from scipy.special import chdtrc
 
     dof = fit.beams.dof
-    full = fit_lines(beam_set(body.body, body.positions_mm, body.directions, wide), value, fit.sd)
+    full = refitted(beam_set(body.body, body.positions_mm, body.directions, wide), fit)
     good = np.isfinite(full.chi2) & np.isfinite(fit.chi2)
     if not np.any(good):
         return []
