@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+
+_PLACE = re.compile(r"\(([^()]+), line (\d+)")
 
 
 class StapeskitError(ValueError):
@@ -33,7 +36,7 @@ def sentence(thing: str, expected: str, got: object, where: str = "", next_step:
     return f"{thing} must be {expected}; got {got}{place}.{step}"
 
 
-def raise_all(error: type[StapeskitError], faults: Iterable[str], most: int = 20) -> None:
+def raise_all(error: type[StapeskitError], faults: Iterable[str], most: int = 40) -> None:
     """Raise one error that lists every fault of a file, or return when there is none.
 
     Parameters
@@ -43,7 +46,7 @@ def raise_all(error: type[StapeskitError], faults: Iterable[str], most: int = 20
     faults : iterable of str
         Finished sentences.
     most : int
-        How many are written out before the rest is counted.
+        How many are written out, every kind of fault in turn; of the rest the lines are named.
 
     Raises
     ------
@@ -53,7 +56,46 @@ def raise_all(error: type[StapeskitError], faults: Iterable[str], most: int = 20
     listed = list(faults)
     if not listed:
         return
-    shown = listed[:most]
-    if len(listed) > most:
-        shown.append(f"... and {len(listed) - most} more faults of this kind.")
-    raise error("\n".join(shown))
+    if len(listed) <= most:
+        raise error("\n".join(listed))
+    kinds: dict[str, list[int]] = {}
+    for number, fault in enumerate(listed):
+        kinds.setdefault(_kind(fault), []).append(number)
+    turn = sorted((rank, number) for members in kinds.values() for rank, number in enumerate(members))
+    shown = sorted(number for _, number in turn[:most])
+    rest = [listed[number] for _, number in turn[most:]]
+    raise error("\n".join([*(listed[number] for number in shown), _counted(rest)]))
+
+
+def _kind(fault: str) -> str:
+    """Return what a fault is about, without names and values."""
+    thing, _, expected = fault.partition("; got ")[0].partition(" must be ")
+    return expected or thing
+
+
+def _counted(faults: list[str]) -> str:
+    """Count faults and name the lines they stand in."""
+    places: dict[tuple[str, str], list[int]] = {}
+    for fault in faults:
+        found = _PLACE.search(fault)
+        if found:
+            thing = fault.partition(" must be ")[0]
+            places.setdefault((thing if len(thing) < 40 else "rows", found[1]), []).append(int(found[2]))
+    parts = [
+        f"{thing} in {_ranges(lines)} of {file}"
+        for (thing, file), lines in sorted(places.items(), key=lambda item: -len(item[1]))[:8]
+    ]
+    return f"... and {len(faults)} more faults" + (f": {'; '.join(parts)}." if parts else ".")
+
+
+def _ranges(lines: list[int], most: int = 30) -> str:
+    """Write line numbers, neighbours as ranges."""
+    ranges: list[list[int]] = []
+    for line in sorted(set(lines)):
+        if ranges and line == ranges[-1][1] + 1:
+            ranges[-1][1] = line
+        else:
+            ranges.append([line, line])
+    words = [f"{first}" if first == last else f"{first} to {last}" for first, last in ranges[:most]]
+    more = f" and {len(ranges) - most} more places" if len(ranges) > most else ""
+    return f"line{'s' if len(set(lines)) > 1 else ''} {', '.join(words)}{more}"
