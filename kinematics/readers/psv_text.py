@@ -126,6 +126,10 @@ def _block(lines: list[str], start: int, file: str) -> tuple[Block, int] | None:
     last = first
     while last < len(lines) and _is_numbers(lines[last]):
         last += 1
+    if last < len(lines) and lines[last].strip() and _FIELD.match(lines[last]) is None:
+        step = "It may be cut short: export it again"
+        got = f'"{lines[last].strip()[-40:]}"'
+        raise KinematicsError(sentence("a row", "of numbers", got, f"{file}, line {last + 1}", step))
     columns, inline = _split_names(names)
     below = _split_units(units) if units else inline
     width = len(_cells(lines[first]))
