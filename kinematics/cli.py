@@ -11,9 +11,6 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from kinematics.points2dof import Points2Dof
 
 _EPILOG = """\
@@ -35,7 +32,10 @@ Tidy table, one row per body, point, beam and frequency (comma separated, header
   The value is v . dir, positive towards the laser head. `dir` may hold x, y, z, -x, -y or -z instead.
   amp_m_s, phase_deg instead of re, im. Units by suffix: m, mm, um, nm (displacement), m_s (velocity),
   m_s2 (acceleration), rms_m_s ... Optional: sd_m_s (sd of the real = imaginary part, in the unit of the
-  value), n_avg, coherence, run (one excitation each). Empty or NaN value: missing.
+  value), n_avg, coherence, run (one excitation each), repeat (names or numbers; compared for drift,
+  creep and outliers, then pooled), level (amplitude of the excitation, any unit; level_db in decibels;
+  tested for nonlinearity, then pooled at the highest). Empty or NaN value: missing. Lines that begin
+  with # are comments.
 points.csv:    body, point, x_mm, y_mm, z_mm [, sd_mm]
 fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
                [, frame = plate (default) | scan | footplate] [, sd_mm]
@@ -206,31 +206,16 @@ def _write(options: argparse.Namespace, result: Points2Dof) -> list[Path]:
     from kinematics.motion_files import write_motion
     from kinematics.output import staged
     from kinematics.report import write_report
+    from kinematics.scenery import read_scenery
     from kinematics.verdicts import write_channels
 
     folder, stem = options.out.parent, options.out.stem
+    scenery = None if options.mass is None else read_scenery(options.mass)
     with staged(folder) as stage:
         write_motion(stage, stem, result.motion)
         write_channels(stage / f"{stem}.channels.csv", result.channels)
-        write_report(stage / f"{stem}.html", result, _surface(options.mass, result))
+        write_report(stage / f"{stem}.html", result, scenery)
     return [folder / f"{stem}{end}" for end in (".csv", ".h5", ".channels.csv", ".html")]
-
-
-def _surface(mass: Path | None, result: Points2Dof) -> NDArray[np.float64] | None:
-    """Return the vertices of the stapes that lies beside mass.json, in the footplate frame, mm."""
-    if mass is None or not (mass.parent / "stapes.ply").is_file():
-        return None
-    import numpy as np
-
-    from kinematics.mass_record import read_mass_record
-
-    del result
-    import trimesh
-
-    mesh = trimesh.load_mesh(mass.parent / "stapes.ply", process=False)
-    vertices = np.asarray(mesh.vertices, dtype=float)
-    step = max(1, len(vertices) // 6000)
-    return read_mass_record(mass).scan_from_footplate.inverse().points(vertices[::step])
 
 
 def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
@@ -274,6 +259,10 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
         rows.append(
             ("registration", f"{len(fit.residuals_mm)} fiducials, residual {fit.rms_mm * 1e3:.3g} um rms")
         )
+    rows += [
+        (f"repeats of {one.run}" if len(motion.runs) > 1 else "repeats", one.summary)
+        for one in result.repeats
+    ]
     return Outcome(
         "points2dof",
         rows,
@@ -286,6 +275,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
             "runs": list(motion.runs),
             "lines": len(motion.freq_hz),
             "bodies": bodies,
+            "repeats": [one.as_json() for one in result.repeats],
             "verdicts": [
                 {
                     "run": v.run,
