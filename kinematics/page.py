@@ -1,12 +1,13 @@
 """One self-contained HTML page: headings, tables, matrices, figures, warnings; no network, no scripts needed.
 
-Every text goes through Jinja2 with autoescape; figures are embedded as data.
+Every text goes through Jinja2 with autoescape; figures are embedded as data. It prints on A4.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +43,14 @@ figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4
 .notice code { color: var(--warn); } .good { border-left-color: #2c8a57; background: #eef7f1; }
 details > summary { cursor: pointer; color: var(--accent); margin: 10px 0; }
 pre { background: var(--tint); padding: 10px; overflow-x: auto; font-size: 13px; }
+@page { size: A4; margin: 14mm 12mm; }
+@media print {
+  body { font-size: 10pt; max-width: none; padding: 0; } nav { display: none; } h1 { font-size: 17pt; }
+  h2 { font-size: 13pt; margin-top: 14pt; break-after: avoid; } h3 { break-after: avoid; }
+  figure, tr, .notice { break-inside: avoid; } thead { display: table-header-group; }
+  figure img { max-height: 250mm; } .scroll { overflow: visible; } table { font-size: 8.5pt; max-width: 100%; }
+  th, td { padding: 2px 5px; white-space: normal; } .notice { print-color-adjust: exact; }
+}
 """
 
 _TEMPLATE = """<!doctype html>
@@ -102,6 +111,39 @@ class Page:
         Path(path).write_text(self.html(), encoding="utf-8")
 
 
+def template(source: str, **values: Any) -> Markup:
+    """Return a block made from a Jinja2 template; every value is escaped."""
+    return _render(source, **values)
+
+
+def with_script(block: Markup, style: str, data_id: str, data: str, code: str) -> Markup:
+    """Return a block followed by its style, its data as JSON and the script that moves it.
+
+    Parameters
+    ----------
+    block : Markup
+        Usable, or hidden, where scripts do not run.
+    style, code : str
+        Text of this project: it is not escaped.
+    data_id : str
+        Id of the element that holds the data.
+    data : str
+        JSON; characters that could end the element are written as escapes of JSON.
+    """
+    from markupsafe import Markup
+
+    safe = data.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    return _render(
+        '<style>{{ style }}</style>{{ block }}<script type="application/json" id="{{ id }}">{{ data }}</script>'
+        "<script>{{ code }}</script>",
+        style=Markup(style),
+        block=block,
+        id=data_id,
+        data=Markup(safe),
+        code=Markup(code),
+    )
+
+
 def text(sentence: str) -> Markup:
     """Return a paragraph."""
     return _render("<p>{{ t }}</p>", t=sentence)
@@ -115,9 +157,9 @@ def subheading(words: str) -> Markup:
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], words: bool = False) -> Markup:
     """Return a table; ``words`` aligns text to the left and lets it wrap."""
     return _render(
-        '<div class="scroll"><table{% if words %} class="text"{% endif %}><tr>{% for h in header %}<th>{{ h }}</th>'
-        "{% endfor %}</tr>{% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>"
-        "{% endfor %}</table></div>",
+        '<div class="scroll"><table{% if words %} class="text"{% endif %}><thead><tr>{% for h in header %}'
+        '<th scope="col">{{ h }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
+        "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=header,
         rows=[list(row) for row in rows],
         words=words,
@@ -178,13 +220,53 @@ def matrix(
     )
 
 
-def figure(drawing: Figure, caption: str, alt: str, dpi: int = 130, vector: bool = True) -> Markup:
-    """Embed a matplotlib figure (SVG, or PNG when ``vector`` is false) and release it."""
+def figure(
+    drawing: Figure, caption: str, alt: str, dpi: int = 130, vector: bool = True, palette: bool = False
+) -> Markup:
+    """Embed a matplotlib figure and release it.
+
+    Parameters
+    ----------
+    drawing : Figure
+    caption, alt : str
+    dpi : int
+        Dots per inch of pixels.
+    vector : bool
+        SVG; PNG otherwise.
+    palette : bool
+        Keep 256 colours of a PNG, which makes coloured maps several times smaller.
+    """
     stream = io.BytesIO()
-    kind = "svg" if vector else "png"
-    drawing.savefig(stream, format=kind, dpi=dpi)
+    if vector:
+        drawing.savefig(stream, format="svg", dpi=dpi)
+        data, kind = _shortened(stream.getvalue()), "svg"
+    else:
+        drawing.savefig(stream, format="png", dpi=dpi)
+        data, kind = _few_colours(stream.getvalue()) if palette else stream.getvalue(), "png"
     drawing.clear()
-    return image(stream.getvalue(), caption, alt, kind)
+    return image(data, caption, alt, kind)
+
+
+def _few_colours(png: bytes) -> bytes:
+    """Return the same picture with the 256 colours that suit it best."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    few = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    colours, corner = few.getpalette() or [], few.getpixel((0, 0))
+    if isinstance(corner, int) and picture.getpixel((0, 0)) == (255, 255, 255):
+        colours[3 * corner : 3 * corner + 3] = [255, 255, 255]
+        few.putpalette(colours)
+    few.save(stream, format="png")
+    return stream.getvalue()
+
+
+def _shortened(svg: bytes) -> bytes:
+    """Round the coordinates of paths to hundredths of a point, which no eye and no printer tells apart."""
+    path = re.compile(rb' d="[^"]*"')
+    number = re.compile(rb"(\d+\.\d\d)\d+")
+    return path.sub(lambda found: number.sub(rb"\1", found.group()), svg)
 
 
 def image(data: bytes, caption: str, alt: str, kind: str = "png") -> Markup:

@@ -25,6 +25,7 @@ _ORDER: tuple[tuple[str, str, str], ...] = (
     ("scan", "Segmentation", "Segmentation"),
     ("scan", "Mass matrix", "Mass matrix M"),
     ("motion", "Points and beams", "Points and beams"),
+    ("motion", "Motion at one frequency", "Motion at one frequency"),
     ("motion", "Motion of the rigid bodies", "Motion of stapes and bone"),
     ("fit", "Stiffness and damping", "Stiffness K and damping D"),
     ("fit", "Measured and simulated responses", "Measured and simulated responses"),

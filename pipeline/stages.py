@@ -16,7 +16,9 @@ from pipeline.study import Study
 
 if TYPE_CHECKING:
     from kinematics.fiducials import Fiducials
+    from kinematics.mass_record import MassRecord
     from kinematics.measurement import Measurement
+    from kinematics.scenery import Scenery
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
 
@@ -100,7 +102,8 @@ class Motion:
 
         mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
         values = mass["inertial_parameters"]["values_si"]
-        frames = {key: mass["frames"].get(key) for key in ("scan_from_footplate", "scan_from_plate")}
+        names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
+        frames = {key: mass["frames"].get(key) for key in names}
         return {
             **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
             "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
@@ -127,7 +130,7 @@ class Motion:
         result = points2dof(measurement, placement, motion_options(study.ldv), mass, provenance)
         write_motion(work.fresh, "dof", result.motion)
         write_channels(work.fresh / "dof.channels.csv", result.channels)
-        drawn = sections(result, _outline(work, mass.scan_from_footplate))
+        drawn = sections(result, _scenery(work, mass))
         return ["dof.csv", "dof.h5", "dof.channels.csv"], Told(tuple(drawn), result.notices)
 
 
@@ -250,12 +253,13 @@ def _check_measurement(study: Study) -> None:
     raise_all(PipelineError, faults)
 
 
-def _outline(work: Workspace, scan_from_footplate: Any) -> Any:
-    """Return some vertices of the stapes in footplate axes, mm, to draw behind the points."""
+def _scenery(work: Workspace, mass: MassRecord) -> Scenery:
+    """Return the stapes in footplate axes, to be drawn behind the points."""
     from ct_inertia.surface import read_surface
+    from kinematics.scenery import scenery_of
 
-    vertices = read_surface(work.find("stapes.ply")).vertices_mm
-    return scan_from_footplate.inverse().points(vertices[:: max(1, len(vertices) // 6000)])
+    surface = read_surface(work.find("stapes.ply"))
+    return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), surface.vertices_mm, surface.faces)
 
 
 def results(work: Workspace) -> tuple[Mapping[str, Any], Mapping[str, Any]]:

@@ -306,17 +306,3 @@ def test_rounded_exact_data_are_rigid(tmp_path, digits):
     _, outcome = work([str(tmp_path / "ldv.csv"), "--out", str(tmp_path / "dof.csv")])
     assert {notice.code for notice in outcome.notices} == {"noise_estimated"}
     assert outcome.result["verdicts"] == []
-
-
-def test_every_panel_of_the_points_is_right_handed():
-    from kinematics.drawings import placement_figure
-    from tests.kinematics.simulated import body, measurement
-
-    made = scene(3, lines=6)
-    result = points2dof(measurement(body("stapes", made), freq_hz=made.freq_hz))
-    toward = {"+z": (0, 0, 1), "−x": (-1, 0, 0), "lateral (+y)": (0, 1, 0)}
-    for view in placement_figure(result).axes:
-        right = np.eye(3)["xyz".index(view.get_xlabel()[0])]
-        up = np.eye(3)["xyz".index(view.get_ylabel()[0])] * (-1.0 if view.yaxis_inverted() else 1.0)
-        assert not view.xaxis_inverted()
-        assert np.array_equal(np.cross(right, up), toward[view.get_title().removeprefix("seen from ")])
