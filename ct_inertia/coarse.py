@@ -242,21 +242,15 @@ def _solid(levels: Array, found: Interior, noise: float) -> Array:
     kept = [
         level
         for k, level in enumerate(levels)
-        if k in (0, len(levels) - 1) or _fills(found.near(level, _NEAR * noise))
+        if k in (0, len(levels) - 1) or _fills(found.filled(level, _NEAR * noise))
     ]
     return np.array(kept)
 
 
-def _fills(mask: NDArray[np.bool_]) -> bool:
-    """Say whether the voxels of a level fill cubes of three, and not by chance alone as in blurred edges."""
-    return _cubes(mask) >= max(_LEAST_INTERIOR, _LEAST_SOLID * np.count_nonzero(mask))
-
-
-def _cubes(mask: NDArray[np.bool_]) -> int:
-    """Return how many cubes of three voxels a mask holds."""
-    inner = mask[2:] & mask[1:-1] & mask[:-2]
-    inner = inner[:, 2:] & inner[:, 1:-1] & inner[:, :-2]
-    return int(np.count_nonzero(inner[:, :, 2:] & inner[:, :, 1:-1] & inner[:, :, :-2]))
+def _fills(found: tuple[int, int]) -> bool:
+    """Say whether voxels of a level fill cubes of three, and not by chance alone as in blurred edges."""
+    voxels, cubes = found
+    return cubes >= max(_LEAST_INTERIOR, _LEAST_SOLID * voxels)
 
 
 def _bright_rest(scan: CoarseScan, found: Interior) -> float | None:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.coarse import calmed
-from ct_inertia.grids import eroded, labelled
+from ct_inertia.grids import boxes_and_sizes, eroded, labelled
+from ct_inertia.masked import looked_up
 from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight
 from ct_inertia.separate import flooded
@@ -143,9 +144,10 @@ def _view(working: Working, sight: Sight) -> _View:
     votes = np.bincount(labels[own_cores], minlength=count + 1)
     votes[0] = 0
     own = int(np.argmax(votes))
-    kept = np.bincount(labels[bone], minlength=count + 1) >= _DUST_VOXELS
+    kept = boxes_and_sizes(labels, count)[1] >= _DUST_VOXELS
     kept[[0, own]] = False
-    return _View(working, quiet, bone, labels == own, kept[labels], own_cores, other_cores)
+    rest = looked_up(labels, kept)
+    return _View(working, quiet, bone, labels == own, rest, own_cores, other_cores)
 
 
 def _cores(sight: Sight, working: Working) -> tuple[Places, Places]:

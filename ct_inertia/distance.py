@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.grids import used_box
+from ct_inertia.native import checked, compiled, shape_of
 
 Array = NDArray[np.float64]
 _PIECE = 200_000
@@ -46,6 +47,10 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
     parabolas = [(np.arange(n + 1) ** 2 * u).astype(dtype) for n, u in zip(steps, unit, strict=True)]
     edge = np.float32(spacing_mm[0] if dtype.kind == "u" else 1.0)
 
+    kernels = compiled()
+    if kernels is not None:
+        result[box] = _by_kernel(kernels, mask[box], steps, unit, (dtype, far, edge, cap_mm))
+        return result
     inside, within = mask[box], result[box]
     squares = np.empty(inside.shape, dtype=dtype)
     depth, height, width = inside.shape
@@ -67,6 +72,23 @@ def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -
         roots = np.sqrt(piece, dtype=np.float32)
         roots *= edge
         np.minimum(roots, np.float32(cap_mm), out=within[:, start : start + high])
+    return result
+
+
+def _by_kernel(
+    kernels: Any,
+    mask: NDArray[np.bool_],
+    steps: list[int],
+    unit: Array,
+    scale: tuple[np.dtype[Any], Any, np.float32, float],
+) -> NDArray[np.float32]:
+    dtype, far, edge, cap_mm = scale
+    kernel = kernels.capped_whole if dtype.kind == "u" else kernels.capped_float
+    mask = np.ascontiguousarray(mask)
+    result = np.empty(mask.shape, dtype=np.float32)
+    reach, square = np.array(steps, dtype=np.int64), np.ascontiguousarray(unit, dtype=float)
+    given = (mask.ctypes.data, shape_of(mask), reach.ctypes.data, square.ctypes.data)
+    checked(kernel(*given, float(far), float(edge), cap_mm, result.ctypes.data))
     return result
 
 

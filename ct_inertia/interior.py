@@ -9,6 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.native import checked, compiled, shape_of
+
 Array = NDArray[np.float64]
 Part = TypeVar("Part")
 _SLAB_VOXELS = 100_000
@@ -41,9 +43,22 @@ class Interior:
 
     def near(self, level: float, reach: float) -> NDArray[np.bool_]:
         """Return the voxels whose mean lies within ``reach`` of a level, to the bin."""
-        first = max(0, round((level - reach - self.low) / self.width))
-        last = max(0, round((level + reach - self.low) / self.width))
+        first, last = self._limits(level, reach)
         return np.asarray((self.bins >= first) & (self.bins < last))
+
+    def filled(self, level: float, reach: float) -> tuple[int, int]:
+        """Return how many means lie within ``reach`` of a level, and how many cubes of three they fill."""
+        kernels = compiled()
+        if kernels is None:
+            mask = self.near(level, reach)
+            return int(np.count_nonzero(mask)), _cubes(mask)
+        cubes, bins = np.zeros(1, dtype=np.int64), np.ascontiguousarray(self.bins)
+        given = (bins.ctypes.data, shape_of(bins), *self._limits(level, reach), cubes.ctypes.data)
+        return checked(kernels.cubes_near(*given)), int(cubes[0])
+
+    def _limits(self, level: float, reach: float) -> tuple[int, int]:
+        first, last = ((level + side - self.low) / self.width for side in (-reach, reach))
+        return max(0, round(first)), max(0, round(last))
 
 
 def interior(grey: NDArray[np.float32], scatter: float, width: float) -> Interior:
@@ -67,10 +82,19 @@ def interior(grey: NDArray[np.float32], scatter: float, width: float) -> Interio
     bins = np.empty(tuple(n - 2 for n in grey.shape), dtype=np.uint16)
     layers = max(1, _SLAB_VOXELS // max(1, grey.shape[1] * grey.shape[2]))
     limit = np.float32(6.0 * scatter**2)
+    kernels = compiled()
+    if kernels is not None:
+        grey, layers = np.ascontiguousarray(grey), max(1, -(-len(bins) // (4 * _THREADS)))
 
     def slab(start: int) -> NDArray[np.int64]:
         out = bins[start : start + layers]
         source = grey[start : start + len(out) + 2]
+        if kernels is not None:
+            found = np.zeros(count, dtype=np.int64)
+            scale = (limit, np.float32(low), np.float32(1.0 / width))
+            given = (source.ctypes.data, len(out), *source.shape[1:], *map(float, scale))
+            kernels.interior(*given, out.ctypes.data, found.ctypes.data)
+            return found
         mean, flat = _cross(source, limit)
         mean -= np.float32(low)
         mean *= np.float32(1.0 / width)
@@ -115,6 +139,13 @@ def _cross(source: NDArray[np.float32], limit: np.float32) -> tuple[NDArray[np.f
     inner = (slice(None), slice(1, -1), slice(1, -1))
     calm = (square < limit).reshape(-1, rows, columns)
     return total.reshape(-1, rows, columns)[inner], calm[inner]
+
+
+def _cubes(mask: NDArray[np.bool_]) -> int:
+    """Return how many cubes of three voxels a mask holds."""
+    inner = mask[2:] & mask[1:-1] & mask[:-2]
+    inner = inner[:, 2:] & inner[:, 1:-1] & inner[:, :-2]
+    return int(np.count_nonzero(inner[:, :, 2:] & inner[:, :, 1:-1] & inner[:, :, :-2]))
 
 
 def in_threads(work: Callable[[int], Part], places: Iterable[int]) -> list[Part]:

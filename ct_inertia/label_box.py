@@ -14,6 +14,7 @@ from ct_inertia.coarse import calmed, finite, loud
 from ct_inertia.cutting import Cut
 from ct_inertia.grids import used_box
 from ct_inertia.measure import Measured
+from ct_inertia.native import compiled, shape_of
 from ct_inertia.plate_region import PlateRegion
 from ct_inertia.search import Sight
 from ct_inertia.volume import Volume
@@ -138,6 +139,11 @@ def _labels(
     """Return the labels between two corners of the scan, [z, y, x]; later regions lie over earlier ones."""
     labels = np.zeros(tuple(int(n) for n in (high - low)[::-1]), dtype=np.uint8)
     whole = volume.array.dtype.kind in "ui" and not loud(noise_share)
+    kernel = _kernel(volume.array) if whole else None
+    if kernel is not None:
+        for region in regions:
+            _mark(kernel, volume.array, region, low, labels)
+        return labels
     for region in regions:
         places = [region.cells_of(axis, int(low[axis]), int(high[axis])) for axis in (1, 0)]
         for start, stop, cell in region.layers(int(low[2]), int(high[2])):
@@ -161,6 +167,39 @@ def _labels(
             target = labels[start - low[2] : stop - low[2], y, x]
             np.copyto(target, np.uint8(region.number), where=hit)
     return labels
+
+
+def _kernel(array: NDArray[Any]) -> Any:
+    """Return the kernel that marks voxels of an array; None where none is made for it."""
+    kernels = compiled()
+    if kernels is None or not isinstance(array, np.ndarray) or not array.dtype.isnative:
+        return None
+    whole = array.strides[2] == array.itemsize and all(s % array.itemsize == 0 for s in array.strides)
+    return getattr(kernels, f"marked_{array.dtype.name}", None) if whole else None
+
+
+def _mark(kernel: Any, array: NDArray[Any], region: _Region, low: Index, labels: NDArray[np.uint8]) -> None:
+    """Label the voxels of a region in a part of the scan that begins at ``low`` (x, y, z)."""
+    z0, y0, x0 = (int(v) for v in low[::-1])
+    numbers = [
+        np.array(array.strides[1::-1]) // array.itemsize,
+        low,
+        np.array(labels.shape[::-1]),
+    ]
+    stride, begin, size = (np.ascontiguousarray(v, dtype=np.int64) for v in numbers)
+    first, step = (np.ascontiguousarray(v, dtype=np.int64) for v in (region.first, region.step))
+    cells = np.ascontiguousarray(region.cells)
+    single = isinstance(region.above, float)
+    above = None if single else np.ascontiguousarray(region.above, dtype=np.float32)
+    info = np.iinfo(array.dtype)
+    part = array[z0:, y0:, x0:]
+    kernel(
+        *(part.ctypes.data, stride.ctypes.data, begin.ctypes.data, size.ctypes.data),
+        *(cells.ctypes.data, shape_of(cells), first.ctypes.data, step.ctypes.data),
+        region.above if single else 0.0,
+        None if above is None else above.ctypes.data,
+        *(float(info.min), float(info.max), region.number, labels.ctypes.data),
+    )
 
 
 def _window(cells: NDArray[np.bool_], places: list[Index]) -> tuple[slice, slice] | None:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from itertools import chain, repeat
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ct_inertia.native import compiled
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
@@ -20,10 +25,28 @@ def packed_labels(labels: LabelledVolume) -> bytes:
     The axes are LPS, as scan coordinates are: https://teem.sourceforge.net/nrrd/format.html. Labels are long
     runs of one value: gzip looks for those only.
     """
+    kernels = compiled()
+    parts = _by_zlib(labels) if kernels is None else _by_kernel(kernels, labels)
+    return b"".join([_header(labels).encode("ascii"), *parts])
+
+
+def _by_zlib(labels: LabelledVolume) -> list[bytes]:
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
-    parts = [_header(labels).encode("ascii")]
-    parts += [packer.compress(slab.tobytes()) for slab in labels.slabs()]
-    return b"".join([*parts, packer.flush()])
+    parts = [packer.compress(memoryview(np.ascontiguousarray(slab))) for slab in labels.slabs()]
+    return [*parts, packer.flush()]
+
+
+def _by_kernel(kernels: Any, labels: LabelledVolume) -> list[bytes]:
+    memory, parts = np.zeros(64, dtype=np.uint8), []
+    end = np.zeros(0, dtype=np.uint8)
+    for stage, slab in chain(zip(chain([0], repeat(1)), labels.slabs(), strict=False), [(2, end)]):
+        whole = np.ascontiguousarray(slab)
+        out = np.empty(whole.size + 1024, dtype=np.uint8)
+        count = kernels.packed(memory.ctypes.data, stage, whole.ctypes.data, whole.size, out.ctypes.data)
+        if count < 0:
+            return _by_zlib(labels)
+        parts.append(out[:count].tobytes())
+    return parts
 
 
 def _header(labels: LabelledVolume) -> str:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.native import checked, compiled, shape_of
+
 Array = NDArray[np.float64]
 
 _FINE = 2
@@ -178,6 +180,12 @@ def body_share(
 
 def spread(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
     """Return a mask grown by a voxel in all 26 directions, or in the 6 across faces only."""
+    kernels = compiled()
+    if kernels is not None and corners:
+        mask = np.ascontiguousarray(mask)
+        out = np.empty(mask.shape, dtype=bool)
+        checked(kernels.spread(mask.ctypes.data, shape_of(mask), out.ctypes.data))
+        return out
     grown = mask.copy()
     for axis in range(3):
         before = grown.copy() if corners else mask

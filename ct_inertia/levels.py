@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.distance import capped_distance
 from ct_inertia.grids import gaussian
+from ct_inertia.masked import Sums, deviation, every_nth, lowest, sums
 from ct_inertia.normal import normal_cdf, normal_quantile
 
 Array = NDArray[np.float64]
@@ -110,45 +110,45 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     shell = distance_mm > reach_mm
     if np.any(around.foreign):
         shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
-    values = around.grey[shell]
-    if values.size < _LEAST_AIR:
+    seen = int(np.count_nonzero(shell))
+    if seen < _LEAST_AIR:
+        values = around.grey[shell]
         noise = float(np.std(values, dtype=float)) if values.size > 30 else 0.0
         return Air(guess, noise, max(noise, 1e-6 * abs(guess)), 1.0, 0.0)
-    few = values[:: max(1, values.size // 50_000)].astype(float)
+    few = around.grey.ravel()[every_nth(shell, max(1, seen // 50_000))].astype(float)
     middle, high = (float(v) for v in np.percentile(few, [50.0, 90.0]))
     air = _within(around.grey, shell, middle, 5.0 * (high - middle) + 1e-12)
-    values = around.grey[air]
-    level, noise = float(values.mean(dtype=float)), float(values.std(dtype=float))
-    count, means = _octant_means(around.grey, air)
-    correlation = _correlation(around.grey, shell, np.flatnonzero(air), level, noise)
-    random = noise * np.sqrt(correlation / values.size)
+    total, size = sums(around.grey, air), int(np.count_nonzero(air))
+    level = total.mean
+    noise = deviation(around.grey, air, level)
+    filled = total.eighth_count > _LEAST_OCTANT
+    count, means = total.eighth_count[filled], total.eighth_total[filled] / total.eighth_count[filled]
+    correlation = _correlation(around.grey, shell, every_nth(air, max(1, size // _PAIRS)), level, noise)
+    random = noise * np.sqrt(correlation / size)
     scatter = noise / 10.0
     if len(means) > 2:
         weight = count / count.sum()
         scatter = float(np.sqrt(weight @ (means - weight @ means) ** 2 / (len(means) - 1.0)))
     sd = max(scatter, random)
-    ones = values if around.single is None else around.single[air]
-    lowest = float(ones.min())
-    pile = np.count_nonzero(ones == ones.min()) / ones.size
-    if not (_CLIPPED < pile < _MOST_CLIPPED and lowest <= 0.0):
-        slope = _slope(around.grey, air, around.spacing_mm, noise * float(np.sqrt(correlation)))
-        return Air(level, noise, sd, correlation, 0.0, lowest, slope=slope)
-    level, single = _censored(level, pile, lowest)
+    ones = around.grey if around.single is None else around.single
+    least, equal = lowest(ones, air)
+    pile = equal / size
+    if not (_CLIPPED < pile < _MOST_CLIPPED and least <= 0.0):
+        slope = _slope(total, around.spacing_mm, noise * float(np.sqrt(correlation)))
+        return Air(level, noise, sd, correlation, 0.0, least, slope=slope)
+    level, single = _censored(level, pile, least)
     # Clipping takes the same share off the scatter of means as off that of the voxels in them.
-    noise = single if around.single is None else noise * single / max(float(ones.std(dtype=float)), 1e-12)
-    return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, lowest, single)
+    noise = (
+        single if around.single is None else noise * single / max(float(ones[air].std(dtype=float)), 1e-12)
+    )
+    return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, least, single)
 
 
-def _slope(
-    grey: NDArray[np.float32], where: NDArray[np.bool_], spacing_mm: Array, noise: float
-) -> tuple[float, float, float]:
+def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, float]:
     """Return the change of the level per mm along x, y, z between halves of the box, where it stands out."""
     found = [0.0, 0.0, 0.0]
     for axis in range(3):
-        along = 2 - axis
-        others = tuple(k for k in range(3) if k != along)
-        count = np.count_nonzero(where, axis=others).astype(float)
-        total = np.sum(grey, axis=others, where=where, dtype=float)
+        count, total = air.count[2 - axis], air.total[2 - axis]
         low = np.arange(len(count)) < len(count) // 2
         parts = count[low].sum(), count[~low].sum()
         if min(parts) < _LEAST_AIR:
@@ -228,22 +228,10 @@ def _within(
     return result
 
 
-def _octant_means(grey: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return numbers and means of the voxels of a mask in those eighths of a box that hold more than 200."""
-    halves = [(slice(0, n // 2 + 1), slice(n // 2 + 1, n)) for n in grey.shape]
-    count, means = [], []
-    for eighth in product(*halves):
-        values = grey[eighth][where[eighth]]
-        if values.size > _LEAST_OCTANT:
-            count.append(float(values.size))
-            means.append(float(values.mean(dtype=float)))
-    return np.array(count), np.array(means)
-
-
 def _correlation(
     grey: NDArray[np.float32],
     shell: NDArray[np.bool_],
-    index: NDArray[np.int64],
+    few: NDArray[np.int64],
     level: float,
     noise: float,
 ) -> float:
@@ -255,7 +243,6 @@ def _correlation(
     """
     if noise <= 0.0:
         return 1.0
-    few = index[:: max(1, index.size // _PAIRS)]
     flat, inside = grey.ravel(), shell.ravel()
     here = flat[few] - np.float32(level)
     total = 1.0

@@ -14,6 +14,7 @@ from ct_inertia.distance import capped_distance
 from ct_inertia.grids import gaussian
 from ct_inertia.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
 from ct_inertia.levels import Air, Guess, Surroundings, measure_air, unclipped
+from ct_inertia.masked import gathered
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
@@ -258,9 +259,7 @@ def _without_plate(
 def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
     """Collect the stapes' grey values: measured on its side, modelled behind the border to other bone."""
     contrast = bone.level - air.level
-    values = cut.grey[parted.own].astype(float)
-    noise = np.where(cut.stapes[parted.own], bone.noise, air.noise)
-    index = np.stack(np.nonzero(parted.own)[::-1], axis=1)
+    index, values, noise = gathered(cut.grey, parted.own, cut.stapes, (air.noise, bone.noise))
     if parted.foreign is not None and parted.behind is not None:
         values -= contrast * parted.foreign[parted.own]
         hidden = parted.behind > 1e-6

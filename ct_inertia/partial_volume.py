@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.moments import Moments
+from ct_inertia.native import compiled
 
 Array = NDArray[np.float64]
 _PIECE = 50_000
@@ -76,28 +77,12 @@ def partial_volume_moments(share: Share, scan_from_index: Array) -> Moments:
     voxel = abs(float(np.linalg.det(scan_from_index[:3, :3])))
     axes = scan_from_index[:3, :3]
     middle = share.index.mean(axis=0)
-    contrast = share.bone - share.air
-    raw = np.zeros((4, 4))
-    for part in _pieces(len(share.grey)):
-        points = np.empty((len(share.grey[part]), 4))
-        points[:, 0] = 1.0
-        points[:, 1:] = (share.index[part] - middle) @ axes.T
-        w = (share.grey[part] - share.air) / contrast
-        raw += voxel * (points * w[:, None]).T @ points
+    raw = voxel * _raw(share, axes, middle)
     volume = float(raw[0, 0])
-    centroid = raw[0, 1:] / volume
+    centroid = np.ascontiguousarray(raw[0, 1:] / volume)
     second = raw[1:, 1:] - volume * (np.outer(centroid, centroid) + share.sigma_mm**2 * np.eye(3))
-
-    noise, to_air, to_bone = np.zeros((10, 10)), np.zeros(10), np.zeros(10)
-    step = max(1, len(share.grey) // _ENOUGH) | 1
-    for part in _pieces(len(share.grey), step):
-        away = (share.index[part] - middle) @ axes.T - centroid
-        f = sensitivity(away, volume, share.sigma_mm) * (voxel / contrast)
-        w = (share.grey[part] - share.air) / contrast
-        to_air += step * (f.T @ (1.0 - w)) * share.air_sd
-        to_bone += step * (f.T @ w) * share.bone_sd
-        f *= share.noise[part][:, None]
-        noise += step * (f.T @ f)
+    to_air, to_bone, noise = _answers(share, axes, middle, centroid, volume, voxel)
+    to_air, to_bone = to_air * share.air_sd, to_bone * share.bone_sd
     to_sigma = np.zeros(10)
     to_sigma[4:7] = 2.0 * volume * share.sigma_mm * share.sigma_sd_mm
     contributions = {
@@ -107,6 +92,54 @@ def partial_volume_moments(share: Share, scan_from_index: Array) -> Moments:
     }
     place = axes @ middle + scan_from_index[:3, 3] + centroid
     return Moments(volume, place, 0.5 * (second + second.T), contributions)
+
+
+def _raw(share: Share, axes: Array, middle: Array) -> Array:
+    """Return the sums of w p p^T with p = (1, place about the middle), (4, 4)."""
+    kernels, contrast, raw = compiled(), share.bone - share.air, np.zeros((4, 4))
+    if kernels is not None:
+        index, grey, turn = _kept(share.index, share.grey, axes)
+        given = (index.ctypes.data, grey.ctypes.data, len(grey), turn.ctypes.data, middle.ctypes.data)
+        kernels.raw_moments(*given, share.air, contrast, raw.ctypes.data)
+        return raw
+    for part in _pieces(len(share.grey)):
+        points = np.empty((len(share.grey[part]), 4))
+        points[:, 0] = 1.0
+        points[:, 1:] = (share.index[part] - middle) @ axes.T
+        w = (share.grey[part] - share.air) / contrast
+        raw += (points * w[:, None]).T @ points
+    return raw
+
+
+def _answers(
+    share: Share, axes: Array, middle: Array, centroid: Array, volume: float, voxel: float
+) -> tuple[Array, Array, Array]:
+    """Return how the moments answer to the levels of air and bone (10,), and to noise (10, 10)."""
+    kernels, contrast = compiled(), share.bone - share.air
+    noise, to_air, to_bone = np.zeros((10, 10)), np.zeros(10), np.zeros(10)
+    step = max(1, len(share.grey) // _ENOUGH) | 1
+    if kernels is not None:
+        index, grey, own, turn = _kept(share.index, share.grey, share.noise, axes)
+        kernels.answers(
+            *(index.ctypes.data, grey.ctypes.data, own.ctypes.data, len(grey), step),
+            *(turn.ctypes.data, middle.ctypes.data, centroid.ctypes.data),
+            *(volume, share.sigma_mm, voxel / contrast, share.air, contrast),
+            *(to_air.ctypes.data, to_bone.ctypes.data, noise.ctypes.data),
+        )
+        return to_air, to_bone, noise
+    for part in _pieces(len(share.grey), step):
+        away = (share.index[part] - middle) @ axes.T - centroid
+        f = sensitivity(away, volume, share.sigma_mm) * (voxel / contrast)
+        w = (share.grey[part] - share.air) / contrast
+        to_air += step * (f.T @ (1.0 - w))
+        to_bone += step * (f.T @ w)
+        f *= share.noise[part][:, None]
+        noise += step * (f.T @ f)
+    return to_air, to_bone, noise
+
+
+def _kept(*arrays: Array) -> list[Array]:
+    return [np.ascontiguousarray(array, dtype=float) for array in arrays]
 
 
 def _pieces(count: int, step: int = 1) -> list[slice]:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.grids import interpolated
+from ct_inertia.masked import places_between
+from ct_inertia.native import compiled, shape_of
 from ct_inertia.normal import normal_quantile
 
 Array = NDArray[np.float64]
@@ -118,9 +120,7 @@ def _middling(
     """Return the places z, y, x of voxels of middle grey value, away from the border of the box."""
     air, bone = levels
     low, high = air + 0.2 * (bone - air), air + 0.8 * (bone - air)
-    inner = tuple(slice(int(r), -int(r)) for r in reach)
-    part = grey[inner]
-    return np.argwhere(near_edge[inner] & (part > min(low, high)) & (part < max(low, high))) + reach
+    return places_between(grey, near_edge, min(low, high), max(low, high), reach)
 
 
 def _smooth_gradient(
@@ -141,19 +141,38 @@ def _smooth_gradient(
     for o, h in zip(offsets, spacing, strict=True):
         k = np.exp(-0.5 * (o * h / width) ** 2)
         pairs.append(np.column_stack([k / k.sum(), k * (o * h) / (k @ (o * h) ** 2)]))
+    every = _smoothed(grey, index, pairs, reach)
+    w, gradient = (every[:, 0] - air) / (bone - air), every[:, 1:] / (bone - air)
+    square = [(pair**2).sum(axis=0) for pair in pairs]
+    spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
+    return w, gradient, spread
+
+
+def _smoothed(
+    grey: NDArray[np.float32], index: NDArray[np.int64], pairs: list[Array], reach: NDArray[np.int_]
+) -> Array:
+    """Return the value and its slopes along z, y, x at places, (n, 4), by weights (k, 2) for each axis."""
+    kernels = compiled()
+    if kernels is not None:
+        grey = np.ascontiguousarray(grey)
+        place = np.ascontiguousarray(index, dtype=np.int64)
+        wide = np.ascontiguousarray(reach, dtype=np.int64)
+        weights = np.concatenate([pair.T.ravel() for pair in pairs])
+        found = np.empty((len(place), 4))
+        kernels.smooth_slopes(
+            *(grey.ctypes.data, shape_of(grey), place.ctypes.data, len(place), wide.ctypes.data),
+            *(weights.ctypes.data, found.ctypes.data),
+        )
+        return found
+    offsets = [np.arange(-r, r + 1) for r in reach]
     blocks = grey[
         (index[:, 0, None] + offsets[0])[:, :, None, None],
         (index[:, 1, None] + offsets[1])[:, None, :, None],
         (index[:, 2, None] + offsets[2])[:, None, None, :],
-    ]
-    along_x = blocks @ pairs[2].astype(np.float32)
-    along_yx = np.einsum("nijc,jb->nibc", along_x, pairs[1].astype(np.float32), optimize=True)
-    every = np.einsum("nibc,ia->nabc", along_yx, pairs[0].astype(np.float32), optimize=True).astype(float)
-    w = (every[:, 0, 0, 0] - air) / (bone - air)
-    gradient = np.stack([every[:, 1, 0, 0], every[:, 0, 1, 0], every[:, 0, 0, 1]], axis=1) / (bone - air)
-    square = [(pair**2).sum(axis=0) for pair in pairs]
-    spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
-    return w, gradient, spread
+    ].astype(float)
+    along_yx = np.einsum("nijc,jb->nibc", blocks @ pairs[2], pairs[1], optimize=True)
+    every = np.einsum("nibc,ia->nabc", along_yx, pairs[0], optimize=True)
+    return np.stack([every[:, 0, 0, 0], every[:, 1, 0, 0], every[:, 0, 1, 0], every[:, 0, 0, 1]], axis=1)
 
 
 def _tangents(normal: Array) -> tuple[Array, Array]:

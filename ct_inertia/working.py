@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.coarse import finite, noise_of
 from ct_inertia.interior import in_threads
+from ct_inertia.native import checked, compiled
 from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
@@ -146,6 +147,22 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
         return finite(volume.array[z : z + nz, y : y + ny, x : x + nx], volume)
     means = np.empty((nz, ny, nx), dtype=np.float32)
     share = np.float32(1.0 / (bx * by * bz))
+    array = volume.array
+    kernel = _kernel(array)
+    if kernel is not None:
+        width = array.itemsize
+        step = np.array(array.strides[:2], dtype=np.int64) // width
+        block = np.array((bz, by, bx), dtype=np.int64)
+
+        def some(start: int) -> None:
+            out = means[start : start + _LAYERS]
+            size = np.array(out.shape, dtype=np.int64)
+            place = array[z + start * bz :, y:, x:].ctypes.data
+            given = (place, step.ctypes.data, size.ctypes.data, block.ctypes.data, float(share))
+            checked(kernel(*given, out.ctypes.data))
+
+        in_threads(some, range(0, nz, _LAYERS))
+        return means
 
     def layers(start: int) -> None:
         for k in range(start, min(start + _LAYERS, nz)):
@@ -164,6 +181,17 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
 
     in_threads(layers, range(0, nz, _LAYERS))
     return means
+
+
+def _kernel(array: NDArray[Any]) -> Any:
+    """Return the kernel that takes means of an array; None where it has whole rows of no kernel's type."""
+    kernels = compiled()
+    if kernels is None or not isinstance(array, np.ndarray) or not array.dtype.isnative:
+        return None
+    whole = array.strides[2] == array.itemsize and all(
+        s > 0 and s % array.itemsize == 0 for s in array.strides
+    )
+    return getattr(kernels, f"means_{array.dtype.name}", None) if whole and array.dtype.kind in "ui" else None
 
 
 def _singles(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[Any]:

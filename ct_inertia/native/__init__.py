@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 SWITCH = "STAPESKIT_KERNELS"
 _FOLDER = Path(__file__).parent
-_OF = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
-# Arguments: p pointer, i whole number of 64 bits, d double; behind the colon what it returns, if anything.
+_OF = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double, "f": ctypes.c_float}
+# Arguments: p pointer, i whole number of 64 bits, d double, f float; behind the colon what it returns.
 _SIGNATURES = {
     "label_pieces": "ppip:i",
     "measure_pieces": "ppipp",
@@ -34,6 +34,24 @@ _SIGNATURES = {
     "assembled": "iippppppp:i",
     "solved": "ipppipdip:i",
     "in_hull": "pipip:i",
+    "capped_whole": "ppppdffp:i",
+    "capped_float": "ppppdffp:i",
+    "spread": "ppp:i",
+    "every_nth": "piiip:i",
+    "masked_sums": "ppppp",
+    "masked_squares": "ppidp",
+    **{f"lowest_{kind}": "ppipp" for kind in ("uint8", "int16", "uint16", "float32")},
+    "between": "ppppffip:i",
+    "smooth_slopes": "pppippp",
+    "gathered": "pppppppp",
+    "raw_moments": "ppippddp",
+    "answers": "pppiipppdddddppp",
+    "interior": "piiifffpp",
+    "cubes_near": "ppiip:i",
+    **{f"means_{sign}int{bits}": "ppppfp:i" for sign in ("", "u") for bits in (8, 16, 32)},
+    "looked_up": "pipip",
+    **{f"marked_{kind}": "ppppppppdpddip" for kind in ("uint8", "int8", "uint16", "int16")},
+    "packed": "pipip:i",
     "normal_cdf": "pip",
     "normal_quantile": "pip",
 }
