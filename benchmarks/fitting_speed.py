@@ -141,6 +141,43 @@ def side_by_side(problem: Problem) -> None:
     print(f"{times['scipy SLSQP', 'likelihood, from K = 1, D = 0.3'] / ml_ms:.0f} (rough start).")
 
 
+def modelled(problem: constrained.Quadratic) -> np.ndarray:
+    """Solve the same convex problem through cvxpy, as one would write it by hand."""
+    import cvxpy
+
+    n = problem.n
+    stiffness, damping = cvxpy.Variable((n, n), PSD=True), cvxpy.Variable((n, n), PSD=True)
+    entries = cvxpy.hstack([part[i, j] for part in (stiffness, damping) for i, j in pairs(n)])
+    goal = cvxpy.sum_squares(problem.triangle @ entries - problem.right)
+    cvxpy.Problem(cvxpy.Minimize(goal)).solve(solver=cvxpy.CLARABEL)
+    return join(stiffness.value, damping.value)
+
+
+def semidefinite() -> None:
+    """Print the times of K >= 0, D >= 0 beside cvxpy with Clarabel, where it is installed."""
+    try:
+        import cvxpy
+    except ImportError:
+        print("\ncvxpy is not installed: no row of a modelling layer (pip install cvxpy).")
+        return
+    print(f"\n| K >= 0, D >= 0 | active | constrained, ms | cvxpy {cvxpy.__version__}, ms | ml, ms |", end="")
+    print(" cvxpy over constrained, ml | objective, cvxpy over ours - 1 |\n|-|-|-|-|-|-|-|")
+    options = EstimatorOptions(constraint="psd")
+    for noise, count, seed in ((0.05, 200, 1), (0.3, 30, 2), (0.3, 30, 5)):
+        problem = problem_of(count, noise)
+        root = np.linalg.cholesky(problem.observation.covariance)
+        lines = noisy_lines(problem, root, np.random.default_rng(seed))
+        reduced = constrained.reduce(lines, options)
+        found = constrained.estimate(lines, options)
+        ours = median_ms(lambda lines=lines: constrained.estimate(lines, options), 0.5)
+        theirs = median_ms(lambda reduced=reduced: modelled(reduced), 1.0)
+        likely = median_ms(lambda lines=lines: ml.estimate(lines, OPTIONS), 0.5)
+        excess = reduced.value(modelled(reduced)) / reduced.value(found.parameters) - 1.0
+        active = ", ".join(found.active) or "none"
+        print(f"| noise {100 * noise:g} %, {count} lines | {active} | {ours:.2f} | {theirs:.2f} ", end="")
+        print(f"| {likely:.2f} | {theirs / ours:.1f}, {theirs / likely:.1f} | {excess:.1e} |", flush=True)
+
+
 def growth() -> None:
     """Print the time of one ml fit over the number of lines."""
     print("\n| lines | ml, ms per fit |\n|-|-|")
@@ -170,6 +207,7 @@ def main(fits: int) -> None:
     """Print all tables."""
     problem = problem_of(200)
     side_by_side(problem)
+    semidefinite()
     growth()
     with ProcessPoolExecutor(2) as pool:
         list(pool.map(many, (0, 1), (3, 3)))

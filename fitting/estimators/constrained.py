@@ -9,7 +9,7 @@ The stable models form a set that is not convex: the best of several paths is ta
 stability), and of the ``psd`` solution, which is stable too. Every answer is stable.
 
 The bounded problem without stability is a convex relaxation; where its solution satisfies the constraint it
-is the global optimum, and the certificate is zero. For ``psd`` the certificate is the barrier's duality gap.
+is the global optimum, and the certificate is zero. For ``psd`` the certificate is the duality gap.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions
-from fitting.estimators.interior import active_names, inside, minimise, pull_inside
+from fitting.estimators.interior import active_names, inside, pull_inside
+from fitting.estimators.semidefinite import nearest
 from fitting.estimators.stability import best_stable, height, stable_start
 from fitting.lines import Lines, real_rows, regressor
 from fitting.model import state_matrix
@@ -179,7 +180,8 @@ def _psd(lines: Lines, problem: Quadratic) -> Estimate:
         return Estimate(free, problem.value(free), 1, True, certificate=0.0)
     begin = _interior_start(problem, pull_inside(free, lines.n))
     zero = np.where(problem.lower == 0.0, -np.inf, problem.lower)
-    found, gap, steps = minimise(problem.expansion, problem.value, begin, lines.n, _GAP, zero, problem.upper)
+    hessian, linear = 2.0 * problem.triangle.T @ problem.triangle, 2.0 * problem.triangle.T @ problem.right
+    found, gap, steps = nearest(hessian, linear, begin, lines.n, _GAP, zero, problem.upper)
     level = problem.value(found)
     active = (*_at_bounds(found, problem), *active_names(found, lines.n))
     return Estimate(found, level, steps, True, active, certificate=gap / max(level, _GAP))
@@ -190,7 +192,7 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
     diagonal = np.array([row == column for row, column in pairs(problem.n)] * 2)
     low = np.where(np.isfinite(problem.lower), problem.lower, -1e6)
     high = np.where(np.isfinite(problem.upper), problem.upper, 1e6)
-    margin = 1e-3 * (high - low)
+    margin = 1e-3 * np.minimum(high - low, 1.0)
     clipped = np.clip(begin, low + margin, high - margin)
     for share in (1.0, 0.5, 0.1, 0.0):
         trial = np.where(diagonal, clipped, np.clip(share * clipped, low + margin, high - margin))

@@ -179,12 +179,9 @@ def shortest_distance(target: Array, metric: Array, start: Array, n: int) -> tup
     This is the constrained minimum of a least squares objective with that Hessian.
     """
 
-    def expansion(parameters: Array) -> tuple[float, Array, Array]:
-        gradient = metric @ (parameters - target)
-        return 0.5 * float(gradient @ (parameters - target)), gradient, metric
+    from fitting.estimators.semidefinite import nearest
 
-    def value(parameters: Array) -> float:
-        return expansion(parameters)[0]
-
-    reached, _, _ = minimise(expansion, value, start, n, 1e-7 * max(1.0, value(start)))
+    difference = start - target
+    gap = 1e-7 * max(1.0, 0.5 * float(difference @ metric @ difference))
+    reached, _, _ = nearest(metric, metric @ target, start, n, gap)
     return reached, active_names(reached, n)
