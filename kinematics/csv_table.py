@@ -96,7 +96,11 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
         The file is missing, empty, no text in UTF-8 or UTF-16, or has two columns of one name.
     """
     sheet = open_sheet(path)
-    numbers, texts = choose(sheet.header, sheet.file)
+    try:
+        numbers, texts = choose(sheet.header, sheet.file)
+    except KinematicsError as fault:
+        told = str(fault).replace(f"{sheet.file}, line 1)", f"{sheet.header_place})")
+        raise KinematicsError(told) from fault
     if sheet.start >= sheet.stop:
         empty = sheet.data[sheet.start :].strip() == b""
         raise KinematicsError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))

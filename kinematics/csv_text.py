@@ -69,7 +69,7 @@ def open_sheet(path: Path) -> Sheet:
         end = len(data) if end < 0 else end
         text = decoded(data[start:end], path.name, line)
         start, line = end + 1, line + 1
-        marked = re.fullmatch(r'"?sep=(.)"?', text.strip(" \r,"), re.IGNORECASE)
+        marked = re.fullmatch(r'\s*"?sep=(.)"?[,;\s]*', text, re.IGNORECASE)
         if marked:
             separator = marked.group(1)
         elif text.strip() and not text.lstrip().startswith("#"):

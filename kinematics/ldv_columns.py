@@ -79,7 +79,7 @@ class Columns:
         return names | ({"dir"} if self.direction == ("dir",) else set())
 
 
-def columns_of(header: Sequence[str], file: str, points_given: bool, place: str = "") -> Columns:
+def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     """Find the columns of a vibrometer table.
 
     Parameters
@@ -90,15 +90,13 @@ def columns_of(header: Sequence[str], file: str, points_given: bool, place: str 
         For messages.
     points_given : bool
         A separate points file gives the positions.
-    place : str, optional
-        File and line of the header; line 1 of the file without it.
 
     Raises
     ------
     KinematicsError
         A column is missing, has an unknown unit, or stands beside one that contradicts it.
     """
-    place = place or f"{file}, line 1"
+    place = f"{file}, line 1"
     faults: list[str] = []
     units = _units(header, place, faults)
     missing = [name for name in ("body", "point", "freq_hz") if name not in header]

@@ -1,0 +1,312 @@
+"""Tables as spreadsheets and people write them: read alike, or refused with line and column."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kinematics import csv_fast
+from kinematics.errors import KinematicsError
+from kinematics.ldv_csv import read_ldv
+
+HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
+ROWS = [
+    f"{body},{point},{0.5 * point},0.25,{z},{axis},{freq},{point + 0.125},{-freq * 1e-3}"
+    for body, z in (("stapes", 0.0), ("base", -1.5))
+    for point in (1, 2)
+    for axis in ("y", "-z")
+    for freq in (100.0, 250.5, 1e4)
+]
+FIRST = 2
+
+
+def written(folder, data, name="ldv.csv"):
+    path = folder / name
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return path
+
+
+def plain(rows=ROWS, head=HEAD, end="\n"):
+    return end.join([head, *rows]) + end
+
+
+def same(one, two):
+    """Compare two measurements to the last bit."""
+    assert (one.runs, one.order) == (two.runs, two.order)
+    assert np.array_equal(one.freq_hz, two.freq_hz)
+    assert [body.body for body in one.bodies] == [body.body for body in two.bodies]
+    for a, b in zip(one.bodies, two.bodies, strict=True):
+        assert a.points == b.points
+        for name in ("positions_mm", "directions", "displacement"):
+            assert np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True), name
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    return read_ldv(written(tmp_path_factory.mktemp("plain"), plain()))
+
+
+def semicolons(text):
+    return text.replace(",", ";")
+
+
+def decimal_commas(text):
+    return text.replace(",", ";").replace(".", ",")
+
+
+DIALECTS = {
+    "semicolons": semicolons(plain()),
+    "decimal commas": decimal_commas(plain()),
+    "tabs": plain().replace(",", "\t"),
+    "tabs and decimal commas": decimal_commas(plain()).replace(";", "\t"),
+    "carriage returns": plain(end="\r\n"),
+    "old line ends": plain(end="\r"),
+    "byte order mark": "\ufeff" + plain(),
+    "utf-16": plain().encode("utf-16"),
+    "utf-16 big": b"\xfe\xff" + plain().encode("utf-16-be"),
+    "utf-16 tabs": plain(end="\r\n").replace(",", "\t").encode("utf-16"),
+    "excel": "sep=;\r\n" + decimal_commas(plain(end="\r\n")),
+    "quoted excel line": '"sep=,"\n' + plain(),
+    "comments above": "# measured on a Tuesday\n\n# by us\n" + plain(),
+    "comments between": plain([ROWS[0], "# a pause, at noon", *ROWS[1:]]),
+    "blank lines": plain(["", *ROWS[:5], "", "  ", *ROWS[5:], "", ""]),
+    "empty rows": plain([*ROWS, ",,,,,,,,", ",,,,,,,,"]),
+    "quotes": plain([re.sub(r"^(\w+),(\d)", r'"\1","\2"', row) for row in ROWS]),
+    "all quoted": plain([",".join(f'"{c}"' for c in row.split(",")) for row in ROWS]),
+    "blanks": plain([row.replace(",", " , ") for row in ROWS]),
+    "upper case": plain(head=HEAD.upper()),
+    "blanks in the header": plain(head="Body, Point, X mm, Y mm, Z mm, Dir, Freq Hz, Re m s, Im m s"),
+    "brackets": plain(head="Body,Point,X [mm],Y [mm],Z [mm],Dir,Freq (Hz),Re [m/s],Im [m/s]"),
+    "quoted header": plain(head=",".join(f'"{name}"' for name in HEAD.split(","))),
+    "separator at the ends": plain([row + "," for row in ROWS], HEAD + ","),
+    "no end": plain().rstrip(),
+    "another order": plain([",".join(row.split(",")[::-1]) for row in ROWS], ",".join(HEAD.split(",")[::-1])),
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_dialects_are_read_to_the_last_bit(tmp_path, expected, name):
+    same(read_ldv(written(tmp_path, DIALECTS[name])), expected)
+
+
+def test_comments_are_told(tmp_path):
+    read = read_ldv(written(tmp_path, plain([ROWS[0], "#stapes,1,0,0,0,y,300,1,1", *ROWS[1:]])))
+    assert [notice.code for notice in read.notices] == ["comments_skipped"]
+
+
+def test_columns_that_are_not_used_are_told(tmp_path):
+    rows = [row + ",21.5,0.9" for row in ROWS]
+    read = read_ldv(written(tmp_path, plain(rows, HEAD + ",temperature,coherance")))
+    (notice,) = read.notices
+    assert notice.code == "columns_ignored"
+    assert "temperature, coherance (did you mean coherence?)" in notice.text
+
+
+def test_the_lines_told_are_those_of_the_file(tmp_path):
+    rows = list(ROWS)
+    rows[3] = rows[3].replace("stapes", "st,apes")
+    text = "sep=,\n# note\n\n" + plain(["", *rows[:2], "# pause", *rows[2:]])
+    with pytest.raises(KinematicsError, match="line 10") as caught:
+        read_ldv(written(tmp_path, text))
+    assert "must be 9 cells long" in str(caught.value)
+    with pytest.raises(KinematicsError, match=r"no column body \(ldv.csv, line 3\)"):
+        read_ldv(written(tmp_path, "# note\n\n" + plain(head=HEAD.replace("body", "bone"))))
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        ("1.234,5", "nothing between thousands"),
+        ("1 234", "a plain number"),
+        ("1'234", "a plain number"),
+        ("1_000", "a plain number"),
+        ("0x10", "a plain number"),
+        ("1d-3", "a plain number"),
+        ("\u22125", "a plain number"),
+        ("1+2i", "a plain number"),
+        ("#DIV/0!", "a plain number"),
+        ("true", "a plain number"),
+    ],
+)
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_what_is_no_number_is_refused(tmp_path, cell, words, mark):
+    rows = [row.replace(",", ";").replace(".", ",").split(";") for row in ROWS]
+    rows[4][7] = cell
+    text = plain([mark.join(row) for row in rows], HEAD.replace(",", mark))
+    with pytest.raises(
+        KinematicsError, match=rf're_m_s must be a number; got "{re.escape(cell)}" \(ldv.csv, line 6\)'
+    ) as caught:
+        read_ldv(written(tmp_path, text))
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_decimal_points_among_decimal_commas_are_refused(tmp_path):
+    rows = [decimal_commas(row) for row in ROWS]
+    rows[7] = semicolons(ROWS[7])
+    with pytest.raises(KinematicsError, match=r"line 9\)") as caught:
+        read_ldv(written(tmp_path, plain(rows, semicolons(HEAD))))
+    assert {int(n) for n in re.findall(r"line (\d+)\)", str(caught.value))} == {9}
+
+
+def test_words_for_truth_are_no_numbers(tmp_path):
+    rows = [row.split(",") for row in ROWS]
+    for row in rows:
+        row[8] = "True"
+    with pytest.raises(KinematicsError, match=r'im_m_s must be a number; got "True" \(ldv.csv, line 2\)'):
+        read_ldv(written(tmp_path, plain([",".join(row) for row in rows])))
+
+
+def test_cells_moved_from_row_to_row_are_found(tmp_path):
+    rows = list(ROWS)
+    rows[2] += ",5"
+    rows[6] = rows[6].rsplit(",", 1)[0]
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(written(tmp_path, plain(rows)))
+    told = str(caught.value)
+    assert "got 10 (ldv.csv, line 4)" in told
+    assert "got 8 (ldv.csv, line 8)" in told
+    assert "ends before im_m_s" in told
+
+
+def test_an_unclosed_quotation_mark_is_named(tmp_path):
+    rows = list(ROWS)
+    rows[3] = '"' + rows[3]
+    with pytest.raises(KinematicsError, match=r"\(ldv.csv, line 5\). Close the quotation mark"):
+        read_ldv(written(tmp_path, plain(rows)))
+
+
+def test_many_faults_name_every_line_and_every_kind(tmp_path):
+    rows = []
+    for k in range(200):
+        rows.append(f"stapes,{k},0,0,0,up,100,1,2")
+    rows[150] = "stapes,150,0,0,0,y,-5,1,2"
+    rows[160] = "stapes,160,0,0,0,y,100,one,2"
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(written(tmp_path, plain(rows)))
+    told = str(caught.value)
+    assert "got -5 (ldv.csv, line 152, freq_hz)" in told
+    assert 're_m_s must be a number; got "one" (ldv.csv, line 162)' in told
+    assert re.search(
+        r"and 160 more faults: dir in lines 40 to 151, 153 to 161, 163 to 201 of ldv.csv\.$", told
+    )
+
+
+def test_faults_of_both_files_come_together(tmp_path):
+    points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\ns,1,0,oops,0\ns,2,0,0,\n", "points.csv")
+    head = "body,point,dir,freq_hz,re_m_s,im_m_s"
+    table = written(tmp_path, plain(["s,1,y,0,1,2", "s,2,up,5,1,2"], head))
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table, points)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 4
+    assert sum("points.csv" in line for line in lines) == 2
+    table = written(tmp_path, plain(["s,1,y,0,1,2"], head.replace("dir", "richtung")))
+    with pytest.raises(KinematicsError, match="no column dir_x, dir_y, dir_z") as caught:
+        read_ldv(table, points)
+    assert "points.csv, line 2" in str(caught.value)
+
+
+def test_unknown_bodies_and_names_in_other_letters(tmp_path):
+    points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\nStapes,1,0,0,0\nbone,1,0,0,1\n", "points.csv")
+    head = "body,point,dir,freq_hz,re_m_s,im_m_s"
+    table = written(tmp_path, plain(["stapes,1,y,5,1,2", "incus,1,y,5,1,2"], head))
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table, points)
+    told = str(caught.value)
+    assert "no row of that name there, but Stapes 1 (ldv.csv, line 2, point). Write both names alike" in told
+    assert "no point of that body there, only of Stapes, bone (ldv.csv, line 3, point)" in told
+    read = read_ldv(written(tmp_path, plain(["Stapes,1,y,5,1,2"], head)), points)
+    assert [notice.code for notice in read.notices] == ["bodies_not_measured"]
+    table = written(tmp_path, plain(["s,1,0,0,0,y,5,1,2", "S,1,0,0,0,y,5,1,2"]))
+    assert [notice.code for notice in read_ldv(table).notices] == ["names_alike"]
+
+
+def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
+    rng = np.random.default_rng(8)
+    rows = []
+    for point in range(40):
+        for freq in np.linspace(100.0, 5000.0, 20).tolist():
+            re_, im = (rng.normal(size=2) * 10.0 ** rng.integers(-12, 3)).tolist()
+            rows.append(f"s{point % 3},p{point},{point / 7!r},0,1,y,{freq!r},{re_!r},{im!r}")
+    path = written(tmp_path, plain(rows))
+    whole = read_ldv(path)
+    monkeypatch.setattr(csv_fast, "_PIECE", 2000)
+    same(read_ldv(path), whole)
+    monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
+    import kinematics.csv_table as csv_table
+
+    monkeypatch.setattr(csv_table, "read_fast", lambda *_: None)
+    same(read_ldv(path), whole)
+    rng.shuffle(rows)
+    mixed = read_ldv(written(tmp_path, plain(rows)))
+    body = {b.body: b for b in mixed.bodies}
+    for one in whole.bodies:
+        other = body[one.body]
+        order = [other.points.index(point) for point in one.points]
+        assert np.array_equal(other.displacement[:, order], one.displacement)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(value=st.floats(allow_nan=False, allow_infinity=False, width=64))
+def test_numbers_are_read_to_the_nearest(tmp_path, value):
+    row = f"s,1,0,0,0,y,100,{value!r},{value:.17e}"
+    read = read_ldv(written(tmp_path, plain([row], HEAD.replace("m_s", "m"))))
+    got = read.bodies[0].displacement[0, 0, 0]
+    assert abs(got.real - value) <= np.spacing(abs(value))
+    assert abs(got.imag - value) <= np.spacing(abs(value))
+
+
+NOISE = [
+    "",
+    ",",
+    ";",
+    "\n",
+    '"',
+    "#",
+    "x",
+    "-",
+    ".",
+    "e",
+    "9",
+    " ",
+    "\t",
+    "nan",
+    "inf",
+    "0",
+    "\r\n",
+    "é",
+    "\x00",
+    "''",
+    "1e5",
+]
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.integers(0, len(plain()) - 1), cut=st.integers(0, 3), put=st.sampled_from(NOISE))
+def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
+    tmp_path, expected, place, cut, put
+):
+    text = plain()
+    spoiled = text[:place] + put + text[place + cut :]
+    line = text[:place].count("\n") + 1
+    try:
+        read = read_ldv(written(tmp_path, spoiled))
+    except KinematicsError as fault:
+        told = str(fault)
+        assert "ldv.csv" in told
+        if "\x00" not in spoiled:
+            numbers = {int(n) for n in re.findall(r"lines? (\d+)", told)}
+            near = {1, line - 1, line, line + 1, line + 2}
+            bodies_apart = "frequencies of bodies" in told
+            assert numbers & near or bodies_apart, told
+        return
+    values = {v for body in expected.bodies for v in body.displacement.ravel().tolist() if v == v}
+    got = {v for body in read.bodies for v in body.displacement.ravel().tolist() if v == v}
+    touched = text[place : place + cut].count("\n") + put.count("\n") + 2
+    assert len(values - got) <= touched
+    assert len(got - values) <= touched
