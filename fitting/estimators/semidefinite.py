@@ -169,7 +169,7 @@ def _step(
     return move, _Cone(slack, multiplier, bound_slack, bound)
 
 
-def _inverse(matrices: Array) -> Array:
+def _inverse(matrices: NDArray[np.floating]) -> Array:
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
