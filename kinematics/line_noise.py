@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,14 @@ class LineNoise:
         return sd if self.floor is None else np.maximum(sd, self.floor[lines])
 
     def common(self) -> tuple[Array, Array] | None:
-        """Split into a part per channel (channel,), at most 1, and one per line (freq,), if that is so.
+        """Return a part per channel (channel,), at most 1, and one per line (freq,), m, that multiply to sd.
 
-        Returns
-        -------
-        tuple of ndarray, or None
-            None when the ratios of the channels change from line to line, or a value is not to be used.
+        None when the ratios of the channels change from line to line, or a value is not to be used.
         """
+        return self._common
+
+    @cached_property
+    def _common(self) -> tuple[Array, Array] | None:
         channels, lines = self.stated.shape
         if channels == 0 or lines == 0:
             return None

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.beams import BeamSet
-from kinematics.line_noise import blocks
+from kinematics.line_noise import LineNoise, blocks
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
-from kinematics.rigid_fit import LineFit, fit_lines, pooled_scale
+from kinematics.rigid_fit import LineFit, fit_noise, pooled_scale
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 _ROUNDS = 3
 _FLOOR = 1e-12
 _LEAST = 1e-100
@@ -34,14 +35,17 @@ def with_noise(
     """
     value = body.displacement[run]
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
-    largest = largest_rate(value, rate)
-    floor = (_FLOOR * largest or _LEAST) / rate
     if body.sd is not None and not body.relative:
-        fit = fit_lines(beams, value, body.sd[run], robust, floor=floor)
+        fit = _known(beams, value, LineNoise(body.sd[run]), rate, robust)
         return fit, True, _unsettled(fit, measurement, run, body)
-    relative = 1.0 / rate[None] if body.sd is None else body.sd[run]
-    size = np.full(len(rate), (largest or 1.0) if body.sd is None else _size(largest, rate, relative))
-    fit = fit_lines(beams, value, relative, factor=size, floor=floor)
+    if body.sd is None:
+        relative = np.broadcast_to(1.0 / rate, value.shape)
+        size, floor = np.ones(len(rate)), None
+    else:
+        relative = body.sd[run]
+        largest = largest_rate(value, rate)
+        size, floor = np.full(len(rate), _size(largest, rate, relative)), least_sd(largest, rate)
+    fit = fit_noise(beams, value, LineNoise(relative, size, floor))
     if not np.any(fit.n_dof > 0):
         where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""
         text = (
@@ -50,7 +54,7 @@ def with_noise(
         )
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, False, [Notice("noise_unknown", text)]
-    fit = _scaled(beams, value, relative, fit, size, floor, robust)
+    fit = _scaled(fit, rate, robust)
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (
         f"{what} is stated for body {body.body}: its size was estimated from the residuals of the "
@@ -59,7 +63,7 @@ def with_noise(
     return fit, False, [Notice("noise_estimated", text), *_unsettled(fit, measurement, run, body)]
 
 
-def largest_rate(value: NDArray[np.complex128], rate: Array) -> float:
+def largest_rate(value: ComplexArray, rate: Array) -> float:
     """Return the largest |value| times ``rate`` (freq,), to a factor of sqrt 2; 0 without a finite value.
 
     It is the larger of real and imaginary part: one pass over the data without a copy.
@@ -97,24 +101,48 @@ def _unsettled(fit: LineFit, measurement: Measurement, run: int, body: BodyChann
     return [Notice("robust_unsettled", text)]
 
 
-def _scaled(
-    beams: BeamSet,
-    value: NDArray[np.complex128],
-    relative: Array,
-    fit: LineFit,
-    size: Array,
-    floor: Array,
-    robust: str,
-) -> LineFit:
+def _known(beams: BeamSet, value: ComplexArray, noise: LineNoise, rate: Array, robust: str) -> LineFit:
+    """Fit with a stated noise and the floor that keeps it positive."""
+    if robust == "none" and noise.common() is not None:
+        fit = fit_noise(beams, value, noise)
+        if not _floor_binds(fit, rate):
+            return fit
+    floor = least_sd(largest_rate(value, rate), rate)
+    return fit_noise(beams, value, replace(noise, floor=floor), robust)
+
+
+def _floor_binds(fit: LineFit, rate: Array) -> bool:
+    """Tell whether a floor on the noise may matter, without another look at the data.
+
+    The sum of |value / sd|^2 of a line, known from the fit, bounds its largest value.
+    """
+    if fit.common is None or not np.all(fit.solution.good):
+        return True
+    share, line = fit.common
+    bound = line * np.sqrt(2.0 * (fit.solution.misfit + fit.solution.explained)) * rate
+    return bool(np.any(np.min(share) * line < least_sd(float(np.max(bound)), rate)))
+
+
+def least_sd(largest: float, rate: Array) -> Array:
+    """Return the least sd (freq,), m: 1e-12 of the largest measured amplitude, in the measured quantity."""
+    return np.asarray((_FLOOR * largest or _LEAST) / rate)
+
+
+def _scaled(fit: LineFit, rate: Array, robust: str) -> LineFit:
     """Find the size of the noise from the residuals, and fit with it where that changes the motion."""
+    beams, value, noise = fit.beams, fit.value, fit.noise
     if robust == "none":
-        factor = pooled_scale(fit.chi2, fit.n_dof, np.ones(len(size)))
-        if relative.shape[0] == 1:
-            return fit.rescaled(factor, floor)
-        return fit_lines(beams, value, relative, factor=size * factor, floor=floor)
+        factor = pooled_scale(fit.chi2, fit.n_dof, np.ones(len(rate)))
+        if noise.floor is None:
+            scaled = fit.rescaled(factor, None)
+            if not _floor_binds(scaled, rate):
+                return scaled
+            return fit.rescaled(factor, least_sd(largest_rate(value, rate), rate))
+        return fit_noise(beams, value, LineNoise(noise.stated, fit.noise_factor(factor), noise.floor))
+    floor = noise.floor if noise.floor is not None else least_sd(largest_rate(value, rate), rate)
     for _ in range(_ROUNDS):
-        factor = _median_scale(fit, relative)
-        fit = fit_lines(beams, value, relative, robust, factor=factor, floor=floor)
+        factor = _median_scale(fit, noise.stated)
+        fit = fit_noise(beams, value, LineNoise(noise.stated, factor, floor), robust)
     return fit
 
 
@@ -127,7 +155,6 @@ def _median_scale(fit: LineFit, relative: Array, block: int = 400) -> Array:
     the degrees of freedom that the motion takes.
     """
     channels, lines = fit.value.shape
-    stated = np.broadcast_to(relative, fit.value.shape)
     width = max(1, min(lines, block // max(channels, 1) + 1))
     centres, values = [], []
     for start in range(0, lines, width):
@@ -137,7 +164,7 @@ def _median_scale(fit: LineFit, relative: Array, block: int = 400) -> Array:
         if not np.any(part):
             continue
         left = 1.0 - fit.beams.basis.shape[1] * part.shape[1] / max(int(np.sum(part)), 1)
-        median = float(np.median((np.abs(residual[part]) / stated[:, near][part]) ** 2))
+        median = float(np.median((np.abs(residual[part]) / relative[:, near][part]) ** 2))
         centres.append(start + 0.5 * width)
         values.append(np.sqrt(median / (2.0 * np.log(2.0) * max(left, 0.05))))
     return np.asarray(np.interp(np.arange(lines), centres, values))

@@ -28,7 +28,7 @@ from kinematics.pooling import pooled, with_gain_errors
 from kinematics.ratio import parse_reference, per_reference
 from kinematics.repeats import RunRepeats
 from kinematics.rigid_fit import LineFit, refitted
-from kinematics.screening import Screened, empty_faults, screened
+from kinematics.screening import Screened, empty_faults, is_whole, screened
 from kinematics.shared_errors import pose_derivatives, position_errors
 from kinematics.spatial import DOF_NAMES
 from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
@@ -144,12 +144,19 @@ def points2dof(
     placement = placement or place()
     if options.reference:
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
-    raise_all(KinematicsError, empty_faults(measurement))
+    whole = all(is_whole(body) for body in measurement.bodies)
+    if not whole:
+        raise_all(KinematicsError, empty_faults(measurement))
     repeats = pooled(measurement)
     measurement = repeats.measurement
     placed = measurement.mapped(placement.transform)
     beams = _beam_sets(placed, options.dof)
-    screens = [screened(body, placed.runs, options.dof) for body in placed.bodies]
+    screens = [
+        Screened(body, tuple({} for _ in placed.runs), ())
+        if whole
+        else screened(body, placed.runs, options.dof)
+        for body in placed.bodies
+    ]
     placed = replace(placed, bodies=tuple(screen.body for screen in screens))
     calibration = None
     if options.calibrate is not None:
@@ -164,7 +171,7 @@ def points2dof(
     notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
-    notices += _uncommon_lines(placed)
+    notices += [] if whole else _uncommon_lines(placed)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
@@ -176,7 +183,9 @@ def points2dof(
     motion = _motion(placed, fits, options.dof)
     _check_determined(motion)
     motion = replace(
-        motion, shared=_shared(placed, fits, placement, motion, calibration), provenance=dict(provenance or {})
+        motion,
+        shared=_shared(placed, fits, placement, motion, calibration),
+        provenance=dict(provenance or {}),
     )
     motion = with_gain_errors(motion, repeats.repeats)
     notices += phase_notice(motion, mass)
@@ -259,11 +268,12 @@ def _body_notices(
     where = f" in run {placed.runs[run]}" if several else ""
     notices = fault_notices(placed.runs[run], body, diagnosis, several)
     notices += neglected_notice(fit, body, where)
-    measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
-    lost = int(np.sum(~np.isfinite(fit.q[:, 0].real) & measured))
-    if lost:
-        text = f"body {body.body}{where}: {lost} lines have too few channels to determine the motion."
-        notices.append(Notice("lines_undetermined", text))
+    if not np.all(fit.solution.good):
+        measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
+        lost = int(np.sum(~fit.solution.good & measured))
+        if lost:
+            text = f"body {body.body}{where}: {lost} lines have too few channels to determine the motion."
+            notices.append(Notice("lines_undetermined", text))
     if fit.beams.weak:
         text = f"body {body.body}: hardly observable from these beams: {fit.beams.weak}."
         notices.append(Notice("unobservable", text))

@@ -73,7 +73,7 @@ class LineFit:
         """Whether every channel was used at every line."""
         return bool(np.all(self.solution.count == len(self.beams.rows)))
 
-    @cached_property
+    @property
     def common(self) -> tuple[Array, Array] | None:
         """Noise per channel, at most 1, and per line, m, whose products are all sd; None if no such."""
         return self.noise.common()
@@ -170,7 +170,7 @@ class LineFit:
         ``floor`` (freq,) is the least sd in m; it may bind only where all channels of a line are alike.
         """
         before = self.noise.at(_WHOLE, slice(0, 1))[0]
-        stated = LineNoise(self.noise.stated, self._product(factor), floor)
+        stated = LineNoise(self.noise.stated, self.noise_factor(factor), floor)
         with np.errstate(invalid="ignore", divide="ignore"):
             change = (stated.at(_WHOLE, slice(0, 1))[0] / before) ** 2
         change = np.where(np.isfinite(change), change, 1.0)
@@ -182,7 +182,8 @@ class LineFit:
             solution=self.solution.rescaled(change),
         )
 
-    def _product(self, factor: Array) -> Array:
+    def noise_factor(self, factor: Array) -> Array:
+        """Return the factor per line of the stated noise, times another."""
         return factor if self.noise.factor is None else self.noise.factor * factor
 
 
@@ -220,7 +221,12 @@ def fit_lines(
     where it passes 1e7. The covariance of a robust fit is that of least squares times the factor of
     robust_fit.loss, pooled over lines.
     """
-    noise = LineNoise(np.broadcast_to(np.asarray(sd, dtype=float), value.shape), factor, floor)
+    stated = np.broadcast_to(np.asarray(sd, dtype=float), value.shape)
+    return fit_noise(beams, value, LineNoise(stated, factor, floor), robust)
+
+
+def fit_noise(beams: BeamSet, value: ComplexArray, noise: LineNoise, robust: str = "none") -> LineFit:
+    """Fit the motion of one body at all lines with a given noise; see fit_lines."""
     if robust == "none":
         solution, inverse, loss, turns, unsettled = solve(beams.basis, value, noise), None, 1.0, 0, 0
     else:
@@ -239,7 +245,7 @@ def fit_lines(
 
 def refitted(beams: BeamSet, fit: LineFit) -> LineFit:
     """Fit the same data with other degrees of freedom and the same noise, by least squares."""
-    return fit_lines(beams, fit.value, fit.noise.stated, factor=fit.noise.factor, floor=fit.noise.floor)
+    return fit_noise(beams, fit.value, fit.noise)
 
 
 def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int = 400) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.beams import observability
 from kinematics.errors import sentence
+from kinematics.line_noise import blocks
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
 from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
@@ -33,6 +34,32 @@ class Screened:
     body: BodyChannels
     unused: tuple[dict[int, str], ...]
     notices: tuple[Notice, ...]
+
+
+def is_whole(body: BodyChannels) -> bool:
+    """Tell, in one pass without a copy, whether all values and sd are finite and no value is exactly zero.
+
+    Such a body has nothing to be screened for.
+    """
+    for run, value in enumerate(body.displacement):
+        sd = None if body.sd is None else body.sd[run]
+        if sd is not None and 0 in sd.strides:
+            if not np.all(np.isfinite(sd[tuple(slice(0, 1) if k == 0 else slice(None) for k in sd.strides)])):
+                return False
+            sd = None
+        for part in blocks(*value.shape):
+            block = value[:, part]
+            if sd is not None and not np.isfinite(np.sum(sd[:, part])):
+                return False
+            if block.strides[-1] == block.itemsize:
+                flat = block.view(float)
+                if not np.isfinite(np.sum(flat)) or (
+                    np.any(flat == 0.0) and np.any((block.real == 0.0) & (block.imag == 0.0))
+                ):
+                    return False
+            elif not np.isfinite(np.sum(block)) or np.any(block == 0.0):
+                return False
+    return True
 
 
 def empty_faults(measurement: Measurement) -> list[str]:
