@@ -143,10 +143,11 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
                 fault = sentence(thing, "one", got, f"{where} and {one.where}", step)
                 faults.append(fault)
                 positions[key] = (one.position_mm, one.where)
-        elif key not in positions:
-            lost.setdefault(one.body, []).append(one.point)
         if not np.all(np.isfinite(one.direction)):
             blind.setdefault(one.body, []).append(one.point)
+    for one in recordings:
+        if (one.body, one.point) not in positions:
+            lost.setdefault(one.body, []).append(one.point)
     for body, names in lost.items():
         step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(

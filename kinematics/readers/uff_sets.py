@@ -84,9 +84,9 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
         body = content[number.end() : end.start()]
         position = end.end()
         yield _text(int(number[1]), place, body)
-    rest = content[position:].strip(b" \t\r\n\x00\x1a")
-    if rest:
-        got = f'"{rest.splitlines()[0][:40].decode("latin-1")}"'
+    tail = content[position:].strip(b" \t\r\n\x00\x1a")
+    if tail:
+        got = f'"{tail.splitlines()[0][:40].decode("latin-1")}"'
         raise KinematicsError(sentence("the last line of a universal file", "-1", got, file, CUT))
 
 

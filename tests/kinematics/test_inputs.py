@@ -1,0 +1,514 @@
+"""Several vibrometer files as one measurement: bodies, runs, beams, units, lines, and every refusal."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.cli import parser, work
+from kinematics.errors import KinematicsError, StapeskitError
+from kinematics.points_csv import read_points
+from kinematics.readers import InputOptions, read_measurement
+from kinematics.readers.assemble import assemble
+from kinematics.readers.recording import Recording, Recordings
+from tests.kinematics import written_uff as uff
+from tests.kinematics.simulated import readings, smooth_motion, stapes_points
+from tests.kinematics.written_psv import fastscan
+
+F = np.arange(1, 41) * 25.0
+RNG = np.random.default_rng(5)
+PLACES = stapes_points(RNG, 12)
+MOTION = smooth_motion(RNG, F)
+AXES = np.eye(3)
+
+
+def value(number, axis, order=1):
+    """What a beam along an axis reads at a point, SI."""
+    displacement = readings(PLACES[[number]], AXES[[axis]], MOTION)[0]
+    return displacement * (2j * np.pi * F) ** order
+
+
+def recordings(numbers=range(6), body="stapes", first=1, **how):
+    """Recordings of three beams a point, named from ``first`` on."""
+    made = [
+        Recording(
+            str(first + place),
+            F,
+            value(number, axis),
+            1,
+            f"a.uff, dataset {place}",
+            body=body,
+            position_mm=PLACES[number],
+            direction=AXES[axis],
+        )
+        for place, number in enumerate(numbers)
+        for axis in range(3)
+    ]
+    return Recordings(tuple(replace(one, **how) for one in made), file="a.uff", amplitude_stated=True)
+
+
+def codes(measurement):
+    return [notice.code for notice in measurement.notices]
+
+
+def fault(*files, points=None, **said):
+    with pytest.raises(KinematicsError) as caught:
+        assemble(files, points, InputOptions(**said))
+    text = str(caught.value)
+    assert all("must be" in line for line in text.splitlines())
+    return text
+
+
+def test_one_file_becomes_displacement_of_its_bodies():
+    stapes, base = recordings(), recordings(range(6, 12), "base")
+    both = Recordings(stapes.recordings + base.recordings, file="a.uff", amplitude_stated=True)
+    made = assemble([both])
+    assert [body.body for body in made.bodies] == ["stapes", "base"]
+    assert (made.runs, made.order, made.notices) == (("1",), 1, ())
+    want = readings(np.repeat(PLACES[:6], 3, axis=0), np.tile(AXES, (6, 1)), MOTION)
+    np.testing.assert_allclose(made.bodies[0].displacement[0], want, rtol=1e-12)
+    np.testing.assert_allclose(made.freq_hz, F)
+
+
+def test_bodies_by_numbers_by_file_and_by_points_file(tmp_path):
+    first, second = recordings(body=""), recordings(range(6, 12), "", 1)
+    second = replace(second, file="b.uff")
+    by_file = assemble([first, second], None, InputOptions(body=("stapes=a.uff", "base=b.uff:1-3,4,5,6")))
+    assert [body.body for body in by_file.bodies] == ["stapes", "base"]
+    assert by_file.runs == ("1",)
+    apart = replace(recordings(range(6, 12), "", 7), file="b.uff")
+    by_number = assemble([first, apart], None, InputOptions(body=("stapes=1-3,4,5,6", "base=7-12")))
+    assert [len(body.points) for body in by_number.bodies] == [18, 18]
+    path = tmp_path / "points.csv"
+    rows = [
+        f"{'stapes' if n < 6 else 'base'},{n + 1},{','.join(map(str, PLACES[n]))},0.02" for n in range(12)
+    ]
+    path.write_text("body,point,x_mm,y_mm,z_mm,sd_mm\n" + "\n".join(rows) + "\n")
+    listed = assemble([first, apart], read_points(path))
+    np.testing.assert_allclose(listed.bodies[1].displacement, by_number.bodies[1].displacement)
+    assert np.all(listed.bodies[0].position_sd_mm == 0.02)
+
+
+def test_points_without_or_with_two_bodies_are_named(tmp_path):
+    text = fault(recordings(body=""))
+    assert "points 1, 2, 3, 4, 5, 6 must be of a body; got none (a.uff)" in text
+    assert "--body stapes=1-10" in text
+    text = fault(recordings(body=""), body=("stapes=1-4", "base=4-6"))
+    assert "point 4 must be of one body; got stapes and base" in text
+    text = fault(recordings(body=""), body=("stapes=1-6", "base=17"))
+    assert "--body base must be points that were measured (1, 2, 3, 4, 5, 6)" in text
+    assert "got stapes and other" not in text
+    assert "of one body; got other and stapes" in fault(recordings(), body=("other=1-6",))
+    path = tmp_path / "points.csv"
+    path.write_text("body,point,x_mm,y_mm,z_mm\nstapes,1,0,0,0\nbase,1,1,1,1\n")
+    text = fault(recordings([0], body=""), points=read_points(path))
+    assert "point 1 must be of one body; got stapes and base" in text
+    assert "base.uff:1-9" in text
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"body": ("stapes",)}, "--body must be NAME=POINTS; got stapes"),
+        ({"body": ("=1",)}, "--body must be NAME=POINTS"),
+        ({"body": ("stapes=1,,2",)}, "the points of --body must be numbers, ranges or names"),
+        ({"body": ("stapes=5-2",)}, "the points of --body must be numbers, ranges or names; got stapes=5-2"),
+        ({"run": ("push",)}, "--run must be NAME=FILE; got push"),
+        ({"beam": "up"}, "--beam must be x, y, z, -x, -y, -z or three numbers of length 1"),
+        ({"beam": "1,1,1"}, "three numbers of length 1 (within 1e-3); got 1,1,1"),
+        ({"beam": "nan,0,0"}, "three numbers of length 1"),
+        ({"amplitude": "pp"}, "--amplitude must be one of peak, rms; got pp"),
+        ({"length_unit": "inch"}, "--length-unit must be one of m, mm, um; got inch"),
+    ],
+)
+def test_what_is_said_is_checked_first(said, words):
+    with pytest.raises(KinematicsError) as caught:
+        InputOptions(**said)
+    assert words in str(caught.value)
+
+
+def test_all_that_is_said_wrongly_is_told_at_once():
+    with pytest.raises(KinematicsError) as caught:
+        InputOptions(body=("a", "b=3-1"), beam="up", run=("x",))
+    assert len(str(caught.value).splitlines()) == 4
+
+
+def test_files_that_nobody_gave_are_named():
+    text = fault(recordings(), run=("push=c.uff",), body=("stapes=d.uff:1",))
+    assert "the file of --run push=c.uff must be one of a.uff; got c.uff" in text
+    assert "the file of --body stapes must be one of a.uff; got d.uff" in text
+
+
+def test_files_that_measure_the_same_points_are_runs():
+    second = replace(recordings(), file="tilt.uff")
+    made = assemble([recordings(), second])
+    assert made.runs == ("a", "tilt")
+    assert codes(made) == ["runs_by_file"]
+    made = assemble([recordings(), second], None, InputOptions(run=("push=a", "tilt=tilt.uff")))
+    assert made.runs == ("push", "tilt")
+    assert codes(made) == []
+
+
+def test_runs_and_bodies_in_four_files():
+    files = [
+        replace(recordings(numbers, body), file=name)
+        for name, numbers, body in (
+            ("s1.uff", range(6), "stapes"),
+            ("b1.uff", range(6, 12), "base"),
+            ("s2.uff", range(6), "stapes"),
+            ("b2.uff", range(6, 12), "base"),
+        )
+    ]
+    made = assemble(files, None, InputOptions(run=("1=s1", "1=b1", "2=s2", "2=b2")))
+    assert made.runs == ("1", "2")
+    assert all(np.all(np.isfinite(body.displacement)) for body in made.bodies)
+
+
+def test_runs_of_one_file_stay_and_repeats_are_takes():
+    one = recordings(run="push").recordings + recordings(run="pull").recordings
+    assert assemble([Recordings(one, file="a", amplitude_stated=True)]).runs == ("push", "pull")
+    one = recordings(repeat="1").recordings + recordings(repeat="2", level=0.5).recordings
+    made = assemble([Recordings(one, file="a", amplitude_stated=True)])
+    assert [take.repeat for take in made.takes] == ["1", "2"]
+    assert made.takes[1].level == 0.5
+    assert made.runs == tuple(take.name for take in made.takes)
+
+
+def test_one_channel_twice_is_refused():
+    twice = Recordings(
+        recordings().recordings + recordings([0]).recordings, file="a.uff", amplitude_stated=True
+    )
+    text = fault(twice)
+    assert "the channel stapes 1 (x) must be there once in a run" in text
+    assert len(text.splitlines()) == 3
+
+
+def test_one_channel_in_parts_of_the_band_is_joined():
+    low = tuple(replace(one, freq_hz=F[:20], value=one.value[:20]) for one in recordings().recordings)
+    high = tuple(replace(one, freq_hz=F[20:], value=one.value[20:]) for one in recordings().recordings)
+    made = assemble([Recordings(low + high, file="a.uff", amplitude_stated=True)])
+    np.testing.assert_allclose(made.bodies[0].displacement, assemble([recordings()]).bodies[0].displacement)
+
+
+def test_a_line_at_zero_is_dropped_with_a_warning():
+    freq = np.concatenate([[0.0], F])
+    parts = {"freq_hz": freq, "coherence": np.full(41, 0.9), "n_avg": 10.0, "sd": None}
+    one = tuple(replace(r, value=np.concatenate([[1.0], r.value]), **parts) for r in recordings().recordings)
+    made = assemble([Recordings(one, file="a.uff", amplitude_stated=True)])
+    assert "the line at 0 Hz of 18 spectra of a.uff holds no motion" in made.notices[0].text
+    np.testing.assert_allclose(made.freq_hz, F)
+    with pytest.raises(KinematicsError, match="must be above 0 Hz; got 0 Hz alone"):
+        assemble([recordings(freq_hz=np.zeros(1), value=np.ones(1, complex))])
+
+
+def test_positions_that_are_missing_or_differ(tmp_path):
+    lost = recordings(position_mm=np.full(3, np.nan))
+    assert "points 1, 2, 3, 4, 5, 6 of body stapes must be given with positions" in fault(lost)
+    path = tmp_path / "points.csv"
+    rows = [f"stapes,{n + 1},{','.join(map(str, PLACES[n]))}" for n in range(6)]
+    path.write_text("body,point,x_mm,y_mm,z_mm\n" + "\n".join(rows) + "\n")
+    np.testing.assert_allclose(assemble([lost], read_points(path)).bodies[0].positions_mm[::3], PLACES[:6])
+    text = fault(recordings(position_mm=PLACES[0] * 1e3), points=read_points(path))
+    assert "the position of point 1 of body stapes must be one" in text
+    assert "--length-unit" in text
+
+
+def test_a_position_of_one_channel_holds_for_the_point():
+    made = recordings().recordings
+    some = tuple(
+        one if np.argmax(one.direction) == 1 else replace(one, position_mm=np.full(3, np.nan)) for one in made
+    )
+    joined = assemble([Recordings(some, file="a.uff", amplitude_stated=True)])
+    np.testing.assert_allclose(joined.bodies[0].positions_mm[::3], PLACES[:6])
+
+
+def test_the_direction_of_beams_is_said_or_asked_for():
+    blind = recordings(direction=np.full(3, np.nan))
+    one = Recordings(blind.recordings[::3], file="a.uff", amplitude_stated=True)
+    text = fault(one)
+    assert "must be given with the direction of the beam" in text
+    assert "--beam" in text
+    made = assemble([one], None, InputOptions(beam="0,-0.6,0.8"))
+    np.testing.assert_allclose(made.bodies[0].directions, np.tile([0.0, -0.6, 0.8], (6, 1)))
+    assert "--beam must be left out" in fault(recordings(), beam="z")
+
+
+def test_amplitudes_are_peak_unless_said_otherwise():
+    plain = replace(recordings(sd=np.full(40, 1e-9)), amplitude_stated=False)
+    peak = assemble([plain])
+    assert codes(peak) == ["amplitude_assumed"]
+    rms = assemble([plain], None, InputOptions(amplitude="rms"))
+    assert codes(rms) == []
+    root = np.sqrt(2.0)
+    np.testing.assert_allclose(rms.bodies[0].displacement, peak.bodies[0].displacement * root)
+    np.testing.assert_allclose(rms.bodies[0].sd, peak.bodies[0].sd * root)
+    ratio = replace(recordings(per="V"), amplitude_stated=False)
+    assert codes(assemble([ratio])) == ["per_reference"]
+    assert "--amplitude must be left out" in fault(ratio, amplitude="rms")
+    assert "--amplitude must be left out" in fault(recordings(), amplitude="peak")
+
+
+def test_positions_without_unit_are_metres_unless_said_otherwise():
+    plain = replace(recordings(), length_stated=False)
+    made = assemble([plain])
+    assert codes(made) == ["length_unit_assumed"]
+    assert "Say --length-unit" in made.notices[0].text
+    small = assemble([plain], None, InputOptions(length_unit="mm"))
+    np.testing.assert_allclose(small.bodies[0].positions_mm * 1e3, made.bodies[0].positions_mm)
+    assert "--length-unit must be left out" in fault(recordings(), length_unit="mm")
+
+
+def test_responses_to_different_things_are_not_mixed():
+    mixed = Recordings(
+        recordings(per="V").recordings + recordings(range(6, 12), "base").recordings,
+        file="a.uff",
+        amplitude_stated=True,
+    )
+    assert "the values of one run must be of one unit; got responses per V" in fault(mixed)
+    made = assemble([recordings(per="Pa")])
+    assert "responses per Pa" in made.notices[0].text
+
+
+def test_lines_are_matched_or_refused():
+    near = tuple(
+        replace(one, freq_hz=F * (1.0 + 4e-6)) for one in recordings(range(6, 12), "base").recordings
+    )
+    both = Recordings(recordings().recordings + near, file="a.uff", amplitude_stated=True)
+    assert len(assemble([both]).freq_hz) == 40
+    far = tuple(replace(one, freq_hz=F + 0.5) for one in recordings(range(6, 12), "base").recordings)
+    text = fault(Recordings(recordings().recordings + far, file="a.uff", amplitude_stated=True))
+    assert "the frequencies of all points must be the same within 1e-05; got 25 Hz" in text
+    fine = tuple(replace(one, freq_hz=F + 12.5) for one in recordings(range(6, 12), "base").recordings)
+    assert (
+        len(assemble([Recordings(recordings().recordings + fine, file="a", amplitude_stated=True)]).freq_hz)
+        == 80
+    )
+
+
+def test_noise_of_coherence_averages_and_sd():
+    coherence = np.linspace(0.6, 1.0, 40)
+    made = assemble([recordings(coherence=coherence, n_avg=12.0)]).bodies[0]
+    want = np.abs(made.displacement) * np.sqrt((1.0 - coherence) / (24.0 * coherence))
+    np.testing.assert_allclose(made.sd, want)
+    assert not made.relative
+    assert assemble([recordings(coherence=coherence)]).bodies[0].relative
+    many = assemble([recordings(n_avg=4.0)]).bodies[0]
+    assert many.relative
+    np.testing.assert_allclose(many.sd * 2.0 * np.pi * F, 0.5)
+    assert assemble([recordings()]).bodies[0].sd is None
+    sd = recordings(sd=np.full(40, 1e-6))
+    mixed = Recordings(sd.recordings[:-1] + recordings().recordings[-1:], file="a.uff", amplitude_stated=True)
+    made = assemble([mixed])
+    assert codes(made) == ["sd_missing"]
+    np.testing.assert_allclose(made.bodies[0].sd[0, 0], 1e-6 / (2.0 * np.pi * F))
+    assert np.all(np.isnan(made.bodies[0].sd[0, -1]))
+
+
+def test_displacement_and_velocity_are_joined():
+    order = [
+        replace(one, value=one.value / (2j * np.pi * F), order=0) for one in recordings([0, 1]).recordings
+    ]
+    mixed = Recordings(
+        (*recordings(range(2, 6), first=3).recordings, *order), file="a", amplitude_stated=True
+    )
+    made = assemble([mixed])
+    assert made.order == 1
+    places = [made.bodies[0].points.index(str(n)) for n in range(1, 7)]
+    plain = assemble([recordings()]).bodies[0]
+    np.testing.assert_allclose(made.bodies[0].displacement[0][places], plain.displacement[0][::3], rtol=1e-12)
+
+
+# ---- the command, on one measurement written in three ways
+
+
+def points_file(path):
+    rows = [
+        f"{'stapes' if n < 6 else 'base'},{n + 1},{','.join(map(repr, PLACES[n].tolist()))},0.02"
+        for n in range(12)
+    ]
+    path.write_text("body,point,x_mm,y_mm,z_mm,sd_mm\n" + "\n".join(rows) + "\n")
+
+
+def noisy(number, axis):
+    rng = np.random.default_rng([number, axis])
+    clean = value(number, axis) * (1.0 if number < 6 else 0.7)
+    noise = rng.normal(size=(40, 2)) @ [1.0, 1.0j]
+    return clean + 0.01 * np.mean(np.abs(clean)) * noise
+
+
+def tidy(path, numbers=range(12)):
+    rows = ["body,point,dir,freq_hz,re_m_s,im_m_s"]
+    for n in numbers:
+        for axis in range(3):
+            for f, v in zip(F, noisy(n, axis), strict=True):
+                name = "stapes" if n < 6 else "base"
+                rows.append(f"{name},{n + 1},{'xyz'[axis]},{float(f)!r},{float(v.real)!r},{float(v.imag)!r}")
+    path.write_text("\n".join(rows) + "\n")
+
+
+def universal(path, numbers=range(12), binary="<", coordinates=True, **how):
+    parts = [uff.units()]
+    if coordinates:
+        parts.append(uff.nodes_2411({n + 1: PLACES[n] * 1e-3 for n in numbers}))
+    parts += [
+        uff.function(F, noisy(n, axis), n + 1, axis + 1, form=6, binary=binary, kind=uff.SPECTRUM, **how)
+        for n in numbers
+        for axis in range(3)
+    ]
+    path.write_bytes(b"".join(parts))
+
+
+def scanned(folder):
+    folder.mkdir()
+    for k, f in enumerate(F):
+        values = np.array([[noisy(n, axis)[k] for axis in range(3)] for n in range(12)])
+        (folder / f"{f:g}.txt").write_bytes(fastscan(f, PLACES * 1e-3, values))
+
+
+def dof_of(path):
+    with path.open(newline="") as stream:
+        return [
+            [cell if k < 2 else float(cell) for k, cell in enumerate(row)]
+            for row in list(csv.reader(stream))[1:]
+        ]
+
+
+def run(tmp_path, *arguments, name="dof"):
+    out = tmp_path / f"{name}.csv"
+    _, outcome = work([*map(str, arguments), "--out", str(out)])
+    return out, outcome
+
+
+def close(one, two, rtol):
+    rows = list(zip(dof_of(one), dof_of(two), strict=True))
+    assert rows
+    for a, b in rows:
+        assert a[:2] == b[:2]
+        np.testing.assert_allclose(a[2:], b[2:], rtol=rtol, atol=1e-20)
+
+
+def test_three_ways_to_write_a_measurement_give_one_result(tmp_path):
+    points_file(tmp_path / "points.csv")
+    tidy(tmp_path / "ldv.csv")
+    universal(tmp_path / "ldv.uff")
+    scanned(tmp_path / "scan")
+    points = ("--points", tmp_path / "points.csv")
+    plain, _ = run(tmp_path, tmp_path / "ldv.csv", *points, name="plain")
+    same, outcome = run(tmp_path, tmp_path / "ldv.uff", *points, name="same")
+    assert same.read_bytes() == plain.read_bytes()
+    assert {"spectra_phase", "amplitude_assumed"} <= {notice.code for notice in outcome.notices}
+    fast, outcome = run(tmp_path, tmp_path / "scan", *points, name="fast")
+    close(fast, plain, 2e-5)
+    assert "length_unit_assumed" in {notice.code for notice in outcome.notices}
+    bodies = ("--body", "stapes=1-6", "--body", "base=7-12", "--amplitude", "peak")
+    own, outcome = run(tmp_path, tmp_path / "ldv.uff", *bodies, name="own")
+    close(own, plain, 1e-9)
+    assert "amplitude_assumed" not in {notice.code for notice in outcome.notices}
+
+
+def test_bodies_in_files_of_different_kinds(tmp_path):
+    points_file(tmp_path / "points.csv")
+    tidy(tmp_path / "ldv.csv")
+    tidy(tmp_path / "stapes.csv", range(6))
+    universal(tmp_path / "base.uff", range(6, 12), ">", False)
+    points = ("--points", tmp_path / "points.csv")
+    plain, _ = run(tmp_path, tmp_path / "ldv.csv", *points, name="plain")
+    both, _ = run(tmp_path, tmp_path / "stapes.csv", tmp_path / "base.uff", *points, name="both")
+    close(both, plain, 1e-9)
+
+
+def test_runs_in_several_files_and_what_the_json_says(tmp_path):
+    points_file(tmp_path / "points.csv")
+    universal(tmp_path / "push.uff")
+    universal(tmp_path / "tilt.uff", quantity=uff.ACCELERATION, unit="g")
+    files = (tmp_path / "push.uff", tmp_path / "tilt.uff", "--points", tmp_path / "points.csv")
+    _, outcome = run(tmp_path, *files)
+    assert outcome.result["runs"] == ["push", "tilt"]
+    assert "runs_by_file" in json.dumps(outcome.result["warnings"])
+    _, outcome = run(tmp_path, *files, "--run", "up=push", "--run", "down=tilt.uff")
+    assert outcome.result["runs"] == ["up", "down"]
+
+
+def test_options_of_the_inputs_in_a_config_file(tmp_path):
+    universal(tmp_path / "ldv.uff")
+    (tmp_path / "c.toml").write_text('body = ["stapes=1-6", "base=7-12"]\namplitude = "rms"\n')
+    out, _ = run(tmp_path, tmp_path / "ldv.uff", "--config", tmp_path / "c.toml", name="rms")
+    peak, _ = run(tmp_path, tmp_path / "ldv.uff", "--body", "stapes=1-6", "--body", "base=7-12", name="peak")
+    a, b = dof_of(out)[0], dof_of(peak)[0]
+    np.testing.assert_allclose(a[3:9], np.array(b[3:9]) * np.sqrt(2.0))
+
+
+@pytest.mark.parametrize("word", ["-z", "-0.6,0,0.8"])
+def test_directions_may_begin_with_a_minus(word):
+    assert parser().parse(["a.uff", "--beam", word]).beam == word
+    assert parser().parse(["a.uff", f"--beam={word}"]).beam == word
+
+
+def test_refusals_of_the_command(tmp_path):
+    points_file(tmp_path / "points.csv")
+    tidy(tmp_path / "ldv.csv", [0, 1, 7, 8])
+    with pytest.raises(KinematicsError) as caught:
+        run(
+            tmp_path,
+            tmp_path / "ldv.csv",
+            "--points",
+            tmp_path / "points.csv",
+            "--body",
+            "stapes=1",
+            "--beam",
+            "z",
+        )
+    assert "--body must be left out for a tidy table, whose column body say it" in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 2
+    (tmp_path / "more").mkdir()
+    tidy(tmp_path / "more" / "ldv.csv", [0])
+    with pytest.raises(
+        KinematicsError, match=r"names of the vibrometer files must be different; got ldv.csv"
+    ):
+        run(tmp_path, tmp_path / "ldv.csv", tmp_path / "more" / "ldv.csv")
+    with pytest.raises(KinematicsError) as caught:
+        run(tmp_path, tmp_path / "none.uff", tmp_path / "nor.uff")
+    assert len(str(caught.value).splitlines()) == 2
+    with pytest.raises(StapeskitError, match="invalid choice: 'pp'"):
+        run(tmp_path, tmp_path / "ldv.csv", "--amplitude", "pp")
+    with pytest.raises(KinematicsError, match="--beam must be x, y, z"):
+        run(tmp_path, tmp_path / "ldv.csv", "--beam", "up")
+    (tmp_path / "a.uff").write_bytes(b"    -1\n    58\n")
+    (tmp_path / "b.uff").write_bytes(b"    -1\n   164\n")
+    with pytest.raises(KinematicsError) as caught:
+        run(tmp_path, tmp_path / "a.uff", tmp_path / "b.uff")
+    assert len(str(caught.value).splitlines()) == 2
+    assert not (tmp_path / "dof.csv").exists()
+
+
+def test_a_tidy_table_and_its_recordings_are_one_measurement(tmp_path):
+    points_file(tmp_path / "points.csv")
+    tidy(tmp_path / "one.csv", range(6))
+    tidy(tmp_path / "two.csv", range(6, 12))
+    tidy(tmp_path / "both.csv")
+    parts = read_measurement([tmp_path / "one.csv", tmp_path / "two.csv"], tmp_path / "points.csv")
+    whole = read_measurement([tmp_path / "both.csv"], tmp_path / "points.csv")
+    assert list(parts.inputs) == ["ldv", "ldv 2", "points"]
+    for one, two in zip(parts.bodies, whole.bodies, strict=True):
+        np.testing.assert_allclose(one.displacement, two.displacement, rtol=1e-12)
+        assert one.points == two.points
+
+
+def test_the_help_names_every_way_in():
+    text = parser().format_help()
+    for word in (
+        "--body",
+        "--run",
+        "--beam",
+        "--amplitude",
+        "--length-unit",
+        ".uff",
+        "FastScan",
+        ".svd",
+        "2411",
+    ):
+        assert word in text
