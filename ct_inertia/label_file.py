@@ -32,7 +32,7 @@ def packed_labels(labels: LabelledVolume) -> bytes:
 
 def _by_zlib(labels: LabelledVolume) -> list[bytes]:
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
-    parts = [packer.compress(memoryview(np.ascontiguousarray(slab))) for slab in labels.slabs()]
+    parts = [packer.compress(np.ascontiguousarray(slab).data) for slab in labels.slabs()]
     return [*parts, packer.flush()]
 
 

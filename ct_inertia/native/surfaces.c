@@ -532,8 +532,8 @@ static int64_t height(const Side *s, const int64_t *p)
     return s->normal[0] * p[0] + s->normal[1] * p[1] + s->normal[2] * p[2] - s->offset;
 }
 
-/* Say which points (m, 3) lie in the convex hull of points (n, 3), or within 0.02 of it. Whole numbers from 0 to 4095.
- * The hull grows point by point; all are scaled by 64 and shaken by one part, so that no four lie in a plane and whole
+/* Say which points (m, 3) lie in the convex hull of points (n, 3), or within 0.02 of it. Whole numbers from 0 to 511.
+ * The hull grows point by point; all are scaled by 1024 and shaken by one part, so that no four lie in a plane and whole
  * numbers decide exactly. Returns the number of sides; 0 where the points span no body, -1 out of memory. */
 API int64_t in_hull(const int64_t *points, int64_t n, const int64_t *asked, int64_t m, uint8_t *inside)
 {
@@ -547,7 +547,7 @@ API int64_t in_hull(const int64_t *points, int64_t n, const int64_t *asked, int6
     }
     for (int64_t k = 0; k < 3 * n; k++) {
         noise ^= noise << 13, noise ^= noise >> 7, noise ^= noise << 17;
-        p[k] = 64 * points[k] + (int64_t)(noise % 3) - 1;
+        p[k] = 1024 * points[k] + (int64_t)(noise % 3) - 1;
     }
     memset(inside, 0, (size_t)m);
     /* a first tetrahedron: of the points after the first, one apart, one off the line, one off the plane */
@@ -617,11 +617,11 @@ API int64_t in_hull(const int64_t *points, int64_t n, const int64_t *asked, int6
             side_through(p, rim[2 * e], rim[2 * e + 1], k, side + count++);
     }
     for (int64_t k = 0; k < m; k++) {
-        const int64_t q[3] = {64 * asked[3 * k], 64 * asked[3 * k + 1], 64 * asked[3 * k + 2]};
+        const int64_t q[3] = {1024 * asked[3 * k], 1024 * asked[3 * k + 1], 1024 * asked[3 * k + 2]};
         int64_t s = 0;
         for (; s < count; s++) {
             const double nx = (double)side[s].normal[0], ny = (double)side[s].normal[1], nz = (double)side[s].normal[2];
-            if ((double)height(side + s, q) > 1.28 * sqrt(nx * nx + ny * ny + nz * nz))
+            if ((double)height(side + s, q) > 20.48 * sqrt(nx * nx + ny * ny + nz * nz))
                 break;
         }
         inside[k] = s == count;
