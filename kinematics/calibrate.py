@@ -197,7 +197,7 @@ def _fitted(block: _Block, rows: Array) -> tuple[Array, ComplexArray, ComplexArr
         q, r = np.linalg.qr(block.s[:, :1] * rows / scale)
         whole = block.s * block.y
         z = q.T @ whole
-        return q, whole - q @ z, np.linalg.solve(r, z)
+        return q, np.asarray(whole - q @ z), np.asarray(np.linalg.solve(r, z), dtype=complex)
     q, r = np.linalg.qr(block.s.T[:, :, None] * (rows / scale))
     whole = block.s * block.y
     z = np.einsum("fcm,cf->fm", q, whole)

@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from kinematics import geometry_options
 from kinematics.command import Outcome, Parser, run
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.geometry_options import add_options
 from kinematics.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
@@ -38,7 +40,8 @@ Tidy table, one row per body, point, beam and frequency (comma separated, header
   with # are comments.
 points.csv:    body, point, x_mm, y_mm, z_mm [, sd_mm]
 fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
-               [, frame = plate (default) | scan | footplate] [, sd_mm]
+               [, frame = plate (default) | scan | footplate] [, sd_mm | sd_x_mm, sd_y_mm, sd_z_mm]
+               [, sd_ref_mm]
 Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.csv.
 Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate axes.
 """
@@ -107,6 +110,7 @@ def parser() -> Parser:
     made.add_argument(
         "--mirror", choices=("x", "y", "z"), help="turn this axis of left-handed scanner coordinates round"
     )
+    add_options(made)
     made.add_argument("--out", type=Path, default=Path("dof.csv"), metavar="FILE.csv", help="default dof.csv")
     add_series_arguments(made)
     made.add_config()
@@ -119,11 +123,13 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     _check(options)
     from kinematics.fiducials import read_fiducials
     from kinematics.mass_record import read_mass_record
-    from kinematics.placement import place
     from kinematics.points2dof import Options, points2dof
     from kinematics.provenance import record
     from kinematics.readers import InputOptions, inputs_of, read_measurement
+    from kinematics.scan_surfaces import ScanSurfaces
     from kinematics.spatial import parse_dof
+    from kinematics.surface_points import mirrored, read_surface_points
+    from kinematics.tie import tie
 
     said = InputOptions(
         tuple(options.body),
@@ -134,21 +140,28 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         options.mapping,
         series_options(options),
     )
-    chosen = Options(parse_dof(options.dof), options.reference, options.robust)
+    priors = geometry_options.priors(options.calibrate, options.axes_sd, options.beam_sd, options.gain_sd)
+    chosen = Options(parse_dof(options.dof), options.reference, options.robust, priors)
     mass = None if options.mass is None else read_mass_record(options.mass)
     fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
     frame = options.frame or "footplate"
-    source = "vibrometer" if fiducials else frame
+    kinds = {"plate": options.plate_points, "bone": options.bone_points}
+    clouds = {kind: read_surface_points(path, kind) for kind, path in kinds.items() if path is not None}
+    source = "vibrometer" if fiducials or "plate" in clouds else frame
     measurement = read_measurement(options.ldv, options.points, source, said)
     if options.mirror:
         measurement = measurement.mirrored(options.mirror)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
-    placement = place(fiducials, frame, mass)
+        clouds = {kind: mirrored(cloud, options.mirror) for kind, cloud in clouds.items()}
+    surfaces = None if options.mass is None else ScanSurfaces.beside(options.mass)
+    placement = tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
     provenance = record(
         {
             **inputs_of(options.ldv, options.points),
             "fiducials": options.fiducials,
             "mass": options.mass,
+            "plate_points": options.plate_points,
+            "bone_points": options.bone_points,
             "mapping": options.mapping,
             "channels": options.channels,
             "steps": options.steps,
@@ -157,13 +170,14 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
             "dof": list(chosen.dof),
             "reference": chosen.reference,
             "robust": chosen.robust,
-            "frame": None if fiducials else frame,
+            "frame": frame if source == frame else None,
             "mirror": options.mirror,
             "body": list(options.body),
             "run": list(options.run),
             "beam": options.beam,
             "amplitude": options.amplitude,
             "length_unit": options.length_unit,
+            **geometry_options.parameters(options),
             "series": None if said.series is None else {k: str(v) for k, v in vars(said.series).items()},
         },
         ["points2dof", *arguments],
@@ -195,6 +209,8 @@ def _check(options: argparse.Namespace) -> None:
         )
     named = [("the vibrometer file", path) for path in options.ldv]
     named += [(f"--{name}", getattr(options, name)) for name in ("points", "fiducials", "mass", "mapping")]
+    named += [("--plate-points", options.plate_points), ("--bone-points", options.bone_points)]
+    faults += geometry_options.faults(options)
     for thing, path in named:
         if path is not None and not path.exists():
             faults.append(sentence(thing, "an existing file", path, "", "Check its name and folder"))
@@ -224,6 +240,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
 
     import numpy as np
 
+    from kinematics import geometry_report
     from kinematics.motion_files import standard_deviation
 
     motion = result.motion
@@ -254,11 +271,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
         bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof}
     counts = Counter(v.verdict for v in result.channels)
     rows.append(("channels", ", ".join(f"{number} {name}" for name, number in counts.most_common())))
-    fit = result.placement.registration
-    if fit is not None:
-        rows.append(
-            ("registration", f"{len(fit.residuals_mm)} fiducials, residual {fit.rms_mm * 1e3:.3g} um rms")
-        )
+    rows += geometry_report.rows(result)
     rows += [
         (f"repeats of {one.run}" if len(motion.runs) > 1 else "repeats", one.summary)
         for one in result.repeats
@@ -275,6 +288,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
             "runs": list(motion.runs),
             "lines": len(motion.freq_hz),
             "bodies": bodies,
+            **geometry_report.as_json(result),
             "repeats": [one.as_json() for one in result.repeats],
             "verdicts": [
                 {

@@ -29,7 +29,7 @@ def add_options(made: Parser) -> None:
         "--bone-points",
         type=Path,
         metavar="FILE",
-        help="points measured on the bone, in the same columns (body bone): did the sample move since the scan?",
+        help="points measured on the bone, in the same columns (body bone): did the sample move?",
     )
     made.add_argument(
         "--calibrate",

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinematics import page
+from kinematics import geometry_report, page
 from kinematics.notices import Notice
 from kinematics.page import Page, Section
 from kinematics.points2dof import Points2Dof
-from kinematics.report_faults import groups_of, residual_section, verdict_section
+from kinematics.report_faults import channel_count, groups_of, residual_section, verdict_section
 from kinematics.report_geometry import points_section, registration_section
 from kinematics.report_motion import motion_section, moving_section
 from kinematics.scenery import Scenery
@@ -46,6 +46,7 @@ def sections(result: Points2Dof, scenery: Scenery | None = None, interactive: bo
     ]
     if result.placement.registration is not None:
         made.append(registration_section(result))
+    made += geometry_report.sections(result)
     return made
 
 
@@ -77,7 +78,7 @@ def _in_short(result: Points2Dof) -> str:
     """Return the outcome of the diagnosis in one sentence."""
     wrong = [v for v in result.channels if v.verdict != "ok"]
     if not wrong:
-        return f"All {len(result.channels)} channels agree with rigid motion within their noise."
+        return f"All {channel_count(result)} agree with rigid motion within their noise."
     several = len(result.motion.runs) > 1
     named = []
     for group in groups_of(result)[:5]:
@@ -86,7 +87,7 @@ def _in_short(result: Points2Dof) -> str:
         named.append(f"{group.verdict.body} {points}: {group.verdict.verdict}{where}")
     counts = Counter(v.body for v in wrong)
     total = " and ".join(f"{number} of {body}" for body, number in counts.items())
-    return f"{len(wrong)} of {len(result.channels)} channels have a verdict, {total}. {'. '.join(named)}."
+    return f"{len(wrong)} of {channel_count(result)} have a verdict, {total}. {'. '.join(named)}."
 
 
 def grouped_notices(notices: Sequence[Notice]) -> list[Markup]:

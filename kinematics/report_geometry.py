@@ -86,7 +86,7 @@ def registration_section(result: Points2Dof) -> Section:
     )
     turn = np.rad2deg(sd[3:])
     rows = [
-        ("fiducials", str(len(fit.residuals_mm))),
+        (fit.kind, str(len(fit.residuals_mm))),
         ("residual, rms", f"{fit.rms_mm * 1e3:.3g} µm"),
         ("chi2", chi2),
         ("largest distance from one plane", f"{fit.flat_mm:.3g} mm"),
@@ -96,8 +96,10 @@ def registration_section(result: Points2Dof) -> Section:
         worst = float(np.max(error(body.positions_mm)))
         rows.append((f"largest target error at a point of {body.body}, rms", f"{worst:.3g} µm"))
     rows.append(("sd of the rotation about x, y, z", ", ".join(f"{value:.2g}" for value in turn) + " °"))
-    section.add(page.table(("fiducial registration", f"to {fit.transform.to}"), rows))
-    section.add(page.subheading("Residuals of the fiducials"))
+    if np.isnan(fit.flat_mm):
+        rows = [row for row in rows if row[0] != "largest distance from one plane"]
+    section.add(page.table((f"registration by {fit.kind}", f"to {fit.transform.to}"), rows))
+    section.add(page.subheading(f"Residuals of the {fit.kind}"))
     section.add(
         page.table(
             ("fiducial", "x (µm)", "y (µm)", "z (µm)", "length (µm)", "sd (µm)"),

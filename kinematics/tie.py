@@ -1,4 +1,4 @@
-"""Tie the vibrometer to the scan with all that was given, and see whether the points lie where they should."""
+"""Tie the vibrometer to the scan with all that was given, and see whether the points lie on its surfaces."""
 
 from __future__ import annotations
 

@@ -23,6 +23,9 @@ _OTHER_NAMES = {
     "voxel_size_sd": "voxel_size_sd_percent",
     "band": "band_hz",
     "exclude": "exclude_hz",
+    "axes_sd": "axes_sd_deg",
+    "beam_sd": "beam_sd_deg",
+    "gain_sd": "gain_sd_percent",
 }
 _TABLES: dict[str, type[BaseModel]] = {"scan": Scan, "ldv": Ldv, "fit": Fit}
 _OPTION = re.compile(r"--[a-z]+(?:-[a-z]+)*")
@@ -82,9 +85,11 @@ def mass_options(scan: Scan) -> MassOptions:
 
 def motion_options(ldv: Ldv) -> Options:
     """Return the options of `points2dof`."""
+    from kinematics.geometry_options import priors
     from kinematics.points2dof import Options
 
-    return Options(ldv.dof, ldv.reference, ldv.robust)
+    geometry = priors(ldv.calibrate, ldv.axes_sd_deg, ldv.beam_sd_deg, ldv.gain_sd_percent)
+    return Options(ldv.dof, ldv.reference, ldv.robust, geometry)
 
 
 def input_options(ldv: Ldv) -> InputOptions:

@@ -38,6 +38,8 @@ _ORDER: tuple[tuple[str, str, str], ...] = (
     ("motion", "Verdict on every channel", "Verdict on every channel"),
     ("motion", "Residuals of the rigid fit", "Residuals of the rigid bodies"),
     ("motion", "Registration", "Registration"),
+    ("motion", "Points on the surfaces of the scan", "Points on the surfaces of the scan"),
+    ("motion", "Geometry estimated with the motion", "Geometry estimated with the motion"),
 )
 
 

@@ -12,12 +12,14 @@ from kinematics.errors import StapeskitError, raise_all, sentence
 from pipeline.errors import PipelineError
 from pipeline.options import fit_options, in_study_words, input_options, mass_options, motion_options
 from pipeline.records import Told
-from pipeline.study import Study
+from pipeline.study import Ldv, Study
 
 if TYPE_CHECKING:
     from kinematics.fiducials import Fiducials
+    from kinematics.icp import Cloud
     from kinematics.mass_record import MassRecord
     from kinematics.measurement import Measurement
+    from kinematics.placement import Placement
     from kinematics.scenery import Scenery
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
@@ -90,7 +92,11 @@ class Motion:
         """Return the files by role."""
         from kinematics.readers import inputs_of
 
-        return {**inputs_of(study.ldv.files, study.ldv.points), "fiducials": study.ldv.fiducials}
+        names = ("fiducials", "plate_points", "bone_points")
+        return {
+            **inputs_of(study.ldv.files, study.ldv.points),
+            **{name: getattr(study.ldv, name) for name in names},
+        }
 
     @staticmethod
     def parameters(study: Study, work: Workspace) -> dict[str, Any]:
@@ -100,7 +106,8 @@ class Motion:
         """
         from kinematics.provenance import content_hash
 
-        mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
+        here = work.find("mass.json").parent
+        mass = json.loads((here / "mass.json").read_text(encoding="utf-8"))
         values = mass["inertial_parameters"]["values_si"]
         names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
         frames = {key: mass["frames"].get(key) for key in names}
@@ -108,7 +115,10 @@ class Motion:
             **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
             "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
             "mass distribution": [f"{value / values[0]:.7g}" for value in values],
-            "surface": content_hash(work.find("stapes.ply")),
+            "surfaces": [
+                content_hash(path) if path.exists() else None
+                for path in (here / "stapes.ply", here / "plate.ply", here / "labels.nrrd")
+            ],
         }
 
     @staticmethod
@@ -116,7 +126,6 @@ class Motion:
         """Write dof.csv, dof.h5 and dof.channels.csv; return their names and what there is to tell."""
         from kinematics.mass_record import read_mass_record
         from kinematics.motion_files import write_motion
-        from kinematics.placement import place
         from kinematics.points2dof import points2dof
         from kinematics.provenance import record
         from kinematics.report import sections
@@ -124,7 +133,7 @@ class Motion:
 
         mass = read_mass_record(work.find("mass.json"))
         measurement, fiducials = read_measurement(study)
-        placement = place(fiducials, study.ldv.frame or "footplate", mass)
+        placement = _placement(study, work, measurement, fiducials, mass)
         parameters = study.ldv.model_dump(mode="json", exclude=set(_FILES))
         provenance = record(Motion.inputs(study), {**parameters, "frames": "of the scan"})
         result = points2dof(measurement, placement, motion_options(study.ldv), mass, provenance)
@@ -182,7 +191,17 @@ class Fit:
 
 
 STAGES = (Scan, Motion, Fit)
-_FILES = ("file", "calibration", "labels", "landmarks", "plate_fiducials", "points", "fiducials")
+_FILES = (
+    "file",
+    "calibration",
+    "labels",
+    "landmarks",
+    "plate_fiducials",
+    "points",
+    "fiducials",
+    "plate_points",
+    "bone_points",
+)
 
 
 def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
@@ -198,12 +217,36 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
 
     ldv = study.ldv
     fiducials = None if ldv.fiducials is None else read_fiducials(ldv.fiducials)
-    frame = "vibrometer" if fiducials is not None else ldv.frame or "footplate"
+    tied = fiducials is not None or ldv.plate_points is not None
+    frame = "vibrometer" if tied else ldv.frame or "footplate"
     measurement = read_files(ldv.files, ldv.points, frame, input_options(ldv))
     if ldv.mirror is None:
         return measurement, fiducials
     mirrored = None if fiducials is None else fiducials.mirrored(ldv.mirror)
     return measurement.mirrored(ldv.mirror), mirrored
+
+
+def _clouds(ldv: Ldv) -> dict[str, Cloud]:
+    """Read the points on surfaces that a study names."""
+    from kinematics.surface_points import mirrored, read_surface_points
+
+    named = {"plate": ldv.plate_points, "bone": ldv.bone_points}
+    clouds = {kind: read_surface_points(path, kind) for kind, path in named.items() if path is not None}
+    if ldv.mirror is None:
+        return clouds
+    return {kind: mirrored(cloud, ldv.mirror) for kind, cloud in clouds.items()}
+
+
+def _placement(
+    study: Study, work: Workspace, measurement: Measurement, fiducials: Fiducials | None, mass: MassRecord
+) -> Placement:
+    from kinematics.scan_surfaces import ScanSurfaces
+    from kinematics.tie import tie
+
+    clouds = _clouds(study.ldv)
+    frame = study.ldv.frame or "footplate"
+    surfaces = ScanSurfaces.beside(work.find("mass.json"))
+    return tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
 
 
 def check_inputs(study: Study) -> None:
@@ -221,6 +264,7 @@ def check_inputs(study: Study) -> None:
         ("ldv", lambda: input_options(study.ldv)),
         ("fit", lambda: fit_options(study.fit)),
         ("ldv", lambda: _check_measurement(study)),
+        ("ldv", lambda: _clouds(study.ldv)),
     )
     for table, check in checks:
         try:

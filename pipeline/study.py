@@ -67,6 +67,12 @@ class Ldv(_Table):
     reference: fields.Text = ""
     robust: fields.RobustPoints = "none"
     mirror: fields.Axis | None = None
+    plate_points: fields.File | None = None
+    bone_points: fields.File | None = None
+    calibrate: fields.Flag = False
+    axes_sd_deg: fields.Number | None = None
+    beam_sd_deg: fields.Number | None = None
+    gain_sd_percent: fields.Number | None = None
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -224,6 +230,15 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
                 name,
             )
         )
+    if "plate_points" in ldv and "frame" in ldv:
+        expected = "left out beside ldv.plate_points, which tie the vibrometer to the scan"
+        faults.append(sentence("ldv.frame", expected, ldv["frame"], name))
+    if not ldv.get("calibrate", False):
+        faults += [
+            sentence(f"ldv.{key}", "given with ldv.calibrate = true only", ldv[key], name)
+            for key in ("axes_sd_deg", "beam_sd_deg", "gain_sd_percent")
+            if key in ldv
+        ]
     if fit.get("robust", "none") != "none" and fit.get("estimator", "ml") != "ml":
         faults.append(sentence("fit.robust", "none unless fit.estimator is ml", fit["robust"], name))
     if ("lower" in fit or "upper" in fit) and fit.get("estimator", "ml") != "constrained":

@@ -68,6 +68,16 @@ fiducials = "fiducials.csv"
 # Against outliers: none, huber or t4.
 # robust = "none"
 # mirror = "x"
+# Points measured on the plate, laid on its surface in the scan, alone or with fiducials as a first guess:
+# [name,] x_mm, y_mm, z_mm [, sd_mm]. Points on the bone, to see whether the sample moved since the scan.
+# plate_points = "plate_points.csv"
+# bone_points = "bone_points.csv"
+# Estimate the turn between beams and positions, the direction of each laser and the points' positions
+# together with the motion, within these standard deviations and the sd_mm of the points.
+# calibrate = true
+# axes_sd_deg = 1.0
+# beam_sd_deg = 0.5
+# gain_sd_percent = 0.0
 
 [fit]
 dof = ["y", "alpha", "gamma"]
