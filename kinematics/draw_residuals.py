@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 COLUMNS = 700
 _PIECE = 500_000
-_WIDTH, _LEFT, _RIGHT, _BELOW, _ABOVE, _GAP = 11.4, 1.8, 2.95, 0.55, 0.35, 0.42
+_WIDTH, _LEFT, _RIGHT, _BARE, _BELOW, _ABOVE, _GAP = 11.4, 1.8, 2.95, 1.0, 0.55, 0.35, 0.42
 _BAR = 0.75
 _ROW, _TALLEST, _LETTER, _LETTERS = 0.17, 6.2, 0.15, 36
 
@@ -111,7 +111,9 @@ def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualM
     figure.set_layout_engine("none")
     highest = max(8.0, 1.5 * maps[0].noise + 3.0)
     top, picture, view = total - _ABOVE, None, None
-    wide = _WIDTH - _LEFT - _RIGHT
+    name = result.motion.runs[run]
+    wrong = any(v.verdict != "ok" and v.run == name for v in result.channels)
+    wide = _WIDTH - _LEFT - (_RIGHT if wrong else _BARE)
     for number, (body, one, height) in enumerate(zip(bodies, maps, heights, strict=True)):
         top -= height
         box = (_LEFT / _WIDTH, top / total, wide / _WIDTH, height / total)

@@ -129,7 +129,7 @@ def _bands(
 
 def chi2_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
     """Draw chi2 per degree of freedom over frequency with the 95 % range of a rigid body."""
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import FormatStrFormatter, LogLocator
     from scipy.special import chdtri
 
     figure = new_figure(11.0, 2.9)
@@ -160,8 +160,9 @@ def chi2_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
                 view.axhline(float(chdtri(typical, level)) / typical, color=colour(body), lw=0.9, ls="--")
     view.axhline(1.0, color=INK, lw=0.8)
     view.set_yscale("log")
-    for formatter in (view.yaxis.set_major_formatter, view.yaxis.set_minor_formatter):
-        formatter(LogFormatter(minor_thresholds=(1.5, 0.7)))
+    view.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    view.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    view.yaxis.set_minor_formatter(FormatStrFormatter("%g"))
     frequency_axis(view, motion.freq_hz)
     view.set_ylabel("chi2 / degrees of freedom", fontsize=9)
     view.grid(True, color=GRID, lw=0.6)

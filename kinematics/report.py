@@ -16,6 +16,7 @@ from kinematics.points2dof import Points2Dof
 from kinematics.report_faults import channel_count, groups_of, residual_section, verdict_section
 from kinematics.report_geometry import points_section, registration_section
 from kinematics.report_motion import motion_section, moving_section
+from kinematics.report_repeats import repeats_section
 from kinematics.scenery import Scenery
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ def sections(result: Points2Dof, scenery: Scenery | None = None, interactive: bo
         verdict_section(result),
         residual_section(result),
     ]
+    if result.repeats:
+        made.append(repeats_section(result))
     if result.placement.registration is not None:
         made.append(registration_section(result))
     made += geometry_report.sections(result)

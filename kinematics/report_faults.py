@@ -91,7 +91,7 @@ def verdict_section(result: Points2Dof) -> Section:
     section = Section("Verdict on every channel")
     counts = Counter(v.verdict for v in result.channels)
     said = ", ".join(f"{number} {name}" for name, number in counts.most_common())
-    section.add(page.text(f"{len(result.channels)} channels: {said}."))
+    section.add(page.text(f"{channel_count(result)}: {said}."))
     groups = groups_of(result)
     several = len(result.motion.runs) > 1
     if groups:
@@ -107,13 +107,21 @@ def verdict_section(result: Points2Dof) -> Section:
     else:
         section.add(page.text("Every channel agrees with the rigid motion of its body within its noise."))
     section.add(page.folded("All channels", *_all_channels(result)))
-    section.add(
-        page.text(
-            "Channels with a verdict stay in the fit unless they read zero or hold nothing: correct them and "
-            "run again."
+    if groups:
+        section.add(
+            page.text(
+                "Channels with a verdict stay in the fit unless they read zero or hold nothing: correct them "
+                "and run again."
+            )
         )
-    )
     return section
+
+
+def channel_count(result: Points2Dof) -> str:
+    """Return how many channels were judged, in words."""
+    runs = len(result.motion.runs)
+    count = sum(len(body.points) for body in result.measurement.bodies)
+    return f"{count} channels in each of {runs} runs" if runs > 1 else f"{count} channels"
 
 
 def _fault_row(group: Group, several: bool) -> tuple[str, ...]:
@@ -205,7 +213,10 @@ def residual_section(result: Points2Dof) -> Section:
         )
     if len(result.motion.runs) > len(runs):
         section.add(
-            page.text(f"Of {len(result.motion.runs)} runs, the {len(runs)} with the largest chi2 are drawn.")
+            page.text(
+                f"{len(runs)} of {len(result.motion.runs)} runs drawn: those with a verdict, or else the one "
+                "with the largest chi2."
+            )
         )
     if np.any(result.motion.n_dof > 0):
         shown = tuple(sorted(runs))
@@ -224,9 +235,12 @@ def residual_section(result: Points2Dof) -> Section:
 
 
 def _worst_runs(result: Points2Dof) -> list[int]:
-    """Return the runs whose maps are drawn: those with the largest chi2, in their order."""
+    """Return the runs whose maps are drawn: those with verdicts, else the one with the largest chi2."""
+    wrong = {v.run for v in result.channels if v.verdict != "ok"}
     chi2 = np.nansum(result.motion.chi2, axis=(1, 2))
-    return sorted(np.argsort(-chi2, kind="stable")[:_MOST_MAPS].tolist())
+    order = np.argsort(-chi2, kind="stable").tolist()
+    named = [run for run in order if result.motion.runs[run] in wrong]
+    return sorted((named or order[:1])[:_MOST_MAPS])
 
 
 def _map_words(result: Points2Dof, run: int) -> str:
