@@ -182,15 +182,14 @@ def _coherence(stacks: list[tuple[ComplexArray, ComplexArray]], lines: NDArray[n
 
 
 def _smoothed(spectrum: Array, width: int) -> Array:
-    """Average (channel, freq) over so many neighbouring lines, fewer at the ends."""
+    """Average (channel, freq) over so many neighbouring lines; towards the ends over fewer, evenly."""
     width = min(width, spectrum.shape[1])
     if width <= 1:
         return spectrum
-    half = width // 2
     total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
     place = np.arange(spectrum.shape[1])
-    start = np.maximum(place - half, 0)
-    stop = np.minimum(place + half + 1, spectrum.shape[1])
+    half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
+    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
     return np.asarray((total[:, stop] - total[:, start]) / (stop - start))
 
 

@@ -42,6 +42,8 @@ class SineFit:
     unsteady : float
         Change of the amplitude from the first to the second half of the record over its noise, the largest
         of all channels; changes below a thousandth of the amplitude do not count.
+    share : ndarray, (channel,)
+        Share of the power of the signal, its mean apart, that the line has.
     """
 
     freq_hz: float
@@ -50,6 +52,7 @@ class SineFit:
     harmonics: ComplexArray
     residual: ComplexArray
     unsteady: float
+    share: Array
 
     @property
     def distortion(self) -> Array:
@@ -133,13 +136,14 @@ def fit_sine(
     if how.refine:
         freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
     base = _base(count, sample_rate_hz, freq_hz, how)
-    found, *_ = np.linalg.lstsq(base, signals.T, rcond=None)
+    found = _solved(base, signals.T)
     left = signals - (base @ found).T
     orders = _orders(sample_rate_hz, freq_hz, how)
     pairs = (found[0 : 2 * orders : 2] - 1j * found[1 : 2 * orders : 2]).T
     residual = _near(left, sample_rate_hz, freq_hz)
     variance = np.mean(np.abs(residual) ** 2, axis=1) / 2.0
     sd = np.sqrt(variance)
+    power = np.maximum(np.var(signals, axis=1), np.finfo(float).tiny)
     return SineFit(
         freq_hz,
         pairs[:, 0],
@@ -147,6 +151,7 @@ def fit_sine(
         pairs[:, 1:],
         residual,
         _unsteady(left, sample_rate_hz, freq_hz, pairs[:, 0], sd),
+        0.5 * np.abs(pairs[:, 0]) ** 2 / power,
     )
 
 
@@ -164,6 +169,11 @@ def _base(count: int, rate: float, freq: float, how: SteppedSine) -> Array:
     ramp = np.linspace(-1.0, 1.0, count)
     columns += [ramp**degree for degree in range(how.drift + 1)]
     return np.column_stack(columns)
+
+
+def _solved(base: Array, samples: Array) -> Array:
+    """Return least-squares coefficients, (column, channel); the columns are far from dependent."""
+    return np.asarray(np.linalg.solve(base.T @ base, base.T @ samples))
 
 
 def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: str) -> float:
@@ -185,7 +195,7 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
         base = _base(half, rate, found, plain)
         halves, left = [], np.full(len(level), 1e-20)
         for part in (level[:, :half].T, level[:, half : 2 * half].T):
-            fitted, *_ = np.linalg.lstsq(base, part, rcond=None)
+            fitted = _solved(base, part)
             halves.append(fitted[0] - 1j * fitted[1])
             left += np.mean((part - base @ fitted) ** 2, axis=0)
         turn = np.sum(halves[1] * np.conj(halves[0]) / left) * np.exp(-2j * np.pi * found * half / rate)

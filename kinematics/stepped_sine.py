@@ -16,6 +16,7 @@ from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+_LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
 
 
 def _check_lead(fit: SineFit, lead: int, place: str) -> None:
-    if not abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead]:
+    if not (abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead] and fit.share[lead] > _LEAST_SHARE):
         step = "Check the table of steps and that the reference was connected"
         raise KinematicsError(sentence("the reference", "a sine well above its noise", "noise", place, step))
 
