@@ -1,0 +1,241 @@
+"""Repeats and levels: compared, judged at a known false alarm rate, and pooled without losing anything."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from kinematics.cli import work
+from kinematics.ldv_csv import read_ldv
+from kinematics.measurement import BodyChannels, Measurement, Take
+from kinematics.points2dof import Options, points2dof
+from kinematics.pooling import pooled
+from kinematics.repeats import code_of
+from tests.kinematics.simulated import HEADER, readings, scene
+
+
+def measured(seed, takes, gain=None, resonance=None, lines=60, snr=80.0, sd=True):
+    """Return stapes and base in several takes, and the true responses of the first."""
+    rng = np.random.default_rng([seed, 77])
+    freq = np.linspace(400.0, 5000.0, lines)
+    count = len(takes)
+    if gain is None:
+        gain = np.exp(0.03 * rng.normal(size=count) + 0.01j * rng.normal(size=count))
+    moved = np.ones(count) if resonance is None else np.asarray(resonance)
+    weights = rng.normal(size=(2, 9))
+    bodies, truth = [], []
+    for name, channels in (("stapes", 9), ("base", 6)):
+        value = np.ones((count, channels, lines), dtype=complex)
+        if name == "stapes":
+            for take in range(count):
+                for (f0, zeta), weight in zip(((1753.0, 0.12), (2783.0, 0.14)), weights, strict=True):
+                    ratio = freq / (f0 * moved[take])
+                    value[take] += weight[:, None] / (1.0 - ratio**2 + 2j * zeta * ratio)
+        truth.append(value[0])
+        spread = np.full(value.shape, 1.0 / snr)
+        noise = rng.normal(size=(*value.shape, 2)) @ np.array([1.0, 1j])
+        points = tuple(str(c // 3) for c in range(channels))
+        beams = np.tile(np.eye(3), (channels // 3, 1))
+        value = 1e-9 * (np.asarray(gain)[:, None, None] * value + spread * noise)
+        places = rng.normal(size=(channels, 3))
+        bodies.append(BodyChannels(name, points, places, beams, value, 1e-9 * spread if sd else None, not sd))
+    runs = tuple(take.name for take in takes)
+    return Measurement("footplate", runs, freq, tuple(bodies), 0, takes=tuple(takes)), truth
+
+
+def repeats(count, level=np.nan, run="1"):
+    return [Take(run, str(k + 1), level) for k in range(count)]
+
+
+def findings(measurement):
+    return [code_of(test) for report in pooled(measurement).repeats for test in report.found]
+
+
+def test_false_alarms_are_as_rare_as_stated():
+    alarms, low, count = 0, 0, 0
+    for seed in range(150):
+        report = pooled(measured(seed, repeats(5), lines=40, sd=bool(seed % 2))[0]).repeats[0]
+        alarms += bool(report.found)
+        values = [test.p_value for test in report.tests if test.name != "shape_scatter"]
+        low, count = low + sum(p < 0.05 for p in values), count + len(values)
+    assert 1 <= alarms <= 17
+    assert 0.03 < low / count < 0.07
+
+
+@pytest.mark.parametrize(
+    ("code", "options"),
+    [
+        ("repeat_creep", {"resonance": 1.0 - 0.01 * np.linspace(0, 1, 5)}),
+        ("repeat_outlier", {"resonance": [1, 1, 1.01, 1, 1]}),
+        ("repeat_drift", {"gain": np.array([1.0, 1.051, 1.099, 1.149, 1.201])}),
+        ("repeat_outlier", {"gain": np.array([1.0, 1.001, 0.7, 1.002, 0.9995])}),
+    ],
+)
+@pytest.mark.parametrize("sd", [True, False])
+def test_one_fault_is_one_finding(code, options, sd):
+    measurement, _ = measured(3, repeats(5), sd=sd, **options)
+    report = pooled(measurement).repeats[0]
+    assert [code_of(test) for test in report.found] == [code]
+    assert report.verdict == code
+    assert report.found[0].p_value < 0.01
+    if code == "repeat_outlier":
+        assert report.takes[report.found[0].take].repeat == "3"
+    assert pooled(measurement).measurement.notices[0].code == code
+
+
+def levels(count=2, values=(1.0, 2.0, 4.0)):
+    return [Take("1", str(k + 1), level) for level in values for k in range(count)]
+
+
+def test_response_that_depends_on_level():
+    takes = levels()
+    level = np.array([take.level for take in takes])
+    gain = level * np.array([1.01, 0.99, 1.0, 1.02, 0.99, 1.0])
+    linear, _ = measured(5, takes, gain)
+    assert findings(linear) == []
+    soft, _ = measured(5, takes, gain, 1.0 - 0.02 * np.log(level) / np.log(4.0))
+    assert findings(soft) == ["level_nonlinear"]
+    compressed, _ = measured(5, takes, gain * level**-0.2)
+    assert findings(compressed) == ["level_gain"]
+    said = pooled(compressed).measurement.notices[0].text
+    assert re.search(r"amplitude grows as level to the power 0\.(79|80)", said)
+
+
+def test_levels_are_pooled_at_the_highest():
+    takes = levels()
+    level = np.array([take.level for take in takes])
+    measurement, truth = measured(6, takes, level * 1.0, snr=1e4)
+    made = pooled(measurement).measurement
+    assert np.allclose(made.bodies[0].displacement[0], 4e-9 * truth[0], rtol=2e-3, atol=1e-12)
+
+
+def test_pooled_values_are_as_uncertain_as_they_say():
+    for sd in (True, False):
+        squares = []
+        for seed in range(30):
+            measurement, truth = measured(seed, repeats(4), sd=sd)
+            made = pooled(measurement).measurement
+            value = np.concatenate([body.displacement[0] for body in made.bodies])
+            spread = np.concatenate([body.sd[0] for body in made.bodies])
+            true = np.concatenate(truth)
+            power = np.sum(np.abs(true / spread) ** 2, axis=0)
+            own = np.sum(true.conj() * value / spread**2, axis=0) / power
+            error = np.abs((value - own * true) / spread) ** 2
+            squares.append(np.sum(error, axis=0) / (2.0 * (len(true) - 1)))
+        assert np.mean(squares) == pytest.approx(1.0, abs=0.03)
+
+
+def test_sd_of_the_pooled_falls_with_the_number_of_repeats():
+    one, _ = measured(2, repeats(2), gain=np.ones(2))
+    many, _ = measured(2, repeats(8), gain=np.ones(8))
+    ratio = pooled(one).measurement.bodies[0].sd / pooled(many).measurement.bodies[0].sd
+    assert np.allclose(ratio, 2.0, rtol=0.02)
+
+
+def test_an_excitation_of_random_phase_does_not_cancel():
+    turned = np.exp(2j * np.pi * np.array([0.0, 0.3, 0.7, 0.5]))
+    measurement, truth = measured(2, repeats(4), gain=turned)
+    made = pooled(measurement).measurement
+    assert np.median(np.abs(made.bodies[1].displacement)) == pytest.approx(1e-9, rel=0.01)
+    assert np.allclose(made.bodies[0].displacement[0] / made.bodies[1].displacement[0, 0], truth[0], atol=0.2)
+
+
+def test_bodies_measured_in_some_repeats_only():
+    measurement, truth = measured(4, repeats(4), snr=1e4)
+    measurement.bodies[1].displacement[2:] = np.nan
+    measurement.bodies[0].displacement[1, 4, 10:20] = np.nan
+    made = pooled(measurement).measurement
+    for body, true in zip(made.bodies, truth, strict=True):
+        assert np.all(np.isfinite(body.sd))
+        size = body.displacement[0] / true
+        assert np.allclose(size / size[0], 1.0, atol=3e-3)
+    ratio = made.bodies[1].sd[0, 0] / made.bodies[0].sd[0, 0]
+    assert np.median(ratio) == pytest.approx(np.sqrt(2.0), rel=0.05)
+
+
+def test_runs_keep_their_own_repeats():
+    takes = [*repeats(3), Take("2", "1")]
+    measurement, _ = measured(4, takes)
+    made = pooled(measurement)
+    assert made.measurement.runs == ("1", "2")
+    assert [report.run for report in made.repeats] == ["1"]
+    last = measurement.bodies[0].displacement[3]
+    assert np.array_equal(made.measurement.bodies[0].displacement[1], last)
+
+
+def test_too_little_to_compare_is_said():
+    measurement, _ = measured(4, repeats(2), sd=False)
+    report = pooled(measurement).repeats[0]
+    assert report.verdict == "repeats_untested"
+    assert "too few lines, channels or repeats" in report.summary
+
+
+def table(folder, count=4, resonance=1.0, gain_sd=0.04, seed=3):
+    """Write a table of two rigid bodies in several repeats, without sd."""
+    rng = np.random.default_rng(seed)
+    made = {name: scene(5 + k, lines=40, count=5) for k, name in enumerate(("stapes", "base"))}
+    rows = []
+    for repeat in range(count):
+        gain = np.exp(gain_sd * rng.normal())
+        for name, body in made.items():
+            stretch = 1.0 + (resonance - 1.0) * repeat / (count - 1) if name == "stapes" else 1.0
+            q = np.column_stack([np.interp(body.freq_hz * stretch, body.freq_hz, part) for part in body.q.T])
+            clean = readings(body.positions_mm, body.directions, q)
+            noise = body.sd * (rng.normal(size=(*clean.shape, 2)) @ np.array([1.0, 1j]))
+            value = (gain * clean + noise) * 2j * np.pi * body.freq_hz
+            for c, point in enumerate(body.points):
+                place = ",".join(f"{x:.9g}" for x in (*body.positions_mm[c], *body.directions[c]))
+                for f, v in zip(body.freq_hz, value[c], strict=True):
+                    rows.append(f"{name},{point},{place},{f:.12g},{v.real:.12g},{v.imag:.12g},{repeat + 1}")
+    path = folder / "ldv.csv"
+    path.write_text("\n".join([HEADER.replace("sd_m_s", "repeat"), *rows]) + "\n")
+    return path
+
+
+def test_command_prints_the_verdict(tmp_path, monkeypatch):
+    monkeypatch.setattr("kinematics.cli._write", lambda *_: [])
+    path = table(tmp_path)
+    _, outcome = work([str(path), "--out", str(tmp_path / "dof.csv")])
+    said = dict(outcome.rows)["repeats"]
+    assert said.startswith("4 repeats agree in shape (amplitudes scatter by")
+    (report,) = outcome.result["repeats"]
+    assert report["verdict"] == "repeats_agree"
+    assert [take["repeat"] for take in report["takes"]] == ["1", "2", "3", "4"]
+    assert json.loads(json.dumps(report)) == report
+    _, outcome = work([str(table(tmp_path, resonance=1.03)), "--out", str(tmp_path / "dof.csv")])
+    assert "the responses change relative to each other by" in dict(outcome.rows)["repeats"]
+    assert "repeat_creep" in [notice.code for notice in outcome.notices]
+
+
+def test_gain_scatter_is_an_error_that_all_lines_share(tmp_path):
+    measurement = read_ldv(table(tmp_path, gain_sd=0.05))
+    result = points2dof(measurement)
+    assert result.motion.runs == ("1",)
+    place = result.motion.shared.names.index("repeats.1.gain")
+    sd = np.sqrt(result.motion.shared.covariance[place, place])
+    gains = np.log(result.repeats[0].gain)
+    assert sd == pytest.approx(np.std(gains, ddof=1) / 2.0)
+    assert np.array_equal(result.motion.shared.derivatives[place], result.motion.q)
+    ratio = points2dof(measurement, options=Options(reference="base:y"))
+    moved = np.abs(ratio.motion.shared.derivatives[place])
+    assert np.max(moved) < 1e-9 * np.max(np.abs(ratio.motion.q))
+
+
+def test_level_columns(tmp_path):
+    head = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s,level_db"
+    rows = [f"s,1,0,0,0,y,100,{k + 1},0,{k * 20}" for k in range(3)]
+    path = tmp_path / "ldv.csv"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    assert [take.level for take in read_ldv(path).takes] == [1.0, 10.0, 100.0]
+    path.write_text("\n".join([head.replace("_db", "_pa"), *rows]) + "\n")
+    with pytest.raises(ValueError, match=r"level_pa must be positive and finite; got 0 \(ldv.csv, line 2"):
+        read_ldv(path)
+    path.write_text("\n".join([head + ",level", *(row + ",1" for row in rows)]) + "\n")
+    with pytest.raises(ValueError, match="the level of excitation must be given once; got level_db, level"):
+        read_ldv(path)
+    path.write_text("\n".join([head.replace("level_db", "repeat"), rows[0], rows[0]]) + "\n")
+    with pytest.raises(ValueError, match=r"same as in line 2 .*Number repeats in a column repeat"):
+        read_ldv(path)
