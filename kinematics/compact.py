@@ -77,8 +77,8 @@ class Compact:
         not used.
     part : ndarray, (line,), int
         Segment of each packed line.
-    tau, freq_hz : ndarray, (segment,)
-        Place of each segment in the measurement, -1 to 1, and its middle frequency.
+    tau, freq_hz : ndarray, (line,)
+        Mean place in the measurement, -1 to 1, and mean frequency of what each line was mixed from.
     rest : ndarray, (channel, sample), complex
         Residuals at lines that hold no motion, m.
     rest_part : ndarray, (sample,), int
@@ -135,12 +135,14 @@ class Compact:
         return replace(self, a=a)
 
     def scaled(self, channels: list[int], factor: ComplexArray) -> Compact:
-        """Return the data with the readings of some channels divided by a factor per segment."""
+        """Return the data with the readings of some channels divided by a factor (line,)."""
         y, rest, a, divisor = self.y.copy(), self.rest.copy(), self.a.copy(), self.divisor.copy()
-        y[channels] /= factor[self.part]
-        rest[channels] /= factor[self.rest_part]
-        a[channels] *= abs(complex(np.mean(factor)))
-        divisor[channels] *= factor
+        y[channels] /= factor
+        number = divisor.shape[1]
+        mean = np.array([np.mean(factor[self.part == k]) for k in range(number)])
+        rest[channels] /= mean[self.rest_part]
+        a[channels] *= abs(complex(np.mean(mean)))
+        divisor[channels] *= mean
         return replace(self, y=y, rest=rest, a=a, divisor=divisor)
 
     def levelled(self, variance: Array) -> Compact:
@@ -193,8 +195,8 @@ def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool 
         nothing,
         source.channel,
         none,
-        np.zeros(parts),
-        np.zeros(parts),
+        np.zeros(0),
+        np.zeros(0),
         nothing,
         none,
         np.ones((count, parts), dtype=complex),
@@ -207,7 +209,7 @@ def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool 
 def _segments(source: Source) -> NDArray[np.int64]:
     """Return the places among the determined lines at which segments begin and end."""
     lines = int(np.sum(source.fit.solution.good))
-    parts = int(np.clip(lines // (4 * len(source.fit.beams.dof)), 1, _SEGMENTS))
+    parts = int(np.clip(lines // (2 * len(source.fit.beams.dof)), 1, _SEGMENTS))
     return np.asarray(np.linspace(0, lines, parts + 1).round().astype(int))
 
 
@@ -220,7 +222,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     share = max(1, min(_REST, _HELD // max(count, 1)) // (len(edges) - 1))
     span, upper = np.linalg.qr(data.a[:, None] * basis)
     back = np.linalg.pinv(upper, rcond=1e-9) @ span.T * data.a
-    packed, rest = [], []
+    packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
     for number, (start, stop) in enumerate(pairwise(edges)):
         lines = slice(start, stop) if whole else good[start:stop]
@@ -235,6 +237,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
         into = vectors[: min(size, stop - start)].conj().T
         error = residual @ (b[:, None] * into)
         packed.append((moving @ into, error))
+        mixed.append(np.abs(into) ** 2)
         rest.append(_rest(residual, b, vectors, into, error, share))
         if first and not source.even:
             mix = np.sum(np.abs(into) ** 2, axis=1)
@@ -251,14 +254,15 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
             channel = np.where(seen > 0.0, np.sqrt(total / variance) / lift, 0.0)
     middle = [slice(start, stop) for start, stop in pairwise(edges)]
     tau = np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.zeros(1)
+    freq = source.freq_hz[good]
     return replace(
         data,
         y=np.hstack([basis @ motion + lift[:, None] * error for motion, error in packed]),
         a=channel,
         lift=lift,
         part=np.repeat(np.arange(len(packed)), number_of),
-        tau=np.array([np.mean(tau[pick]) for pick in middle]),
-        freq_hz=np.array([np.mean(source.freq_hz[good][pick]) for pick in middle]),
+        tau=np.concatenate([tau[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
+        freq_hz=np.concatenate([freq[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
         rest=np.hstack(rest) * lift[:, None],
         rest_part=np.repeat(np.arange(len(rest)), [part.shape[1] for part in rest]),
     )

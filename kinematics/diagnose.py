@@ -117,11 +117,11 @@ def _even(data: Compact) -> Compact:
     search = Search(data, blank, False)
     if search.samples < 32 or search.level <= 0.0:
         return data
-    if len(data.tau) > 1:
+    if data.divisor.shape[1] > 1:
         size = np.abs(search.rest) ** 2
         level = [
             float(np.median(np.mean(size[search.live][:, data.rest_part == k], axis=1)))
-            for k in range(len(data.tau))
+            for k in range(data.divisor.shape[1])
         ]
         if min(level) > 0.0:
             data = data.levelled(np.array(level) / float(np.mean(level)))

@@ -30,7 +30,7 @@ class Fault:
     size : int
         Number of real parameters.
     rows : callable
-        Data and parameters (size,) to the rows of those channels, (n, m) or (segment, n, m) in the basis.
+        Data and parameters (size,) to the rows of those channels, (n, m) or (line, n, m) in the basis.
     undone : callable
         Data and parameters to data without the fault.
     scale : ndarray, (size,)
@@ -52,7 +52,7 @@ def gain(channels: list[int], owner: str = "channel") -> Fault:
     """Return a real factor common to some channels, parameter factor - 1."""
 
     def undone(data: Compact, p: Array) -> Compact:
-        return data.scaled(channels, np.full(len(data.tau), 1.0 + p[0] + 0j))
+        return data.scaled(channels, np.full(len(data.part), 1.0 + p[0] + 0j))
 
     return Fault(
         "gain",
@@ -69,7 +69,7 @@ def phase(channels: list[int], owner: str = "channel") -> Fault:
     """Return a complex factor common to some channels, parameters (real - 1, imaginary)."""
 
     def undone(data: Compact, p: Array) -> Compact:
-        return data.scaled(channels, np.full(len(data.tau), 1.0 + p[0] + 1j * p[1]))
+        return data.scaled(channels, np.full(len(data.part), 1.0 + p[0] + 1j * p[1]))
 
     return Fault(
         "phase",
@@ -84,17 +84,17 @@ def phase(channels: list[int], owner: str = "channel") -> Fault:
 
 def delay(data: Compact, channels: list[int], owner: str = "channel") -> Fault:
     """Return a delay of some channels; parameter: phase lag at the mean frequency, rad."""
-    ratio = data.freq_hz / np.mean(data.freq_hz)
+    middle = float(np.mean(data.freq_hz))
 
-    def factor(p: Array) -> ComplexArray:
-        return np.asarray(np.exp(-1j * p[0] * ratio))
+    def factor(data: Compact, p: Array) -> ComplexArray:
+        return np.asarray(np.exp(-1j * p[0] * data.freq_hz / middle))
 
     return Fault(
         "delay",
         channels,
         1,
-        lambda data, p: data.beams.basis[channels] * factor(p)[:, None, None],
-        lambda data, p: data.scaled(channels, factor(p)),
+        lambda data, p: data.beams.basis[channels] * factor(data, p)[:, None, None],
+        lambda data, p: data.scaled(channels, factor(data, p)),
         np.array([GAIN]),
         owner,
     )

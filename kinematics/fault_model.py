@@ -80,8 +80,8 @@ def static(data: Compact) -> Compact:
     state = solve(data)
     vectors = np.linalg.svd(state.z, full_matrices=False)[2]
     y = data.y @ vectors.conj().T
-    middle = np.array([np.mean(data.freq_hz)])
-    return replace(data, y=y, part=np.zeros(y.shape[1], dtype=np.int64), tau=np.zeros(1), freq_hz=middle)
+    nothing = np.zeros(y.shape[1])
+    return replace(data, y=y, part=nothing.astype(np.int64), tau=nothing, freq_hz=nothing)
 
 
 @dataclass(frozen=True)
@@ -159,10 +159,9 @@ def fit_fault(
     that does not improve is halved.
     """
     size = fault.size if fault is not None else 0
-    theta, shift = np.zeros(size), np.zeros((len(places.owners), 3))
-    if fault is not None and size and len(fault.channels) < len(data.live) / 2:
-        theta = _apart(data, fault)
-    now = _Refit(data, places, fault, theta, shift)
+    shift = np.zeros((len(places.owners), 3))
+    starts = [np.zeros(size)] if fault is None or not size else _starts(data, fault)
+    now = min((_Refit(data, places, fault, theta, shift) for theta in starts), key=lambda fit: fit.objective)
     inverse = np.zeros((size, size))
     for _ in range(_ROUNDS if size + shift.size else 0):
         step, inverse = now.step()
@@ -195,6 +194,16 @@ def _same(data: Compact, _p: Array) -> Compact:
     return data
 
 
+def _starts(data: Compact, fault: Fault) -> list[Array]:
+    """Return parameters to start from: no fault, the opposite sign, what the other channels say."""
+    starts = [np.zeros(fault.size)]
+    if fault.kind in ("gain", "phase", "drift"):
+        starts.append(np.concatenate([[-2.0], np.zeros(fault.size - 1)]))
+    if len(fault.channels) < len(data.live) / 2:
+        starts.append(_apart(data, fault))
+    return starts
+
+
 def _apart(data: Compact, fault: Fault) -> Array:
     """Return first parameters: the fault's channels against the motion that all others show."""
     others = data.without(fault.channels)
@@ -204,11 +213,9 @@ def _apart(data: Compact, fault: Fault) -> Array:
     ) < 1e-6 * np.max(data.a):
         return np.zeros(fault.size)
     a = data.a[fault.channels][:, None]
-    here = _line_rows(data, fault.rows(data, np.zeros(fault.size)))
+    here = fault.rows(data, np.zeros(fault.size))
     e = a * (data.y[fault.channels] - _times(here, state.z))
-    slopes = np.stack(
-        [a * _times(_line_rows(data, d), state.z) for d in _slopes(data, fault, np.zeros(fault.size))]
-    )
+    slopes = np.stack([a * _times(d, state.z) for d in _slopes(data, fault, np.zeros(fault.size))])
     score = np.real(np.einsum("kcf,cf->k", slopes.conj(), e))
     information = np.real(np.einsum("kcf,lcf->kl", slopes.conj(), slopes))
     return np.asarray(_inverse(information) @ score)
@@ -224,11 +231,6 @@ def _slopes(data: Compact, fault: Fault, theta: Array) -> list[ComplexArray | Ar
             (fault.rows(data, theta + small) - fault.rows(data, theta - small)) / (2.0 * small[place])
         )
     return made
-
-
-def _line_rows(data: Compact, rows: ComplexArray | Array) -> ComplexArray | Array:
-    """Return rows (n, m), or (line, n, m) when they differ between segments."""
-    return rows if rows.ndim == 2 else rows[data.part]
 
 
 def _times(rows: ComplexArray | Array, z: ComplexArray) -> ComplexArray:
@@ -255,7 +257,6 @@ class _Refit:
             all_rows = np.repeat(base[None].astype(complex), len(rows), axis=0)
             all_rows[:, self.channels] = self.own * rows
             span, upper = np.linalg.qr(all_rows)
-            span, upper = span[self.data.part], upper[self.data.part]
             seen = np.einsum("fcm,cf->fm", span.conj(), held)
             self.z = np.linalg.solve(upper, seen[..., None])[..., 0].T
             self.e = held - np.einsum("fcm,fm->cf", span, seen)
@@ -278,7 +279,7 @@ class _Refit:
         slopes = np.zeros((0, len(self.channels), self.z.shape[1]), dtype=complex)
         if self.fault is not None and size:
             found = _slopes(self.data, self.fault, self.theta)
-            slopes = np.stack([self.own * _times(_line_rows(self.data, slope), self.z) for slope in found])
+            slopes = np.stack([self.own * _times(slope, self.z) for slope in found])
             score[:size] = np.real(np.einsum("knl,nl->k", slopes.conj(), self.e[self.channels]))
             information[:size, :size] = np.real(np.einsum("knl,jnl->kj", slopes.conj(), slopes))
             seen[:size] = self._seen(self.channels, slopes)
@@ -318,8 +319,7 @@ class _Refit:
         """Return the factor that the fault puts on a channel."""
         row = self.data.a[channel] * self.data.beams.basis[channel]
         peak = int(np.argmax(np.abs(row)))
-        rows = self.rows[self.data.part] if self.varies else self.rows
-        return np.asarray(rows[..., channel, peak] / row[peak])
+        return np.asarray(self.rows[..., channel, peak] / row[peak])
 
     def _seen(self, channels: list[int], values: ComplexArray) -> ComplexArray:
         """Return the part (k, m * line) of changes (k, n, line) that the motion can take."""

@@ -70,7 +70,7 @@ class ScoreTests:
         self.state, self.places = state, places
         data = state.data
         ratio = data.freq_hz / np.mean(data.freq_hz)
-        weights = {"": None, "tau": data.tau[data.part], "freq": ratio[data.part]}
+        weights = {"": None, "tau": data.tau, "freq": ratio}
         self.g = {name: state.score(weight) for name, weight in weights.items()}
         self.t = {name: state.motion(weight) for name, weight in weights.items()}
         for name in ("tau", "freq"):
@@ -201,7 +201,7 @@ def _common(tests: ScoreTests, channels: NDArray[np.int64], owner: str) -> list[
     own = tests.rows[channels][:, None]
     both = np.asarray(np.concatenate([own, 1j * own], axis=1), dtype=complex)
     made = [Batch("gain", owner, channels, own), Batch("phase", owner, channels, both)]
-    if len(tests.state.data.tau) >= 4:
+    if len(np.unique(tests.state.data.part)) >= 4:
         made.append(Batch("delay", owner, channels, np.asarray(-1j * own, dtype=complex), "freq"))
         made.append(Batch("drift", owner, channels, both, "tau"))
     if owner != "point":

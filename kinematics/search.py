@@ -13,14 +13,16 @@ from kinematics.compact import Compact
 from kinematics.evidence import log_evidence
 from kinematics.fault_kinds import Fault
 from kinematics.fault_model import FaultFit, Places, fit_fault, objective, solve, static
-from kinematics.score_tests import Batch, ScoreTests, Tested, axes_batch, batches
+from kinematics.score_tests import ScoreTests, Tested, axes_batch, batches
 from kinematics.structure import Structure, structure_of
 
 Array = NDArray[np.float64]
 FALSE_ALARM = 0.01
 NOISY_KNOWN, NOISY_UNKNOWN = 1.5, 2.0
 _QUIET = 1.3
-_FITTED = {"channel": 4, "point": 3, "laser": 3, "body": 1}
+_BLAMED = {"channel": 3, "point": 3, "laser": 3}
+_TESTED = {"channel": 2, "point": 1, "laser": 1}
+_VARIED = {"channel": 3, "point": 2, "laser": 1}
 _SUSPECTS = 10
 _NEAR = 3.0
 _VARYING = ("delay", "drift")
@@ -85,6 +87,7 @@ class Search:
         shift = np.zeros((0, 3))
         if self.places.owners:
             shift = fit_fault(self.flat, self.places, None)[1]
+        self.shift = shift
         self.data = self.places.moved(data, shift)
         self.state = solve(self.data)
         self.before = float(np.sum(np.abs(self.state.e) ** 2)) + self.places.penalty(shift)
@@ -184,7 +187,6 @@ class Search:
         made = batches(tests, free, points, self._lasers())
         if len(self.live) == len(self.data.points):
             made.append(axes_batch(tests))
-        self.tests = tests
         self.tested = [tests.run(batch) for batch in made]
         self.number = sum(len(found.statistic) for found in self.tested) + len(self.live) + 1
 
@@ -198,28 +200,54 @@ class Search:
         return many if len(groups) > 1 and len(many) <= 8 else []
 
     def _suspects(self) -> list[FaultFit]:
-        """Fit the most significant faults of every kind."""
+        """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
-        for found in self.tested:
-            order = np.argsort(-found.statistic, kind="stable")[: _FITTED[found.batch.owner]]
-            faults += [
-                self._fault(found.batch, int(k)) for k in order if found.statistic[k] > 4.0 * self.scale
-            ]
+        for owner, groups in self._owners().items():
+            tested = [found for found in self.tested if found.batch.owner == owner]
+            order = sorted(groups, key=lambda own: -self._blame(list(own)))
+            chosen = dict.fromkeys(order[: _BLAMED[owner]])
+            for found in tested:
+                best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
+                chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
+            for number, own in enumerate(chosen):
+                some = number < _VARIED[owner]
+                names = dict.fromkeys(found.batch.kind for found in tested if own in _sets(found))
+                faults += [
+                    self._fault(kind, owner, list(own)) for kind in names if some or kind not in _VARYING
+                ]
+        if any(found.batch.kind == "axes" for found in self.tested):
+            faults.append(kinds.axes(self.raw))
         return [self.fitted(fault) for fault in [*faults, *self._swaps()]]
 
-    def _fault(self, batch: Batch, place: int) -> Fault:
-        channels = [int(c) for c in batch.channels[place]]
-        if batch.kind == "gain":
-            return kinds.gain(channels, batch.owner)
-        if batch.kind == "phase":
-            return kinds.phase(channels, batch.owner)
-        if batch.kind == "delay":
-            return kinds.delay(self.raw, channels, batch.owner)
-        if batch.kind == "drift":
-            return kinds.drift(channels, batch.owner)
-        if batch.kind == "direction":
-            return kinds.direction(self.raw, channels, batch.owner)
-        return kinds.position(self.raw, channels) if batch.kind == "position" else kinds.axes(self.raw)
+    def _owners(self) -> dict[str, list[tuple[int, ...]]]:
+        """Return the sets of channels that were tested, by what they are."""
+        made: dict[str, dict[tuple[int, ...], None]] = {}
+        for found in self.tested:
+            if found.batch.owner != "body":
+                made.setdefault(found.batch.owner, {}).update(dict.fromkeys(_sets(found)))
+        return {owner: list(groups) for owner, groups in made.items()}
+
+    def _blame(self, channels: list[int]) -> float:
+        """Return by how much the residual energy falls when some channels are left out."""
+        span, e = self.state.span[channels], self.state.e[channels]
+        left = np.eye(len(channels)) - span @ span.T
+        values, vectors = np.linalg.eigh(left)
+        good = values > 1e-6
+        seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
+        return float(np.sum(seen / values[good]))
+
+    def _fault(self, kind: str, owner: str, channels: list[int]) -> Fault:
+        if kind == "gain":
+            return kinds.gain(channels, owner)
+        if kind == "phase":
+            return kinds.phase(channels, owner)
+        if kind == "delay":
+            return kinds.delay(self.raw, channels, owner)
+        if kind == "drift":
+            return kinds.drift(channels, owner)
+        if kind == "direction":
+            return kinds.direction(self.raw, channels, owner)
+        return kinds.position(self.raw, channels)
 
     def fitted(self, fault: Fault) -> FaultFit:
         """Fit a fault, jointly with the positions where these are uncertain."""
@@ -256,19 +284,14 @@ class Search:
             both = [(c, same[self.data.points[c]]) for c in one if self.data.points[c] in same]
             if len(both) > 2:
                 made.append(kinds.swap(self.raw, [c for c, _ in both], [d for _, d in both], "lasers"))
-        if len(made) <= 12:
-            return made
         gains = [self._at_sight(fault) for fault in made]
-        best = sorted(range(len(made)), key=lambda k: -gains[k])[:8]
+        best = sorted(range(len(made)), key=lambda k: gains[k])[:6]
         return [made[k] for k in best]
 
     def _at_sight(self, fault: Fault) -> float:
-        """Return about how much an exchange of names would explain."""
-        new = self.raw.a[fault.channels][:, None] * fault.rows(self.raw, np.zeros(0))
-        change = new - self.raw.a[fault.channels][:, None] * self.raw.beams.basis[fault.channels]
-        batch = Batch("label_swap", fault.owner, np.array([fault.channels]), change[None, None])
-        score, information = self.tests.parts(batch)
-        return float(2.0 * score[0, 0] - information[0, 0, 0])
+        """Return the objective after an exchange of names, the positions as they are."""
+        fit = FaultFit(fault, np.zeros(0), np.zeros((0, 0)), 0.0)
+        return objective(self.flat, self.places, fit, self.shift)
 
     def _finding(self, fit: FaultFit) -> Finding:
         size = max(fit.fault.size, 1)
@@ -297,6 +320,10 @@ class Search:
             size = float(np.sqrt((energy[channel] - h) / (1.0 - h)))
             made.append((score, Finding("noise", [channel], p, None, size)))
         return made
+
+
+def _sets(found: Tested) -> list[tuple[int, ...]]:
+    return [tuple(int(c) for c in own) for own in found.batch.channels]
 
 
 def _differ(one: Finding, two: Finding) -> bool:

@@ -1,0 +1,258 @@
+"""Simulated readings of one rigid body with one fault, and how surely the best possible test would see it.
+
+Nothing of the project's fitting code is used: v(p) = v0 + omega x (p - p0), read along each beam.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.frames import rotation_from_vector
+
+Array = NDArray[np.float64]
+RESONANCES = ((1753.0, 0.12), (2783.0, 0.14), (3862.0, 0.16))
+ALARM = 0.01
+
+
+@dataclass
+class Scene:
+    """Reported geometry, and true geometry, factors, motion and noise of one body."""
+
+    points: tuple[str, ...]
+    reported: Array
+    directions: Array
+    freq_hz: Array
+    q: NDArray[np.complex128]
+    sd: Array
+    placed: Array = field(default_factory=lambda: np.empty(0))
+    true: Array = field(default_factory=lambda: np.empty(0))
+    true_directions: Array = field(default_factory=lambda: np.empty(0))
+    factor: NDArray[np.complex128] = field(default_factory=lambda: np.empty(0, dtype=complex))
+    loud: Array = field(default_factory=lambda: np.empty(0))
+    extra: NDArray[np.complex128] = field(default_factory=lambda: np.empty(0, dtype=complex))
+    culprits: list[int] = field(default_factory=list)
+    verdict: str = ""
+
+    def clean(self) -> NDArray[np.complex128]:
+        """Return what a body without fault would read (channel, freq)."""
+        return readings(self.reported, self.directions, self.q)
+
+    def faulty(self) -> NDArray[np.complex128]:
+        """Return what this one reads, without noise."""
+        return readings(self.true, self.true_directions, self.q) * self.factor + self.extra
+
+
+def readings(positions_mm: Array, directions: Array, q: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Displacement along each beam (channel, freq)."""
+    rows = np.hstack([directions, np.cross(positions_mm * 1e-3, directions)])
+    return np.asarray(rows @ q.T)
+
+
+def three_lasers(cone_deg: float = 20.0) -> Array:
+    """Unit vectors towards three laser heads on a cone around y."""
+    cone, turn = np.radians(cone_deg), np.radians([0.0, 120.0, 240.0])
+    return np.column_stack(
+        [np.sin(cone) * np.cos(turn), np.full(3, np.cos(cone)), np.sin(cone) * np.sin(turn)]
+    )
+
+
+def footplate(rng: np.random.Generator, count: int) -> Array:
+    """Points on a footplate of 3.0 x 1.4 mm, 0.3 mm thick, mm."""
+    turn = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 1.0)) / count
+    ring = np.column_stack([1.3 * np.cos(turn), rng.uniform(0.0, 0.3, count), 0.6 * np.sin(turn)])
+    return ring + 0.1 * rng.normal(size=ring.shape)
+
+
+def whole_stapes(rng: np.random.Generator, count: int) -> Array:
+    """Points on the footplate, and on crura and head above it, mm."""
+    low = count // 2
+    high = count - low
+    arch = np.column_stack(
+        [rng.uniform(-0.7, 0.7, high), np.linspace(1.0, 3.2, high), rng.uniform(-0.4, 0.4, high)]
+    )
+    return np.vstack([footplate(rng, low), arch])
+
+
+GEOMETRIES: dict[str, tuple[Callable[[np.random.Generator], Array], Array]] = {
+    "footplate, 5 points 3D": (lambda rng: footplate(rng, 5), np.eye(3)),
+    "stapes, 10 points 3D": (lambda rng: whole_stapes(rng, 10), np.eye(3)),
+    "stapes, 9 points, lasers at 20 deg": (lambda rng: whole_stapes(rng, 9), three_lasers(20.0)),
+    "bone, 12 points, lasers at 30 deg": (
+        lambda rng: rng.uniform(-4.0, 4.0, (12, 3)) * [1.0, 0.3, 1.0],
+        three_lasers(30.0),
+    ),
+    "1D, 40 points": (lambda rng: rng.uniform(-1.0, 1.0, (40, 3)) * [1.4, 0.1, 0.65], np.eye(3)[1:2]),
+}
+SINGLE = (
+    "gain 5 %", "gain 2 %", "phase 3 deg", "delay 10 us", "sign", "direction 3 deg", "noise x4", "drift 6 %", "zeros",
+)  # fmt: skip
+POINT = ("position 200 um", "point sign", "label swap")
+THREE_D = ("beams swapped", "axes 2 deg", "laser gain 5 %", "laser sign", "laser direction 3 deg")
+FAULTS = (*SINGLE, *POINT, *THREE_D, "flexible 3 %")
+
+
+def possible(fault: str, geometry: str) -> bool:
+    """Tell whether a geometry can have a fault at all."""
+    flat = GEOMETRIES[geometry][1]
+    return not (fault in THREE_D and len(flat) == 1)
+
+
+def scene(
+    seed: int,
+    geometry: str,
+    fault: str = "",
+    *,
+    noise: float = 0.01,
+    lines: int = 120,
+    position_sd_mm: float = 0.0,
+) -> Scene:
+    """Draw a scene: random points and motion, and the fault at a random place."""
+    rng = np.random.default_rng([seed, 53])
+    make, beams = GEOMETRIES[geometry]
+    places = make(rng)
+    count, per = len(places), len(beams)
+    freq = np.linspace(400.0, 5000.0, lines)
+    q = np.zeros((lines, 6), dtype=complex)
+    for resonance, damping in RESONANCES:
+        ratio = freq / resonance
+        shape = rng.normal(size=6) * np.array([25e-9, 100e-9, 25e-9, 35e-6, 15e-6, 35e-6])
+        q += np.outer(1.0 / (1.0 - ratio**2 + 2j * damping * ratio), shape)
+    q[:, 1] += 100e-9
+    reported = np.repeat(places, per, axis=0)
+    true = reported + np.repeat(position_sd_mm * rng.normal(size=places.shape), per, axis=0)
+    directions = np.tile(beams, (count, 1))
+    made = Scene(
+        tuple(str(1 + c // per) for c in range(count * per)), reported, directions, freq, q, np.empty(0)
+    )
+    size = np.sqrt(np.mean(np.abs(made.clean()) ** 2))
+    made.sd = np.full((count * per, lines), noise * size / np.sqrt(2.0))
+    made.placed, made.true, made.true_directions = true, true.copy(), directions.copy()
+    made.factor = np.ones((count * per, lines), dtype=complex)
+    made.loud = np.ones(count * per)
+    made.extra = np.zeros((count * per, lines), dtype=complex)
+    if fault:
+        _spoil(made, fault, rng, count, per)
+    return made
+
+
+def _spoil(made: Scene, fault: str, rng: np.random.Generator, count: int, per: int) -> None:
+    channel = int(rng.integers(count * per))
+    point, beam = divmod(channel, per)
+    own = list(range(per * point, per * point + per))
+    laser = list(range(beam, count * per, per))
+    tau = np.linspace(0.0, 1.0, len(made.freq_hz))
+    made.culprits, made.verdict = [channel], fault.split()[0]
+    if fault.startswith("gain"):
+        made.factor[channel] = 1.0 + float(fault.split()[1]) / 100.0
+    elif fault == "phase 3 deg":
+        made.factor[channel], made.verdict = np.exp(1j * np.radians(3.0)), "gain"
+    elif fault == "delay 10 us":
+        made.factor[channel], made.verdict = np.exp(-2e-5j * np.pi * made.freq_hz), "gain"
+    elif fault == "sign":
+        made.factor[channel] = -1.0
+    elif fault == "drift 6 %":
+        made.factor[channel] = 1.0 + 0.06 * tau
+    elif fault == "zeros":
+        made.factor[channel], made.loud[channel] = 0.0, 0.0
+    elif fault == "noise x4":
+        made.loud[channel] = 4.0
+    elif fault == "direction 3 deg":
+        made.true_directions[channel] = _tilt(made.directions[channel], 3.0, rng) @ made.directions[channel]
+    elif fault == "position 200 um":
+        shift = rng.normal(size=3)
+        made.true[own] += 0.2 * shift / np.linalg.norm(shift)
+        made.culprits = own
+    elif fault == "point sign":
+        made.factor[own], made.culprits, made.verdict = -1.0, own, "sign"
+    elif fault == "label swap":
+        other = (point + 1 + int(rng.integers(count - 1))) % count
+        others = list(range(per * other, per * other + per))
+        made.true[own], made.true[others] = made.true[others].copy(), made.true[own].copy()
+        made.culprits, made.verdict = sorted(own + others), "label_swap"
+    elif fault == "beams swapped":
+        other = own[(beam + 1) % per]
+        pair = [channel, other]
+        made.true_directions[pair] = made.directions[pair[::-1]]
+        made.culprits, made.verdict = sorted(pair), "label_swap"
+    elif fault == "axes 2 deg":
+        axis = rng.normal(size=3)
+        turn = rotation_from_vector(np.radians(2.0) * axis / np.linalg.norm(axis))
+        made.true_directions[:] = made.directions @ turn.T
+        made.culprits, made.verdict = list(range(count * per)), "direction"
+    elif fault == "laser gain 5 %":
+        made.factor[laser], made.culprits, made.verdict = 1.05, laser, "gain"
+    elif fault == "laser sign":
+        made.factor[laser], made.culprits, made.verdict = -1.0, laser, "sign"
+    elif fault == "laser direction 3 deg":
+        turn = _tilt(made.directions[channel], 3.0, rng)
+        made.true_directions[laser] = made.directions[laser] @ turn.T
+        made.culprits, made.verdict = laser, "direction"
+    else:
+        bend = (made.true[:, 1] / 3.0) ** 2 + (made.true[:, 0] / 1.4) ** 2
+        shape = bend * made.directions[:, 1]
+        shape = shape / np.sqrt(np.mean(shape**2))
+        size = float(np.sqrt(np.mean(np.abs(made.clean()) ** 2)))
+        course = 1.0 / (1.0 - (made.freq_hz / 6000.0) ** 2 + 0.05j)
+        course = course / np.sqrt(np.mean(np.abs(course) ** 2))
+        made.extra = 0.03 * size * np.outer(shape, course)
+        made.culprits = list(range(count * per))
+
+
+def _tilt(direction: Array, angle_deg: float, rng: np.random.Generator) -> Array:
+    axis = np.cross(direction, rng.normal(size=3))
+    return rotation_from_vector(np.radians(angle_deg) * axis / np.linalg.norm(axis))
+
+
+def measured(made: Scene, seed: int) -> NDArray[np.complex128]:
+    """Return the readings with noise."""
+    rng = np.random.default_rng([seed, 59])
+    noise = rng.normal(size=(*made.sd.shape, 2)) @ np.array([1.0, 1j])
+    return np.asarray(made.faulty() + made.sd * made.loud[:, None] * noise)
+
+
+def bound(made: Scene, position_sd_mm: float = 0.0) -> float:
+    """Return the power of the most powerful test (Neyman and Pearson 1933) of this very fault, at 1 %.
+
+    Its kind, place and size are taken as known; the motion is not, and position errors of the stated sd
+    are noise of known covariance. No real test can do better. Faults of the noise alone are tested by
+    the energy of their channel.
+    """
+    from scipy.stats import chi2, norm
+
+    rows = np.hstack([made.directions, np.cross(made.reported * 1e-3, made.directions)])
+    u, s, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=0).clip(1e-12), full_matrices=False)
+    span = u[:, s > 1e-6 * s[0]]
+    scale = 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
+    if np.any(made.loud > 1.0):
+        channel = int(np.argmax(made.loud))
+        left = 1.0 - float(np.sum(span[channel] ** 2))
+        number = 2 * made.sd.shape[1]
+        ratio = left * made.loud[channel] ** 2 + 1.0 - left
+        return float(chi2.sf(chi2.isf(ALARM, number) / ratio, number))
+    change = scale[:, None] * (made.faulty() - readings(made.placed, made.directions, made.q))
+    change = change - span @ (span.T @ change)
+    energy = 2.0 * float(np.sum(np.abs(change) ** 2))
+    if position_sd_mm > 0.0:
+        energy -= _taken(made, change, span, scale, position_sd_mm)
+    return float(norm.sf(norm.isf(ALARM) - np.sqrt(max(energy, 0.0))))
+
+
+def _taken(made: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float) -> float:
+    """Return the part of a change that position errors could have made."""
+    columns = []
+    for point in dict.fromkeys(made.points):
+        own = np.array([name == point for name in made.points])
+        for axis in np.eye(3):
+            rows = np.hstack([np.zeros_like(made.directions), np.cross(axis, made.directions)])
+            moved = np.where(own[:, None], scale[:, None] * (rows @ made.q.T), 0.0)
+            columns.append((moved - span @ (span.T @ moved)).ravel())
+    j = np.array(columns)
+    j = np.hstack([j.real, j.imag]) * sd_mm * 1e-3
+    flat = np.concatenate([change.ravel().real, change.ravel().imag])
+    inner = j @ j.T + 0.5 * np.eye(len(j))
+    seen = j @ flat
+    return float(2.0 * seen @ np.linalg.solve(inner, seen))

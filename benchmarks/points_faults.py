@@ -1,0 +1,135 @@
+"""Are faults of channels found, the culprit named, and the kind of fault right? Random scenes tell.
+
+    python benchmarks/points_faults.py --scenes 40 --seed 1
+
+For each geometry and fault: how often anything was found, the power that no test can exceed (bound:
+Neyman and Pearson's test of this very fault, its kind, place and size known), how often the culprit was
+named, how often with the right kind, and channels accused beside it per scene. Clean files: how often any
+alarm was raised, which is to be 1 %, and how the p-values of the channels are spread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, bound, measured, possible, scene
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.points2dof import Options, Points2Dof, points2dof
+
+
+def judged(made: Scene, seed: int, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
+    """Run the diagnosis on a scene."""
+    flat = len({tuple(d) for d in made.directions}) == 1
+    body = BodyChannels(
+        "stapes",
+        made.points,
+        made.reported,
+        made.directions,
+        measured(made, seed)[None],
+        made.sd[None] if stated else None,
+        not stated,
+        np.full(len(made.points), position_sd_mm or np.nan),
+    )
+    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 0)
+    return points2dof(data, options=Options(("y", "alpha", "gamma")) if flat else None)
+
+
+def table(arguments: argparse.Namespace) -> list[str]:
+    """Return the markdown table of one setting."""
+    rows = [
+        "| geometry | fault | found | bound | culprit named | right kind | accused beside it |",
+        "|-|-|-|-|-|-|-|",
+    ]
+    sd = arguments.position_um * 1e-3
+    for geometry in GEOMETRIES:
+        for fault in FAULTS:
+            if not possible(fault, geometry) or (arguments.fault and arguments.fault not in fault):
+                continue
+            found = named = right = beside = 0
+            best = []
+            for number in range(arguments.scenes):
+                seed = 1000 * arguments.seed + number
+                made = scene(
+                    seed, geometry, fault, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd
+                )
+                stated = 0.0 if arguments.positions_unstated else sd
+                result = judged(made, seed, not arguments.no_sd, stated)
+                accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
+                found += bool(accused)
+                named += set(accused) == set(made.culprits)
+                right += accused == dict.fromkeys(made.culprits, made.verdict)
+                beside += len(set(accused) - set(made.culprits))
+                best.append(bound(made, stated) if fault != "zeros" else 1.0)
+                if arguments.show and accused != dict.fromkeys(made.culprits, made.verdict):
+                    told = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
+                    print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {told}")
+            n = arguments.scenes
+            rows.append(
+                f"| {geometry} | {fault} | {found / n:.3f} | {np.mean(best):.3f} | {named / n:.3f} | "
+                f"{right / n:.3f} | {beside / n:.2f} |"
+            )
+    return rows
+
+
+def clean(arguments: argparse.Namespace) -> list[str]:
+    """Return the false alarms and the spread of the p-values of clean files."""
+    from scipy.stats import kstest
+
+    rows = ["| geometry | files with an alarm | p of channels < 0.05 | p-values uniform (KS) |", "|-|-|-|-|"]
+    sd = arguments.position_um * 1e-3
+    for geometry in GEOMETRIES:
+        alarms, chances = 0, []
+        for number in range(arguments.clean):
+            seed = 500_000 + 1000 * arguments.seed + number
+            made = scene(seed, geometry, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd)
+            stated = 0.0 if arguments.positions_unstated else sd
+            result = judged(made, seed, not arguments.no_sd, stated)
+            wrong = [v for v in result.channels if v.verdict != "ok"]
+            alarms += bool(wrong)
+            if wrong and arguments.show:
+                print(geometry, seed, {(v.point, v.verdict, v.estimate, v.p_value) for v in wrong})
+            chances += [v.p_value for v in result.channels]
+        p = np.array(chances)
+        rows.append(
+            f"| {geometry} | {alarms / max(arguments.clean, 1):.4f} | {np.mean(p < 0.05):.4f} | "
+            f"{kstest(p, 'uniform').pvalue:.2g} |"
+        )
+    return rows
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenes", type=int, default=40, help="scenes per fault")
+    parser.add_argument("--clean", type=int, default=200, help="clean scenes per geometry")
+    parser.add_argument("--noise", type=float, default=0.01, help="noise over the rms of the signal")
+    parser.add_argument("--lines", type=int, default=120)
+    parser.add_argument("--position-um", type=float, default=0.0, help="position errors, standard deviation")
+    parser.add_argument("--positions-unstated", action="store_true", help="do not state them")
+    parser.add_argument("--no-sd", action="store_true", help="do not state the noise")
+    parser.add_argument("--fault", default="", help="only faults whose name holds this")
+    parser.add_argument("--show", action="store_true", help="tell every scene that went wrong")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    start = time.process_time()
+    if arguments.scenes:
+        print("\n".join(table(arguments)))
+    if arguments.clean:
+        print("\n".join(["", *clean(arguments)]))
+    print(f"\n{time.process_time() - start:.0f} s of processor time, seed {arguments.seed}.")
+
+
+if __name__ == "__main__":
+    main()
