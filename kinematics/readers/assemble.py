@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.frequency_grids import join_lines
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
 from kinematics.notices import Notice, unique
 from kinematics.points_csv import Points
-from kinematics.readers.lines import joined_lines, line_faults
 from kinematics.readers.options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.spread import body_noise
@@ -82,8 +82,9 @@ def assemble(
     flat = [one for _, one in named]
     _check(flat, points)
     notices += _per(flat)
-    places = _placed(flat)
-    raise_all(KinematicsError, [*_twice(flat, places), *line_faults(places.lines, places.lines_of, flat)])
+    places, matched, faults = _placed(flat)
+    notices += matched
+    raise_all(KinematicsError, [*_twice(flat, places), *faults])
     order = Counter(one.order for one in flat).most_common(1)[0][0]
     bodies, said = _bodies(flat, places, points, order)
     notices += said
@@ -196,22 +197,30 @@ def _per_name(per: str) -> str:
     return f"responses per {per}" if per else "amplitudes"
 
 
-def _placed(recordings: Sequence[Recording]) -> _Places:
-    """Number runs, channels and lines; the channels of a body stand together."""
+def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[str]]:
+    """Number runs, channels and lines, the channels of a body together; tell how lines were matched."""
     takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
     bodies = list(dict.fromkeys(one.body for one in recordings))
     found = list(dict.fromkeys(_channel(one) for one in recordings))
     channels = tuple(sorted(found, key=lambda channel: bodies.index(channel[0])))
     number = {channel: place for place, channel in enumerate(channels)}
-    lines, lines_of = joined_lines(recordings)
-    return _Places(
+    channel_of = [number[_channel(one)] for one in recordings]
+    lengths = [len(one.freq_hz) for one in recordings]
+    grid, faults = join_lines(
+        np.concatenate([one.freq_hz for one in recordings]),
+        np.repeat(channel_of, lengths),
+        np.repeat([bodies.index(one.body) for one in recordings], lengths),
+        bodies,
+    )
+    places = _Places(
         tuple(Take(run, repeat, float("nan") if level is None else level) for run, repeat, level in takes),
         channels,
-        lines,
+        grid.freq_hz,
         tuple(takes.index((one.run, one.repeat, _level(one))) for one in recordings),
-        tuple(number[_channel(one)] for one in recordings),
-        tuple(lines_of),
+        tuple(channel_of),
+        tuple(np.split(grid.line, np.cumsum(lengths)[:-1])),
     )
+    return places, grid.notices, faults
 
 
 def _level(one: Recording) -> float | None:
