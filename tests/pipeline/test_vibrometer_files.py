@@ -1,0 +1,138 @@
+"""Studies whose vibrometer data are exports of a measuring system."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from kinematics.ldv_csv import read_ldv
+from pipeline.errors import PipelineError
+from pipeline.options import input_options
+from pipeline.scan2kd import run_study
+from pipeline.stages import Motion
+from pipeline.study import parse_study
+from tests.kinematics import written_uff as uff
+from tests.kinematics.written_psv import fastscan
+from tests.pipeline.ears import make_ear
+
+SCAN = '[scan]\nfile = "a.tif"\ndensity_kg_m3 = 1900\n[ldv]\n'
+
+
+def parsed(text, tmp_path, check=False):
+    return parse_study(SCAN + text, tmp_path, check_files=check)
+
+
+def test_keys_of_the_study_are_the_options_of_the_command(tmp_path):
+    study = parsed(
+        'file = ["s.uff", "b.uff"]\n'
+        'body = { stapes = "1-10,12", base = ["b.uff:1-3", 7] }\n'
+        'run = { push = "s.uff" }\n'
+        'beam = [0, -0.6, 0.8]\namplitude = "rms"\nlength_unit = "mm"\n',
+        tmp_path,
+    )
+    assert [path.name for path in study.ldv.files] == ["s.uff", "b.uff"]
+    said = input_options(study.ldv)
+    assert said.body == ("stapes=1-10,12", "base=b.uff:1-3,7")
+    assert said.run == ("push=s.uff",)
+    np.testing.assert_allclose(said.direction, [0.0, -0.6, 0.8])
+    assert (said.amplitude, said.length_unit) == ("rms", "mm")
+    assert list(Motion.inputs(study))[:2] == ["ldv", "ldv 2"]
+    one = parsed('file = "s.uff"\nbeam = "-z"\nbody = ["stapes=1-3"]\n', tmp_path)
+    assert [path.name for path in one.ldv.files] == ["s.uff"]
+    np.testing.assert_allclose(input_options(one.ldv).direction, [0.0, 0.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("file = []", "ldv.file must be a path, or a list of paths"),
+        ('file = ["s.uff", 3]', "ldv.file must be a path, as text"),
+        ('file = "s.uff"\nbody = "stapes"', "ldv.body must be a table like { stapes"),
+        ('file = "s.uff"\nbody = { stapes = [1.5] }', "ldv.body must be a table like { stapes"),
+        ('file = "s.uff"\nrun = 3', "ldv.run must be a table like"),
+        ('file = "s.uff"\nbeam = [1, 0]', "ldv.beam must be x, y, z, -x, -y, -z or three numbers"),
+        ('file = "s.uff"\namplitude = "pp"', "ldv.amplitude must be one of peak, rms"),
+        ('file = "s.uff"\nlength_unit = "inch"', "ldv.length_unit must be one of m, mm, um"),
+    ],
+)
+def test_keys_with_impossible_values_are_named(text, words, tmp_path):
+    with pytest.raises(PipelineError) as caught:
+        parsed(text, tmp_path)
+    assert words in str(caught.value)
+
+
+def test_every_missing_file_of_a_list_is_found(tmp_path):
+    with pytest.raises(PipelineError, match=r"ldv.file must be an existing file"):
+        parsed('file = ["s.uff", "b.uff"]', tmp_path, True)
+
+
+def ear_in_three_ways(tmp_path):
+    """An ear whose velocities along x, y, z stand in a table, a universal file and a FastScan folder."""
+    study = make_ear(tmp_path / "ear")
+    folder = study.parent
+    made = read_ldv(folder / "ldv.csv", folder / "points.csv")
+    rate = 2j * np.pi * made.freq_hz
+    step = round((made.freq_hz[1] - made.freq_hz[0]), 2)
+    freq = made.freq_hz[0] + step * np.arange(len(made.freq_hz))
+    rows, points, parts = ["body,point,dir,freq_hz,re_m_s,im_m_s"], ["body,point,x_mm,y_mm,z_mm,sd_mm"], []
+    places, values = [], []
+    for body in made.bodies:
+        for start in range(0, len(body.points), 3):
+            solved = np.linalg.solve(
+                body.directions[start : start + 3], body.displacement[0, start : start + 3] * rate
+            )
+            places.append(body.positions_mm[start])
+            values.append(solved)
+            number = len(places)
+            points.append(
+                f"{body.body},{number}," + ",".join(f"{v!r}" for v in places[-1].tolist()) + ",0.01"
+            )
+            for axis, line in enumerate(solved):
+                parts.append(
+                    uff.function(freq, line, number, axis + 1, form=6, binary="<", kind=uff.SPECTRUM)
+                )
+                rows += [
+                    f"{body.body},{number},{'xyz'[axis]},{float(f)!r},{float(v.real)!r},{float(v.imag)!r}"
+                    for f, v in zip(freq, line, strict=True)
+                ]
+    (folder / "points.csv").write_text("\n".join(points) + "\n")
+    (folder / "xyz.csv").write_text("\n".join(rows) + "\n")
+    (folder / "xyz.uff").write_bytes(b"".join([uff.units(), *parts]))
+    (folder / "xyz").mkdir()
+    for k, f in enumerate(freq):
+        text = fastscan(f, np.array(places) * 1e-3, np.array([v[:, k] for v in values]))
+        (folder / "xyz" / f"{f:.2f}.txt").write_bytes(text)
+    return study
+
+
+def test_the_whole_chain_from_three_ways_to_write_a_measurement(tmp_path):
+    study = ear_in_three_ways(tmp_path)
+    text = study.read_text(encoding="utf-8")
+    found = {}
+    for name in ("xyz.csv", "xyz.uff", "xyz"):
+        study.write_text(text.replace('"ldv.csv"', f'"{name}"'), encoding="utf-8")
+        found[name] = run_study(study, tmp_path / "out")
+        assert [run.name for run in found[name].stages if run.reused][:1] == ["scan"] or name == "xyz.csv"
+    plain = np.array(found["xyz.csv"].kd["stiffness_si"])
+    assert (tmp_path / "out" / "dof.csv").is_file()
+    np.testing.assert_allclose(found["xyz.uff"].kd["stiffness_si"], plain, rtol=1e-9)
+    np.testing.assert_allclose(found["xyz"].kd["stiffness_si"], plain, rtol=1e-4)
+    codes = {notice.code for notice in found["xyz"].notices}
+    assert "length_unit_assumed" in codes
+    texts = [notice.text for notice in found["xyz"].notices]
+    assert any("ldv.length_unit" in line for line in texts)
+    json.dumps(found["xyz.uff"].kd["warnings"])
+
+
+def test_what_is_said_wrongly_is_told_once_and_in_words_of_the_study(tmp_path):
+    study = make_ear(tmp_path / "ear")
+    text = study.read_text(encoding="utf-8").replace("[fit]", 'beam = "up"\nbody = ["stapes=9-1"]\n[fit]')
+    study.write_text(text, encoding="utf-8")
+    with pytest.raises(PipelineError) as caught:
+        run_study(study, tmp_path / "out")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert any(line.startswith("ldv.beam must be x, y, z") for line in lines)
+    assert any(line.startswith("the points of ldv.body must be") for line in lines)
