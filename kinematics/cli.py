@@ -85,6 +85,12 @@ def parser() -> Parser:
         help="unit of positions where a file does not say it (default m, with a warning)",
     )
     made.add_argument(
+        "--n-avg",
+        type=float,
+        metavar="N",
+        help="averages behind each value where a file does not say it: with coherence they give its noise",
+    )
+    made.add_argument(
         "--mapping",
         type=Path,
         metavar="FILE.toml",
@@ -137,6 +143,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         options.beam,
         options.amplitude,
         options.length_unit,
+        options.n_avg,
         options.mapping,
         series_options(options),
     )
@@ -177,6 +184,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
             "beam": options.beam,
             "amplitude": options.amplitude,
             "length_unit": options.length_unit,
+            "n_avg": options.n_avg,
             **geometry_options.parameters(options),
             "series": None if said.series is None else {k: str(v) for k, v in vars(said.series).items()},
         },

@@ -132,6 +132,12 @@ def _label(value: object) -> int:
     return value
 
 
+def _whole(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise refuse("a whole number, 0 or more")
+    return value
+
+
 def _masses(value: object) -> tuple[tuple[float, ...], ...]:
     """Read point masses: x, y, z in mm, the mass in mg and, when known, its sd in mg."""
     expected = "a list of point masses [x, y, z, mg] or [x, y, z, mg, sd], mm and mg"
@@ -207,6 +213,7 @@ Vector = Annotated[tuple[float, float, float], BeforeValidator(_vector)]
 Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Number = Annotated[float, BeforeValidator(_number)]
 Percent = Annotated[float, BeforeValidator(_percent)]
+Whole = Annotated[int, BeforeValidator(_whole)]
 Label = Annotated[int, BeforeValidator(_label)]
 Masses = Annotated[tuple[tuple[float, float, float, float, float], ...], BeforeValidator(_masses)]
 Range = Annotated[tuple[float, float], BeforeValidator(_range)]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
+    from kinematics.series_options import SeriesOptions
 
 _OTHER_NAMES = {
     "spacing": "spacing_mm",
@@ -26,6 +27,22 @@ _OTHER_NAMES = {
     "axes_sd": "axes_sd_deg",
     "beam_sd": "beam_sd_deg",
     "gain_sd": "gain_sd_percent",
+    "resolution": "resolution_hz",
+    "period": "period_s",
+    "frf_band": "frf_band_hz",
+}
+_SERIES = {
+    "reference_channel": "reference",
+    "frf": "estimator",
+    "window": "window",
+    "overlap": "overlap",
+    "averages": "averages",
+    "resolution_hz": "resolution_hz",
+    "period_s": "period_s",
+    "skip_periods": "skip_periods",
+    "steps": "steps",
+    "settle": "settle",
+    "frf_band_hz": "band_hz",
 }
 _TABLES: dict[str, type[BaseModel]] = {"scan": Scan, "ldv": Ldv, "fit": Fit}
 _OPTION = re.compile(r"--[a-z]+(?:-[a-z]+)*")
@@ -96,7 +113,33 @@ def input_options(ldv: Ldv) -> InputOptions:
     """Return what a study says about its vibrometer files."""
     from kinematics.readers import InputOptions
 
-    return InputOptions(ldv.body, ldv.run, ldv.beam, ldv.amplitude, ldv.length_unit)
+    return InputOptions(
+        ldv.body,
+        ldv.run,
+        ldv.beam,
+        ldv.amplitude,
+        ldv.length_unit,
+        ldv.n_avg,
+        ldv.mapping,
+        _series_options(ldv),
+    )
+
+
+def _series_options(ldv: Ldv) -> SeriesOptions | None:
+    """Return how time series are turned into responses; None without the table of their channels."""
+    from kinematics.errors import raise_all, sentence
+    from kinematics.series_options import SeriesOptions
+    from pipeline.errors import PipelineError
+
+    values = {name: value for key, name in _SERIES.items() if (value := getattr(ldv, key)) is not None}
+    if ldv.channels is not None:
+        return SeriesOptions(ldv.channels, **values)
+    given = [key for key in _SERIES if getattr(ldv, key) is not None]
+    step = "It says how time series become frequency responses"
+    raise_all(
+        PipelineError, [sentence(f"ldv.{key}", "given with ldv.channels", "alone", "", step) for key in given]
+    )
+    return None
 
 
 def fit_options(fit: Fit) -> KDOptions:

@@ -92,10 +92,12 @@ class Motion:
         """Return the files by role."""
         from kinematics.readers import inputs_of
 
-        names = ("fiducials", "plate_points", "bone_points")
+        names = ("fiducials", "plate_points", "bone_points", "mapping", "channels", "steps")
+        beside = [path.with_name(path.name + ".toml") for path in study.ldv.files]
         return {
             **inputs_of(study.ldv.files, study.ldv.points),
             **{name: getattr(study.ldv, name) for name in names},
+            **{path.name: path for path in beside if path.is_file()},
         }
 
     @staticmethod
@@ -201,6 +203,9 @@ _FILES = (
     "fiducials",
     "plate_points",
     "bone_points",
+    "mapping",
+    "channels",
+    "steps",
 )
 
 

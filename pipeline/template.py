@@ -56,6 +56,24 @@ file = "ldv.csv"
 # beam = "z"
 # amplitude = "peak"
 # length_unit = "mm"
+# Averages behind each value; with the coherence of the file they give its noise.
+# n_avg = 20
+# Of a .mat or .h5 file with names of its own: which variable is what (TOML).
+# mapping = "names.toml"
+# Of time series: which column is what beam at what point (CSV), and how responses are estimated: h1, h2 or
+# hv, averages or the spacing of lines; the period of a periodic excitation; the steps of a stepped sine.
+# channels = "channels.csv"
+# reference_channel = "force"
+# frf = "h1"
+# window = "hann"
+# overlap = 0.5
+# averages = 30
+# resolution_hz = 5.0
+# period_s = 0.2
+# skip_periods = 1
+# steps = "steps.csv"
+# settle = 0.2
+# frf_band_hz = [400, 5000]
 # Positions of the points, where they do not stand in ldv.csv: body, point, x_mm, y_mm, z_mm [, sd_mm].
 # points = "points.csv"
 # Ties vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame, sd_mm].

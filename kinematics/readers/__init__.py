@@ -99,6 +99,7 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
         "--beam": "columns of the direction",
         "--amplitude": "unit of its columns",
         "--length-unit": "columns x_mm, y_mm, z_mm",
+        "--n-avg": "column n_avg",
         "--mapping": "header",
         "--channels": "columns (those of time series have time_s)",
     }

@@ -37,7 +37,8 @@ class Chosen:
         if self.file and not is_file(self.file, file):
             return False
         if self.name:
-            return point == self.name
+            named = not self.file and not self.name.isdigit() and is_file(self.name, file)
+            return point == self.name or named
         if self.last >= self.first:
             return point.isdigit() and self.first <= int(point) <= self.last
         return True
@@ -64,7 +65,8 @@ class InputOptions:
         ``peak`` or ``rms``, where a file does not say it; empty: peak, with a warning.
     length_unit : str
         Of positions whose unit a file does not say; empty: m, with a warning.
-
+    n_avg : float, optional
+        Number of averages behind each coherence, where a file does not say it.
     mapping : Path, optional
         Which variable of a MATLAB or HDF5 file is what; see kinematics.readers.mat_mapping.
     series : SeriesOptions, optional
@@ -81,6 +83,7 @@ class InputOptions:
     beam: str = ""
     amplitude: str = ""
     length_unit: str = ""
+    n_avg: float | None = None
     mapping: Path | None = None
     series: SeriesOptions | None = None
     bodies: tuple[tuple[str, tuple[Chosen, ...]], ...] = field(init=False, default=())
@@ -98,6 +101,8 @@ class InputOptions:
             faults.append(sentence("--amplitude", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
         if self.length_unit not in ("", *LENGTH_UNITS):
             faults.append(sentence("--length-unit", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
+        if self.n_avg is not None and not 1.0 <= self.n_avg < float("inf"):
+            faults.append(sentence("--n-avg", "a number of averages, 1 or more", f"{self.n_avg:g}"))
         raise_all(KinematicsError, faults)
 
     @property
@@ -109,6 +114,7 @@ class InputOptions:
             "--beam": self.beam,
             "--amplitude": self.amplitude,
             "--length-unit": self.length_unit,
+            "--n-avg": self.n_avg,
             "--mapping": self.mapping,
             "--channels": self.series,
         }
@@ -131,8 +137,6 @@ def _body(text: str, faults: list[str]) -> tuple[str, tuple[Chosen, ...]] | None
         if made is None:
             faults.append(sentence("the points of --body", "numbers, ranges or names", f"{text}", "", step))
             return None
-        if not colon and "." in item and not item.replace(".", "").isdigit():
-            made = Chosen(item)
         chosen.append(made)
     return name, tuple(chosen)
 

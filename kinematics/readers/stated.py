@@ -29,7 +29,7 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
     """
     made: list[Entry] = []
     notices: list[Notice] = []
-    silent = {"--beam": False, "--amplitude": False, "--length-unit": False}
+    silent = {"--beam": False, "--amplitude": False, "--length-unit": False, "--n-avg": False}
     for one in files:
         notices += one.notices
         placed = any(np.all(np.isfinite(r.position_mm)) for r in one.recordings)
@@ -45,6 +45,7 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
                 notices.append(Notice("amplitude_assumed", text))
         for recording in one.recordings:
             silent["--beam"] |= bool(np.any(np.isnan(recording.direction)))
+            silent["--n-avg"] |= recording.n_avg is None and recording.sd is None
             made.append((one.file, _said(recording, one, options)))
     step = "Leave it out, or correct the file"
     faults = [
@@ -60,6 +61,8 @@ def _said(recording: Recording, file: Recordings, options: InputOptions) -> Reco
     """Return one recording with what is said applied."""
     if options.direction is not None and np.any(np.isnan(recording.direction)):
         recording = replace(recording, direction=options.direction)
+    if options.n_avg is not None and recording.n_avg is None and recording.sd is None:
+        recording = replace(recording, n_avg=options.n_avg)
     if options.amplitude == "rms" and not file.amplitude_stated and not recording.per:
         root = np.sqrt(2.0)
         sd = None if recording.sd is None else recording.sd * root

@@ -82,6 +82,8 @@ def test_bodies_by_numbers_by_file_and_by_points_file(tmp_path):
     by_file = assemble([first, second], None, InputOptions(body=("stapes=a.uff", "base=b.uff:1-3,4,5,6")))
     assert [body.body for body in by_file.bodies] == ["stapes", "base"]
     assert by_file.runs == ("1",)
+    by_name = assemble([first, second], None, InputOptions(body=("stapes=a", "base=b")))
+    assert [body.body for body in by_name.bodies] == ["stapes", "base"]
     apart = replace(recordings(range(6, 12), "", 7), file="b.uff")
     by_number = assemble([first, apart], None, InputOptions(body=("stapes=1-3,4,5,6", "base=7-12")))
     assert [len(body.points) for body in by_number.bodies] == [18, 18]
@@ -124,6 +126,7 @@ def test_points_without_or_with_two_bodies_are_named(tmp_path):
         ({"beam": "1,1,1"}, "three numbers of length 1 (within 1e-3); got 1,1,1"),
         ({"beam": "nan,0,0"}, "three numbers of length 1"),
         ({"amplitude": "pp"}, "--amplitude must be one of peak, rms; got pp"),
+        ({"n_avg": 0.5}, "--n-avg must be a number of averages, 1 or more; got 0.5"),
         ({"length_unit": "inch"}, "--length-unit must be one of m, mm, um; got inch"),
     ],
 )
@@ -293,7 +296,12 @@ def test_noise_of_coherence_averages_and_sd():
     want = np.abs(made.displacement) * np.sqrt((1.0 - coherence) / (24.0 * coherence))
     np.testing.assert_allclose(made.sd, want)
     assert not made.relative
-    assert assemble([recordings(coherence=coherence)]).bodies[0].relative
+    alone = recordings(coherence=coherence)
+    assert assemble([alone]).bodies[0].relative
+    said = assemble([alone], None, InputOptions(n_avg=12.0)).bodies[0]
+    np.testing.assert_allclose(said.sd, want)
+    assert not said.relative
+    assert "--n-avg must be left out" in fault(recordings(n_avg=4.0), n_avg=12.0)
     many = assemble([recordings(n_avg=4.0)]).bodies[0]
     assert many.relative
     np.testing.assert_allclose(many.sd * 2.0 * np.pi * F, 0.5)

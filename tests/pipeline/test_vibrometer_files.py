@@ -44,9 +44,26 @@ def test_keys_of_the_study_are_the_options_of_the_command(tmp_path):
     np.testing.assert_allclose(input_options(one.ldv).direction, [0.0, 0.0, -1.0])
 
 
+def test_keys_of_time_series_go_together(tmp_path):
+    (tmp_path / "channels.csv").write_text("channel\n")
+    series = 'channels = "channels.csv"\nfrf = "h2"\nresolution_hz = 5\n'
+    series += "frf_band_hz = [400, 5000]\nskip_periods = 0\n"
+    said = input_options(parsed('file = "t.csv"\nn_avg = 20\n' + series, tmp_path).ldv)
+    assert said.n_avg == 20.0
+    assert (said.series.estimator, said.series.resolution_hz) == ("h2", 5.0)
+    assert (said.series.band_hz, said.series.skip_periods) == ((400.0, 5000.0), 0)
+    with pytest.raises(PipelineError, match=r"ldv.window must be given with ldv.channels; got alone"):
+        input_options(parsed('file = "t.csv"\nwindow = "hann"\n', tmp_path).ldv)
+    study = parsed('file = "t.csv"\nmapping = "m.toml"\n' + series, tmp_path)
+    assert {"ldv", "mapping", "channels"} <= {name for name, path in Motion.inputs(study).items() if path}
+    (tmp_path / "t.csv.toml").write_text("")
+    assert "t.csv.toml" in Motion.inputs(study)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ('file = "s.uff"\naverages = 2.5', "ldv.averages must be a whole number"),
         ("file = []", "ldv.file must be a path, or a list of paths"),
         ('file = ["s.uff", 3]', "ldv.file must be a path, as text"),
         ('file = "s.uff"\nbody = "stapes"', "ldv.body must be a table like { stapes"),
