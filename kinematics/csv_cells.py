@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.csv_fast import MISSING
-from kinematics.csv_text import Sheet, decoded
+from kinematics.csv_text import Sheet, decoded, no_text
 from kinematics.errors import sentence
 
 Array = NDArray[np.float64]
@@ -39,7 +39,10 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
     KinematicsError
         The text is not UTF-8.
     """
-    text = decoded(sheet.data[sheet.start : sheet.stop], sheet.file, sheet.line)
+    data = sheet.data[sheet.start : sheet.stop]
+    if b"\x00" in data:
+        raise no_text(sheet.file)
+    text = decoded(data, sheet.file, sheet.line)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=sheet.separator, skipinitialspace=True)
     cells: dict[str, list[str]] = {column: [] for column in (*sorted(numbers), *sorted(texts))}
     places = [(column, sheet.header.index(column)) for column in cells]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -42,29 +42,32 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | None:
     -----
     pandas >= 3 parses numbers to the nearest double, earlier ones to within one unit in the last place.
     """
-    data = sheet.data
-    if data.find(b"#", sheet.start) >= 0:
-        return None
-    decimal = "," if sheet.separator != "," and data.find(b",", sheet.start) >= 0 else "."
+    decimal = "," if sheet.separator != "," and sheet.data.find(b",", sheet.start) >= 0 else "."
     parse = _Parse(sheet, decimal, numbers, texts)
     pieces = list(pairwise(_cuts(sheet)))
     threads = min(len(pieces), _processors(), _MOST_THREADS)
-    if threads > 1:
-        from concurrent.futures import ThreadPoolExecutor
+    if threads < 2:
+        return _together([parse.piece(piece) for piece in pieces], numbers, texts, map)
+    from concurrent.futures import ThreadPoolExecutor
 
-        import pandas as pd
+    import pandas as pd
 
-        del pd
-        with ThreadPoolExecutor(threads) as pool:
-            frames = list(pool.map(parse.piece, pieces))
-    else:
-        frames = [parse.piece(piece) for piece in pieces]
+    del pd
+    with ThreadPoolExecutor(threads) as pool:
+        return _together(list(pool.map(parse.piece, pieces)), numbers, texts, pool.map)
+
+
+def _together(
+    frames: list[Piece | None], numbers: set[str], texts: set[str], apply: Callable[..., Iterable[Any]]
+) -> Piece | None:
+    """Join the columns of all pieces; None when one of them is not regular."""
     whole = [frame for frame in frames if frame is not None]
     if len(whole) < len(frames):
         return None
-    values = {name: np.concatenate([frame[0][name] for frame in whole]) for name in numbers}
-    words = {name: _joined([frame[1][name] for frame in whole]) for name in texts}
-    return values, words
+    names, words = sorted(numbers), sorted(texts)
+    columns = apply(lambda name: np.concatenate([frame[0][name] for frame in whole]), names)
+    coded = apply(lambda name: _joined([frame[1][name] for frame in whole]), words)
+    return dict(zip(names, columns, strict=True)), dict(zip(words, coded, strict=True))
 
 
 def _processors() -> int:
@@ -96,6 +99,8 @@ class _Parse:
         """Return numbers and coded texts of the rows between two offsets; None when they are not regular."""
         sheet = self.sheet
         body = sheet.data[piece[0] : piece[1]]
+        if b"#" in body or b"\x00" in body:
+            return None
         rows = _count(body, b"\n") + (not body.endswith(b"\n"))
         if _count(body, sheet.separator.encode()) != rows * (len(sheet.header) - 1):
             return None

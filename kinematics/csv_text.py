@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import mmap
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,9 @@ from pathlib import Path
 from kinematics.errors import KinematicsError, sentence
 
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
+_MARK = b"\xef\xbb\xbf"
+_HEAD = 1 << 16
+_LARGE = 8 << 20
 _BLANK = b" \t\r;,"
 
 
@@ -21,7 +25,7 @@ class Sheet:
     ----------
     file : str
         Name of the file, for messages.
-    data : bytes
+    data : bytes or mmap
         UTF-8, without byte order mark, lines ended by ``\\n`` or ``\\r\\n``.
     header : tuple of str
         Column names: lower case, blanks and brackets as underscores (``x (mm)`` is ``x_mm``).
@@ -36,7 +40,7 @@ class Sheet:
     """
 
     file: str
-    data: bytes
+    data: bytes | mmap.mmap
     header: tuple[str, ...]
     separator: str
     start: int
@@ -114,20 +118,24 @@ def _empty(name: str, expected: str, got: str) -> KinematicsError:
     return KinematicsError(sentence("a CSV file", expected, got, name, "Export it again"))
 
 
-def _bytes(path: Path) -> bytes:
+def _bytes(path: Path) -> bytes | mmap.mmap:
     if not path.is_file():
         raise KinematicsError(
             sentence("the table", "an existing CSV file", path, "", "Check its name and folder")
         )
+    if path.stat().st_size > _LARGE:
+        mapped = _mapped(path)
+        if mapped is not None:
+            return mapped
     data = path.read_bytes()
     if data[:2] in _UTF16:
         try:
             data = data[2:].decode(_UTF16[data[:2]]).encode("utf-8")
         except UnicodeDecodeError as fault:
-            raise _no_text(path.name) from fault
+            raise no_text(path.name) from fault
     if b"\x00" in data:
-        raise _no_text(path.name)
-    data = data.removeprefix(b"\xef\xbb\xbf")
+        raise no_text(path.name)
+    data = data.removeprefix(_MARK)
     if b"\n" not in data and b"\r" in data:
         data = data.replace(b"\r", b"\n")
     if not data or data.isspace():
@@ -135,7 +143,20 @@ def _bytes(path: Path) -> bytes:
     return data
 
 
-def _no_text(name: str) -> KinematicsError:
+def _mapped(path: Path) -> mmap.mmap | None:
+    """Map a large file of plain UTF-8 into memory; None for one that must be converted first."""
+    with path.open("rb") as file:
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    head = data[:_HEAD]
+    plain = not head.startswith((*_UTF16, _MARK)) and b"\n" in head and b"\x00" not in head
+    if plain and not head.isspace():
+        return data
+    data.close()
+    return None
+
+
+def no_text(name: str) -> KinematicsError:
+    """Return the error on a file that is no text."""
     got = "UTF-16 or binary data without a byte order mark"
     return KinematicsError(sentence("a CSV file", "text in UTF-8", got, name, "Save it as CSV UTF-8"))
 
@@ -153,7 +174,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[\s()\[\]/_]+", "_", name).strip("_")
 
 
-def _end(data: bytes) -> int:
+def _end(data: bytes | mmap.mmap) -> int:
     """Return the offset behind the last line with more in it than separators."""
     stop = len(data)
     while stop:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import time
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -310,3 +312,37 @@ def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
     touched = text[place : place + cut].count("\n") + put.count("\n") + 2
     assert len(values - got) <= touched
     assert len(got - values) <= touched
+
+
+def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
+    from kinematics import csv_text
+
+    monkeypatch.setattr(csv_text, "_LARGE", 10)
+    for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):
+        same(read_ldv(written(tmp_path, DIALECTS[name], f"{name}.csv")), expected)
+    with pytest.raises(KinematicsError, match="UTF-16 or binary"):
+        read_ldv(written(tmp_path, plain() + "\x00"))
+    with pytest.raises(KinematicsError, match="an empty file"):
+        read_ldv(written(tmp_path, " " * 50 + "\n"))
+    with pytest.raises(KinematicsError, match="another encoding"):
+        read_ldv(written(tmp_path, plain([*ROWS, ROWS[0].replace("stapes", "st\xe4pes")]).encode("latin-1")))
+
+
+def test_reading_costs_little_more_than_the_bare_parser(tmp_path):
+    rng = np.random.default_rng(3)
+    rows = [
+        f"stapes,{point},{point},0.25,-1.5,y,{freq!r},{a!r},{b!r}"
+        for point in range(60)
+        for freq, (a, b) in zip(
+            np.linspace(1e2, 1e4, 1000).tolist(), rng.normal(size=(1000, 2)).tolist(), strict=True
+        )
+    ]
+    path = written(tmp_path, plain(rows))
+    bare = checked = np.inf
+    for _ in range(5):
+        start = time.process_time()
+        pd.read_csv(path)
+        middle = time.process_time()
+        read_ldv(path)
+        bare, checked = min(bare, middle - start), min(checked, time.process_time() - middle)
+    assert checked < 1.8 * bare
