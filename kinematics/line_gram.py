@@ -70,34 +70,46 @@ def spans(channels: int, lines: int) -> Iterator[slice]:
         yield slice(together[0].start, together[-1].stop)
 
 
-def pieces(value: ComplexArray, noise: LineNoise, part: slice) -> tuple[list[Piece], Array]:
+def pieces(
+    value: ComplexArray, noise: LineNoise, part: slice, room: Array | None = None
+) -> tuple[list[Piece], Array]:
     """Cut lines into pieces; return them with 1 / sd of the best channel of each line, (n,).
 
-    The weights are relative to that channel.
+    The weights are relative to that channel. ``room`` of 3 numbers per value is used for the pieces.
     """
     made, best = [], np.ones(part.stop - part.start)
+    room = np.empty(3 * len(value) * len(best)) if room is None else room
     for lines in blocks(len(value), part.stop - part.start):
         block = value[:, part][:, lines]
-        y = np.empty((2, *block.shape))
+        mine = room[3 * len(value) * lines.start : 3 * len(value) * lines.stop].reshape(3, *block.shape)
+        y, root = mine[:2], mine[2]
         y[0], y[1] = block.real, block.imag
-        root = 1.0 / noise.at(slice(part.start + lines.start, part.start + lines.stop))
+        np.divide(1.0, noise.at(slice(part.start + lines.start, part.start + lines.stop)), out=root)
         top, used = np.max(root, axis=0), None
-        if not (np.isfinite(np.sum(y)) and np.isfinite(np.sum(top)) and np.min(root) > 0.0):
+        flat = y.reshape(-1)
+        if not (np.isfinite(flat @ flat) and np.isfinite(np.sum(top)) and np.min(root) > 0.0):
             used = np.isfinite(block) & np.isfinite(root) & (root > 0.0)
             root[~used] = 0.0
             y[:, ~used] = 0.0
             top = np.max(root, axis=0)
             top[top <= 0.0] = 1.0
-        root /= top
+        root *= 1.0 / top
         np.multiply(root, root, out=root)
         best[lines] = top
         made.append(Piece(lines, y, root, used, root))
     return made, best
 
 
-def each_line(basis: Array, value: ComplexArray, noise: LineNoise, part: slice, out: Solution) -> None:
+def each_line(
+    basis: Array,
+    value: ComplexArray,
+    noise: LineNoise,
+    part: slice,
+    out: Solution,
+    room: Array | None = None,
+) -> None:
     """Fit a run of lines, each with weights of its own, and add its sums."""
-    cut, top = pieces(value, noise, part)
+    cut, top = pieces(value, noise, part, room)
     add(basis, cut, top, weighted(basis, cut, len(top)), part, out)
 
 
@@ -114,10 +126,11 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     size = basis.shape[1]
     gram, right = np.empty((size * (size + 1) // 2, count)), np.empty((size, 2, count))
     rows = np.ascontiguousarray(packed.products(basis).T)
+    room = np.empty(max(piece.y.size for piece in cut))
     for piece in cut:
-        np.matmul(rows, piece.weight, out=(made := np.empty((len(rows), piece.weight.shape[1]))))
-        gram[:, piece.lines] = made
-        right[:, :, piece.lines] = _right(basis, piece.y * piece.weight)
+        gram[:, piece.lines] = rows @ piece.weight
+        weighed = room[: piece.y.size].reshape(piece.y.shape)
+        right[:, :, piece.lines] = _right(basis, np.multiply(piece.y, piece.weight, out=weighed))
     inverse = packed.inverse(gram, size)
     condition = packed.condition(gram, inverse, size)
     inverse[:, ~(condition < _HOPELESS)] = 0.0
@@ -169,15 +182,16 @@ def add(basis: Array, cut: Sequence[Piece], top: Array, fit: Weighted, part: sli
     out.explained[part] = np.sum(fit.z * packed.times(fit.gram, fit.z), axis=(0, 1)) * top**2
     misfit, count = np.empty(len(top)), np.full(len(top), channels)
     lever = np.zeros((channels, len(fit.inverse)))
+    room = np.empty((2, max(piece.noise.size for piece in cut)))
     for piece in cut:
         at, plain = piece.lines, piece.noise
         live = fit.good[at].astype(float)
-        square = np.zeros(plain.shape)
-        for half in range(2):
-            r = basis @ np.ascontiguousarray(fit.z[:, half, at])
+        square, other = room[:, : plain.size].reshape(2, *plain.shape)
+        for half, r in enumerate((square, other)):
+            np.matmul(basis, np.ascontiguousarray(fit.z[:, half, at]), out=r)
             np.subtract(piece.y[half], r, out=r)
             np.multiply(r, r, out=r)
-            square += r
+        square += other
         number: Array = np.full(channels, live.sum())
         if piece.used is not None:
             square[~piece.used] = 0.0

@@ -79,8 +79,10 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
     out = Solution(channels, lines, basis.shape[1])
     common = noise.common()
     if common is None:
-        for part in spans(channels, lines):
-            each_line(basis, value, noise, part, out)
+        runs = list(spans(channels, lines))
+        room = np.empty(3 * channels * max((part.stop - part.start for part in runs), default=0))
+        for part in runs:
+            each_line(basis, value, noise, part, out, room)
         return out
     share, line = common
     everything = np.ones(channels, dtype=bool)

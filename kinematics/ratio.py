@@ -69,12 +69,14 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     ref = motion.q[:, body, :, place]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = motion.q / ref[:, None, :, None]
+    own = ratio[:, body, :, place]
+    own[np.isfinite(own)] = 1.0
     covariance = np.empty((runs, lines, bodies * n, bodies * n), dtype=complex)
     for run in range(runs):
         for start in range(0, lines, _LINES):
             part = slice(start, start + _LINES)
-            own = motion.covariance[run, :, part]
-            covariance[run, part] = _joint(own, ratio[run, :, part], ref[run, part], body, place)
+            alone = motion.covariance[run, :, part]
+            covariance[run, part] = _joint(alone, ratio[run, :, part], ref[run, part], body, place)
     shared = None if motion.shared is None else _shared(motion.shared, ratio, ref, body, place)
     notices = (*motion.notices, *_noisy(motion, ref, body, place, reference))
     ratio[~np.isfinite(ratio)] = np.nan

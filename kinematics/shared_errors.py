@@ -20,7 +20,7 @@ ComplexArray = NDArray[np.complex128]
 _WHOLE = slice(None)
 _NAMED_BYTES = 2**26
 _SAMPLE = 2_000_000
-_LEFT_OUT = 1e-5
+_LEFT_OUT = 1e-3
 _PATTERNS = 40
 
 
@@ -95,17 +95,24 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
     basis = beams.basis[channels]
     flat = np.ascontiguousarray(changes.transpose(0, 2, 1).reshape(count * size, rows))
     pairs = (basis[:, None, :, None] * changes.transpose(1, 0, 2)[:, :, None, :]).reshape(rows, -1).T
-    made = np.empty((count, size, q.shape[1]), dtype=complex)
+    common = fit.common if fit.complete and fit.robust == "none" else None
+    always = np.empty(0)
+    if common is not None:
+        share = np.broadcast_to(common[0], len(beams.basis))[channels]
+        always = (pairs @ (0.5 / share**2)).reshape(count * size, size)
+    out = np.empty((count, q.shape[1], size), dtype=complex)
     for part, residual, _sd, weights in fit.blocks(channels):
-        left = np.einsum(
-            "ab,nbf->naf", beams.to_dof.T, (flat @ (weights * residual)).reshape(count, size, -1)
-        )
-        known = (pairs @ weights).reshape(count, size, size, -1)
-        made[:, :, part] = left - np.einsum("nabf,bf->naf", known, q[:, part])
-    solved = np.stack([packed.times(fit.solution.inverse, one) for one in made])
-    out = np.einsum("ab,nbf->nfa", beams.to_dof, solved, optimize=True)
+        left = (flat @ (weights * residual)).reshape(count, size, -1)
+        left = np.einsum("ab,nbf->anf", beams.to_dof.T, left)
+        if common is not None:
+            known = (always @ q[:, part] / common[1][part] ** 2).reshape(count, size, -1)
+        else:
+            each = (pairs @ weights).reshape(count, size, size, -1)
+            known = np.einsum("nabf,bf->naf", each, q[:, part])
+        solved = packed.times(fit.solution.inverse[:, part], left - known.transpose(1, 0, 2))
+        out[:, part] = np.tensordot(beams.to_dof, solved, axes=1).transpose(1, 2, 0)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
-    return np.asarray(out)
+    return out
 
 
 def position_parameters(bodies: Sequence[BodyChannels]) -> list[tuple[int, str, float]]:
@@ -141,7 +148,7 @@ def position_errors(fits: Mapping[tuple[int, int], LineFit], bodies: Sequence[Bo
 
     Points by name while their derivatives take at most 64 MiB. Beyond, the errors of a body are rewritten as
     few uncorrelated patterns of unit variance (displacements of all its points together) that move the motion
-    as the single errors do: the covariance of q, between any lines and runs too, is theirs to within 1e-4.
+    as the single errors do: the covariance of q, between any lines and runs too, is theirs to within 1e-3.
 
     Parameters
     ----------
@@ -187,10 +194,10 @@ def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping
 
     Notes
     -----
-    The left singular vectors of sd * d q / d position at lines spread over the measurement, each degree
-    of freedom scaled to its own size; the vectors of what is below 1e-5 of the variance are left out.
-    Where the weights keep their ratios there are 3 m patterns, one per fitted motion that a turning motion
-    can be mistaken for, and noise.
+    The left singular vectors of sd * d q / d position at lines spread over the measurement, each degree of
+    freedom scaled to its own size; the last 1e-3 of the variance is left out and the others are raised by
+    it. Where the weights keep their ratios, up to 3 m patterns (each rotation mistaken for each fitted
+    motion) hold all but the part of the noise.
     """
     owner = np.array([list(sd_m).index(name) if name in sd_m else -1 for name in body.points])
     chosen = owner >= 0
