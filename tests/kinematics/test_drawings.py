@@ -105,12 +105,12 @@ def test_a_shaded_sphere_has_its_size_depth_and_light():
         assert pixel == pytest.approx((top - bottom) / rows)
         assert np.sum(drawn.image[..., 3]) * pixel**2 == pytest.approx(np.pi * 4.0, rel=0.02)
         centre = view.flat(np.array([1.0, -3.0, 0.5]))
-        nearest = centre + [0.0, 0.0, 2.0]
+        nearest = centre + np.array([0.0, 0.0, 2.0])
         assert np.max(drawn.depth) == pytest.approx(nearest[2], abs=0.01)
-        inside, before = centre[None], (nearest + [0.0, 0.0, 0.2])[None]
+        inside, before = centre[None], (nearest + np.array([0.0, 0.0, 0.2]))[None]
         assert drawn.hides(inside, 0.1)[0]
         assert not drawn.hides(before, 0.1)[0]
-        assert not drawn.hides((centre + [5.0, 0.0, 0.0])[None], 0.1)[0]
+        assert not drawn.hides((centre + np.array([5.0, 0.0, 0.0]))[None], 0.1)[0]
         bright = drawn.image[..., 0] * (drawn.image[..., 3] == 1.0)
         half = rows // 2
         assert bright[:half, : columns // 2].sum() > bright[half:, columns // 2 :].sum()
