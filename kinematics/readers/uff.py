@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice, unique
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.uff_coherence import Coherences, coherences, reference_of
 from kinematics.readers.uff_function import (
     COHERENCE,
     FRF,
@@ -79,11 +80,17 @@ def read(path: Path) -> Recordings:
     geometry = read_geometry(sets, path.name, {function.node for function in functions})
     chosen, notices = _chosen(functions, geometry, path.name)
     runs = _runs(chosen)
-    coherence = _coherences(functions)
-    made = [_recording(motion, geometry, runs, coherence, path.name) for motion in chosen]
+    known = coherences(functions)
+    made = [_recording(motion, geometry, runs, known, path.name) for motion in chosen]
     _check_once(made, chosen)
     made = _repeats(made, chosen)
     notices += geometry.notices
+    computed = sum(known.of(motion.function, path.name)[1] for motion in chosen)
+    if computed:
+        text = (
+            f"{path.name}: the coherence of {computed} responses was computed from auto spectra, as for H1."
+        )
+        notices.append(Notice("coherence_computed", text))
     stated = geometry.length_factor is not None
     units = f"lengths by dataset 164, {geometry.length_factor:g} per metre" if stated else "lengths as metres"
     return Recordings(tuple(made), unique(notices), f"global axes of the file, {units}", length_stated=stated)
@@ -228,17 +235,10 @@ def _channel(function: Function) -> tuple[object, ...]:
         function.node,
         function.entity if function.node == 0 else "",
         function.direction,
-        *_reference(function),
+        *reference_of(function),
         function.load_case,
         function.version,
     )
-
-
-def _reference(function: Function) -> tuple[int, int]:
-    """Return node and direction of the reference where they mean something: single excitation, a response."""
-    if function.load_case != 0 or function.kind not in (FRF, TRANSMISSIBILITY, COHERENCE):
-        return 0, 0
-    return function.reference_node, function.reference_direction
 
 
 def _runs(motions: Sequence[_Motion]) -> dict[tuple[int, int, int], str]:
@@ -259,7 +259,7 @@ def _runs(motions: Sequence[_Motion]) -> dict[tuple[int, int, int], str]:
 
 
 def _run_key(function: Function, roving: bool = False) -> tuple[int, int, int]:
-    return (function.load_case, 0, 0) if roving else (function.load_case, *_reference(function))
+    return (function.load_case, 0, 0) if roving else (function.load_case, *reference_of(function))
 
 
 def _run_name(case: int, node: int, direction: int) -> str:
@@ -270,26 +270,11 @@ def _run_name(case: int, node: int, direction: int) -> str:
     return f"{node}{sign}{axes[abs(direction)]}" if abs(direction) in axes else f"{node}"
 
 
-def _coherences(functions: Sequence[Function]) -> dict[tuple[object, ...], Function]:
-    """Return the coherence of every point, direction and reference."""
-    found = {}
-    for function in functions:
-        if function.kind == COHERENCE:
-            found[(*_place(function), *_reference(function))] = function
-            found.setdefault(_place(function), function)
-    return found
-
-
-def _place(function: Function) -> tuple[object, ...]:
-    entity = function.entity if function.node == 0 else ""
-    return (function.node, entity, abs(function.direction), function.load_case)
-
-
 def _recording(
     motion: _Motion,
     geometry: Geometry,
     runs: Mapping[tuple[int, int, int], str],
-    coherences: Mapping[tuple[object, ...], Function],
+    known: Coherences,
     file: str,
 ) -> Recording:
     function = motion.function
@@ -308,7 +293,7 @@ def _recording(
     name = str(function.node)
     if function.node == 0 and not is_none(function.entity):
         name = function.entity
-    other = coherences.get((*_place(function), *_reference(function)), coherences.get(_place(function)))
+    coherence, _ = known.of(function, file)
     position = geometry.positions_m.get(function.node)
     run = runs.get(_run_key(function), runs.get(_run_key(function, True), ""))
     return Recording(
@@ -320,23 +305,9 @@ def _recording(
         run=run,
         position_mm=unknown_vector() if position is None else position * 1e3,
         direction=direction,
-        coherence=None if other is None else _matched(other, freq, where),
+        coherence=None if coherence is None else coherence[order],
         per=motion.per,
     )
-
-
-def _matched(coherence: Function, freq: Array, where: str) -> Array | None:
-    """Return the coherence at the frequencies of its response."""
-    if len(coherence.x) < len(freq) or not np.allclose(coherence.x[: len(freq)], freq, rtol=1e-6):
-        step = "Export both with the same frequencies, or leave the coherence out"
-        raise KinematicsError(
-            sentence("the coherence", "given at the frequencies of its response", "others", where, step)
-        )
-    value = coherence.y.real[: len(freq)]
-    if np.any(value < -1e-6) or np.any(value > 1.0 + 1e-4):
-        got = f"{value.min():g} to {value.max():g}"
-        raise KinematicsError(sentence("the coherence", "within 0 and 1", got, where, "Export it again"))
-    return np.clip(value, 0.0, 1.0)
 
 
 def _repeats(made: Sequence[Recording], chosen: Sequence[_Motion]) -> list[Recording]:

@@ -12,7 +12,7 @@ from kinematics.errors import KinematicsError, sentence
 from kinematics.readers.uff_sets import CUT, Dataset, data_form
 
 Array = NDArray[np.float64]
-TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, SPECTRUM = 1, 2, 3, 4, 5, 6, 12
+TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12
 KINDS = {
     0: "function of unknown type",
     TIME: "time response",
@@ -21,7 +21,7 @@ KINDS = {
     FRF: "frequency response function",
     TRANSMISSIBILITY: "transmissibility",
     COHERENCE: "coherence",
-    9: "power spectral density",
+    PSD: "power spectral density",
     10: "energy spectral density",
     SPECTRUM: "spectrum",
     26: "multiple coherence",

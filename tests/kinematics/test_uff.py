@@ -200,6 +200,28 @@ def test_coherence_goes_with_its_response(tmp_path):
     assert "at the frequencies of its response" in fault(tmp_path, uff.function(X, Y, 1, 3), other)
 
 
+def test_coherence_from_auto_spectra(tmp_path):
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(50, 23, 2)) @ [1.0, 1.0j]
+    y = (0.3 - 0.2j) * x + 0.2 * rng.normal(size=(50, 23, 2)) @ [1.0, 1.0j]
+    gxx, gyy, gxy = (np.mean(a.conj() * b, axis=0) for a, b in ((x, x), (y, y), (x, y)))
+    force = {"quantity": uff.FORCE, "unit": "N^2"}
+    parts = [
+        uff.function(X, gxy / gxx, 1, 3, per=uff.FORCE, per_unit="N", reference=(90, 1), form=6),
+        uff.function(X, gyy, 1, 3, kind=uff.AUTO, unit="(m/s)^2", form=4),
+        uff.function(X, gxx, 90, 1, kind=uff.AUTO, form=4, **force),
+    ]
+    whole = read(written(tmp_path, *parts))
+    (made,) = whole.recordings
+    assert "coherence_computed" in {notice.code for notice in whole.notices}
+    np.testing.assert_allclose(made.coherence, np.abs(gxy) ** 2 / (gxx * gyy).real, rtol=1e-9)
+    (made,) = read(written(tmp_path, *parts[:2])).recordings
+    assert made.coherence is None
+    wrong = uff.function(X, gxx * 40.0, 90, 1, kind=uff.AUTO, form=4, **force)
+    (made,) = read(written(tmp_path, *parts[:2], wrong)).recordings
+    assert made.coherence is None
+
+
 def test_other_functions_are_left_out_and_counted(tmp_path):
     path = written(
         tmp_path,
