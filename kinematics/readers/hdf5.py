@@ -95,6 +95,8 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
 
     tree: dict[str, Any] = {}
     for name, node in group.items():
+        if not isinstance(name, str):
+            raise KinematicsError(sentence("the names in the file", "text in UTF-8", "others", where))
         if isinstance(node, h5py.Group):
             if depth < _DEEPEST:
                 tree[name] = plain_tree(node, f"{where}, {name}", depth + 1)

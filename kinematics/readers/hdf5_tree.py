@@ -99,6 +99,8 @@ def matlab_tree(node: Any, file: Any, where: str, depth: int = 0) -> Any:
     if depth > _DEEPEST:
         raise KinematicsError(sentence("structs", f"nested {_DEEPEST} deep at most", "deeper", where))
     if isinstance(node, h5py.Group):
+        if not all(isinstance(name, str) for name in node):
+            raise KinematicsError(sentence("the names in the file", "text in UTF-8", "others", where))
         fields = {name: matlab_tree(node[name], file, f"{where}.{name}", depth + 1) for name in node}
         lists = [
             name for name in node if _is_references(node[name]) and "MATLAB_class" not in node[name].attrs

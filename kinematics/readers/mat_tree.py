@@ -1,12 +1,11 @@
 """MATLAB files, version 5 to 7.3, as plain values: arrays, texts, lists for cells, dictionaries for structs.
 
-Versions 6 and 7 are read by scipy, 7.3 (which is HDF5) by h5py. A cell array and a struct array become
+Version 7.3 is HDF5 and read by h5py. A cell array and a struct array become
 lists, whatever their shape, in MATLAB's order.
 """
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import numpy as np
 
 from kinematics.errors import KinematicsError, sentence
 from kinematics.readers.hdf5_tree import is_hdf5, matlab_tree, opened
+from kinematics.readers.mat5 import read_mat5
 
 Tree = dict[str, Any]
 _HEADER = 128
-_COMPRESSED, _MATRIX = 15, 14
 
 
 def read_mat(path: Path) -> Tree:
@@ -42,7 +41,7 @@ def read_mat(path: Path) -> Tree:
         head = stream.read(_HEADER)
     if is_hdf5(path):
         with opened(path, "a MATLAB 7.3 file") as file:
-            names = [name for name in file if not name.startswith("#")]
+            names = [name for name in file if isinstance(name, str) and not name.startswith("#")]
             return {name: matlab_tree(file[name], file, f"{path.name}, {name}") for name in names}
     if head.startswith((b"# Created by Octave", b"# name:")):
         step = "Save it by save -v7 or save -hdf5 ... -v7.3"
@@ -55,61 +54,7 @@ def read_mat(path: Path) -> Tree:
         raise KinematicsError(
             sentence(path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step)
         )
-    _check_elements(path, head)
-    return _scipy_tree(path)
-
-
-def _check_elements(path: Path, head: bytes) -> None:
-    """Refuse a version 5 file whose elements reach beyond its end, before scipy allocates them."""
-    order = "<" if head[126:128] == b"IM" else ">"
-    size = path.stat().st_size
-    place, count = _HEADER, 0
-    with path.open("rb") as stream:
-        while place + 8 <= size:
-            stream.seek(place)
-            kind, length = struct.unpack(order + "II", stream.read(8))
-            if kind not in (_COMPRESSED, _MATRIX):
-                got = f"an element of type {kind} at byte {place}"
-                step = "The file is damaged: export it again"
-                raise KinematicsError(sentence(path.name, "made of variables", got, "", step))
-            place += 8 + length
-            count += 1
-    if place > size or (size > _HEADER and count == 0):
-        step = "It is truncated: copy or export it again"
-        got = f"{size} bytes where its variables need {place} at least"
-        raise KinematicsError(sentence(path.name, "a whole MATLAB file", got, "", step))
-
-
-def _scipy_tree(path: Path) -> Tree:
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(path, struct_as_record=False, squeeze_me=False, appendmat=False)
-        return {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
-    except Exception as fault:  # the parser meets damaged bytes with errors of many kinds
-        reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
-        step = "It is damaged: export it again"
-        raise KinematicsError(sentence(path.name, "a readable MATLAB file", reason, "", step)) from fault
-
-
-def _plain(value: Any, depth: int = 0) -> Any:
-    """Turn what scipy returns into arrays, texts, lists and dictionaries."""
-    if depth > 8:
-        raise ValueError("structs nested deeper than 8")
-    if hasattr(value, "_fieldnames"):
-        return {name: _plain(getattr(value, name), depth + 1) for name in value._fieldnames}
-    if not isinstance(value, np.ndarray):
-        return value
-    if value.dtype.kind in "US":
-        texts = [str(text).rstrip("\0 ") for text in value.reshape(-1)]
-        return texts[0] if len(texts) == 1 else texts or ""
-    if value.dtype.kind == "O":
-        items = list(value.reshape(-1, order="F"))
-        single = len(items) == 1 and hasattr(items[0], "_fieldnames")
-        return _plain(items[0], depth + 1) if single else [_plain(item, depth + 1) for item in items]
-    if value.dtype.names:
-        return {}
-    return value
+    return read_mat5(path)
 
 
 def describe(tree: Tree, most: int = 12) -> str:

@@ -159,7 +159,7 @@ def _from_layout(
             for k, (part, place) in enumerate(zip(parts, spots, strict=True), 1)
         ]
         return _joined(blocks, where)
-    freq = np.asarray(_numbers(space, layout.frequency, where, tree), dtype=float).reshape(-1)
+    freq = _reals(space, layout.frequency, where, tree).reshape(-1)
     if not (np.all(np.isfinite(freq)) and np.all(np.diff(freq) > 0.0)):
         step = "Say which variable holds the frequencies in a mapping"
         raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", "others", where, step))
@@ -211,6 +211,15 @@ def _variable(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str
             raise KinematicsError(sentence(f"the variable {name}", "in the file", "no such one", where, step))
         value = value[part]
     return value
+
+
+def _reals(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> Array:
+    """Return an array of real numbers."""
+    value = _numbers(space, name, where, tree)
+    if np.iscomplexobj(value):
+        step = "Say which variable is what in a mapping"
+        raise KinematicsError(sentence(f"the variable {name}", "real numbers", "complex ones", where, step))
+    return value.astype(float)
 
 
 def _numbers(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> NDArray[Any]:
@@ -289,15 +298,21 @@ def _names(
     if isinstance(found, str):
         names = [found]
     elif isinstance(found, list):
-        names = [
-            one if isinstance(one, str) else f"{float(np.asarray(one).reshape(-1)[0]):g}" for one in found
-        ]
+        names = [_name(one, layout.points, where) for one in found]
     else:
-        names = [f"{number:g}" for number in np.asarray(found, dtype=float).reshape(-1)]
+        names = [f"{number:g}" for number in _reals(space, layout.points, where, tree).reshape(-1)]
     if len(names) != count or len(set(names)) != len(names):
         want = f"{count} different names, one a row"
         raise KinematicsError(sentence(layout.points, want, f"{len(names)}", where))
     return names
+
+
+def _name(one: Any, variable: str, where: str) -> str:
+    if isinstance(one, str) and one.strip():
+        return one.strip()
+    if isinstance(one, np.ndarray) and one.size == 1 and one.dtype.kind in "fiu":
+        return f"{float(one.reshape(-1)[0]):g}"
+    raise KinematicsError(sentence(variable, "a name or number for every point", "something else", where))
 
 
 def _positions(
@@ -305,7 +320,7 @@ def _positions(
 ) -> list[Array]:
     if not layout.position:
         return [unknown_vector()] * count
-    found = np.asarray(_numbers(space, layout.position, where, tree), dtype=float)
+    found = _reals(space, layout.position, where, tree)
     if found.shape == (3, count) and count != 3:
         found = found.T
     found = found.reshape(1, 3) if found.size == 3 and count == 1 else found
@@ -325,7 +340,7 @@ def _companion(
 ) -> Array | None:
     if not name:
         return None
-    found = np.asarray(_numbers(space, name, where, tree), dtype=float)
+    found = _reals(space, name, where, tree)
     shaped = _shaped(found, shape[1], name, where)
     if shaped.shape[0] != shape[0] or shaped.shape[2] not in (1, shape[2]):
         raise KinematicsError(sentence(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", where))
@@ -358,7 +373,7 @@ def _directions(
         sign = -1.0 if given.startswith("-") else 1.0
         return [sign * np.array(_AXES[given.lower().lstrip("+-")])] * count
     if isinstance(given, str) and given:
-        found = np.asarray(_numbers(space, given, where, tree), dtype=float)
+        found = _reals(space, given, where, tree)
         if found.shape not in ((count, 3), (1, 3)):
             raise KinematicsError(sentence(given, f"{count} x 3 directions", found.shape, where))
         return list(np.broadcast_to(found, (count, 3)))

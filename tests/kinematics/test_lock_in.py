@@ -151,7 +151,7 @@ def test_a_step_of_another_frequency_is_refused():
     rng = np.random.default_rng(7)
     step = record(rng, 900.0)
     moved = [Step(700.0, step.reference, step.responses)]
-    with pytest.raises(KinematicsError, match="the sine of a step must be within .* of its nominal 700 Hz"):
+    with pytest.raises(KinematicsError, match=r"the sine of a step must be within .* of its nominal 700 Hz"):
         stepped_frf(moved, RATE)
     with pytest.raises(KinematicsError, match="the reference must be a sine well above its noise"):
         stepped_frf(moved, RATE, SteppedSine(refine=False))
