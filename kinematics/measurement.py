@@ -116,8 +116,8 @@ class Take:
     @property
     def name(self) -> str:
         """Name that no other take of the measurement has."""
-        repeat = f", repeat {self.repeat}" if self.repeat else ""
-        level = f", level {self.level:.12g}" if np.isfinite(self.level) else ""
+        repeat = f" repeat {self.repeat}" if self.repeat else ""
+        level = f" level {self.level:.12g}" if np.isfinite(self.level) else ""
         return f"{self.run}{repeat}{level}"
 
 

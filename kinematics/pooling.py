@@ -55,29 +55,21 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     over neighbouring lines of each channel to f degrees of freedom and widened by f / (f - 2), the mean of
     1 / chi2, so that chi2 of later fits keeps its mean.
     """
-    takes = measurement.takes
-    if not takes:
+    if not measurement.takes:
         return Pooled(measurement)
-    runs = tuple(dict.fromkeys(take.run for take in takes))
-    single = 1.0 - (1.0 - alarm) ** (1.0 / len(runs))
+    runs = tuple(dict.fromkeys(take.run for take in measurement.takes))
     parts, reports = [], []
     notices = list(measurement.notices)
     for run in runs:
-        places = [number for number, take in enumerate(takes) if take.run == run]
+        places, takes = _takes_of(measurement, run)
         if len(places) == 1:
             parts.append(_alone(measurement, places[0]))
             continue
-        value, sd, noise_known = _stacked(measurement, places)
-        shapes = shapes_of(value, sd)
-        if not noise_known and (noise := _noise_of(shapes)) is not None:
-            sd = sd * noise[None]
-            shapes = shapes_of(value, sd)
-        mine = [takes[place] for place in places]
-        report = compare(run, mine, shapes, noise_known, single)
-        part, from_scatter = _pool(value, sd, noise_known, shapes, mine, report.sd_factor)
-        report = replace(report, noise_from_repeats=from_scatter)
+        value, sd, known, shapes = _shapes(measurement, places)
+        report = compare(run, takes, shapes, known, _single(alarm, runs))
+        part, from_scatter = _pool(value, sd, known, shapes, takes, report.sd_factor)
+        reports.append(replace(report, noise_from_repeats=from_scatter))
         parts.append(part)
-        reports.append(report)
         notices += report.notices(len(runs) > 1)
     if any(report.noise_from_repeats for report in reports):
         text = "no noise is stated: it was estimated from the scatter between repeats."
@@ -85,6 +77,41 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     bodies = _split(measurement, parts, len(reports) == len(runs))
     made = replace(measurement, runs=runs, bodies=bodies, takes=(), notices=tuple(notices))
     return Pooled(made, tuple(reports))
+
+
+def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
+    """Compare the takes of every run and keep each as a run of its own."""
+    runs = tuple(dict.fromkeys(take.run for take in measurement.takes))
+    reports = []
+    notices = list(measurement.notices)
+    for run in runs:
+        places, takes = _takes_of(measurement, run)
+        if len(places) > 1:
+            _, _, known, shapes = _shapes(measurement, places)
+            report = compare(run, takes, shapes, known, _single(alarm, runs))
+            reports.append(replace(report, were_pooled=False))
+            notices += report.notices(len(runs) > 1)
+    return Pooled(replace(measurement, takes=(), notices=tuple(notices)), tuple(reports))
+
+
+def _single(alarm: float, runs: Sequence[str]) -> float:
+    """Return the probability of an alarm in one of several runs."""
+    return 1.0 - (1.0 - alarm) ** (1.0 / len(runs))
+
+
+def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]]:
+    places = [number for number, take in enumerate(measurement.takes) if take.run == run]
+    return places, [measurement.takes[place] for place in places]
+
+
+def _shapes(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArray, Array, bool, Shapes]:
+    """Return the takes of a run (take, channel, freq), their noise, whether it is known, and their shapes."""
+    value, sd, known = _stacked(measurement, places)
+    shapes = shapes_of(value, sd)
+    if not known and (noise := _noise_of(shapes)) is not None:
+        sd = sd * noise[None]
+        shapes = shapes_of(value, sd)
+    return value, sd, known, shapes
 
 
 def _stacked(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArray, Array, bool]:

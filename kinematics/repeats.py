@@ -42,6 +42,8 @@ class RunRepeats:
         Standard deviation of the pooled gain (relative) and phase (rad) from the scatter between takes.
     noise_from_repeats : bool
         The noise of the pooled values was estimated from the scatter between the takes.
+    were_pooled : bool
+        The takes were pooled into one run; else each is a run of its own.
     """
 
     run: str
@@ -56,6 +58,7 @@ class RunRepeats:
     gain_sd: float
     phase_sd: float
     noise_from_repeats: bool = False
+    were_pooled: bool = True
 
     @property
     def verdict(self) -> str:
@@ -76,13 +79,13 @@ class RunRepeats:
         scatter = 100.0 * float(np.std(self.gain, ddof=1))
         turn = float(np.std(self.phase_deg, ddof=1))
         gains = f"amplitudes scatter by {scatter:.2g} %, phases by {turn:.2g} degrees"
+        fate = "were pooled" if self.were_pooled else "were kept separate"
         if self.verdict == "repeats_agree":
-            return f"{many} agree in shape ({gains}) and were pooled"
+            return f"{many} agree in shape ({gains}) and {fate}"
         if self.verdict == "repeats_untested":
-            return f"{many} were pooled untested ({gains}): too few lines, channels or repeats to compare"
-        return f"{many} were pooled though they disagree: " + "; ".join(
-            self.said(test) for test in self.found
-        )
+            return f"{many} {fate} untested ({gains}): too few lines, channels or repeats to compare"
+        but = "though they disagree: " if self.were_pooled else "and disagree: "
+        return f"{many} {fate} {but}" + "; ".join(self.said(one) for one in self.found)
 
     def said(self, test: RepeatTest) -> str:
         """Write one finding in words."""
@@ -132,6 +135,7 @@ class RunRepeats:
             ],
             "sd_factor": self.sd_factor if np.isfinite(self.sd_factor) else None,
             "noise_from_repeats": self.noise_from_repeats,
+            "pooled": self.were_pooled,
             "lines": self.lines,
             "channels": self.channels,
         }

@@ -106,7 +106,7 @@ def motion_options(ldv: Ldv) -> Options:
     from kinematics.points2dof import Options
 
     geometry = priors(ldv.calibrate, ldv.axes_sd_deg, ldv.beam_sd_deg, ldv.gain_sd_percent)
-    return Options(ldv.dof, ldv.reference, ldv.robust, geometry)
+    return Options(ldv.dof, ldv.reference, ldv.robust, calibrate=geometry, repeats=ldv.repeats)
 
 
 def input_options(ldv: Ldv) -> InputOptions:

@@ -80,6 +80,7 @@ class Ldv(_Table):
     dof: fields.Dof = ("x", "y", "z", "alpha", "beta", "gamma")
     reference: fields.Text = ""
     robust: fields.RobustPoints = "none"
+    repeats: fields.Repeats = "pool"
     mirror: fields.Axis | None = None
     plate_points: fields.File | None = None
     bone_points: fields.File | None = None

@@ -85,6 +85,8 @@ fiducials = "fiducials.csv"
 # reference = "base:y"
 # Against outliers: none, huber or t4.
 # robust = "none"
+# Columns repeat and level of the table: pool them after comparing them, or keep them separate as runs.
+# repeats = "pool"
 # mirror = "x"
 # Points measured on the plate, laid on its surface in the scan, alone or with fiducials as a first guess:
 # [name,] x_mm, y_mm, z_mm [, sd_mm]. Points on the bone, to see whether the sample moved since the scan.

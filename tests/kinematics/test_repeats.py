@@ -239,3 +239,15 @@ def test_level_columns(tmp_path):
     path.write_text("\n".join([head.replace("level_db", "repeat"), rows[0], rows[0]]) + "\n")
     with pytest.raises(ValueError, match=r"same as in line 2 .*Number repeats in a column repeat"):
         read_ldv(path)
+
+
+def test_takes_kept_separate_are_compared_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr("kinematics.cli._write", lambda *_: [])
+    path = table(tmp_path, count=3, resonance=1.03)
+    _, outcome = work([str(path), "--repeats", "separate", "--dof", "x,y,z,alpha,beta,gamma"])
+    assert outcome.result["runs"] == ["1 repeat 1", "1 repeat 2", "1 repeat 3"]
+    said = dict(outcome.rows)["repeats of 1"]
+    assert said.startswith("3 repeats were kept separate and disagree: the responses change relative")
+    assert "repeat_creep" in [notice.code for notice in outcome.notices]
+    with pytest.raises(ValueError, match="--repeats must be one of pool, separate; got mean"):
+        Options(repeats="mean")
