@@ -18,6 +18,7 @@ from kinematics.readers.options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.spread import body_noise
 from kinematics.readers.stated import with_bodies, with_runs, with_stated
+from kinematics.readers.values import value_faults
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -80,6 +81,7 @@ def assemble(
     named, said = with_runs(with_bodies(recordings, points, options), options)
     notices += said
     flat = [one for _, one in named]
+    raise_all(KinematicsError, value_faults(flat))
     _check(flat, points)
     notices += _per(flat)
     places, matched, faults = _placed(flat)

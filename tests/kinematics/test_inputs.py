@@ -314,6 +314,19 @@ def test_noise_of_coherence_averages_and_sd():
     assert np.all(np.isnan(made.bodies[0].sd[0, -1]))
 
 
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"value": np.where(F == 50.0, np.inf, 1.0 + 0.0j)}, "the values of point 1 must be finite"),
+        ({"sd": np.where(F < 100.0, -1.0, 1.0)}, "got -1.0 at 25 Hz and 2 more (a.uff, dataset 0)"),
+        ({"coherence": np.full(40, 1.5)}, "the coherence of point 1 must be within 0 and 1; got 1.5"),
+        ({"n_avg": 0.0}, "the number of averages must be 1 or more; got 0"),
+    ],
+)
+def test_impossible_numbers_are_refused(how, words):
+    assert words in fault(recordings([0], **how))
+
+
 def test_displacement_and_velocity_are_joined():
     order = [
         replace(one, value=one.value / (2j * np.pi * F), order=0) for one in recordings([0, 1]).recordings

@@ -1,0 +1,40 @@
+"""Numbers that no recording may hold: infinite values, coherence beyond 0 to 1, impossible noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import sentence
+from kinematics.readers.recording import Recording
+
+
+def value_faults(recordings: Sequence[Recording]) -> list[str]:
+    """List what is wrong with the numbers of recordings, one sentence for each kind and recording."""
+    faults = []
+    for one in recordings:
+        bad = np.isinf(one.value.real) | np.isinf(one.value.imag)
+        faults += _told(one, bad, "the values", "finite, or NaN where missing", one.value)
+        if one.sd is not None:
+            bad = (one.sd < 0.0) | np.isinf(one.sd)
+            faults += _told(one, bad, "the standard deviations", "positive and finite", one.sd)
+        if one.coherence is not None:
+            bad = (one.coherence < 0.0) | (one.coherence > 1.0)
+            faults += _told(one, bad, "the coherence", "within 0 and 1", one.coherence)
+        if one.n_avg is not None and not 1.0 <= one.n_avg < float("inf"):
+            step = "Correct the number"
+            faults.append(sentence("the number of averages", "1 or more", f"{one.n_avg:g}", one.where, step))
+    return faults
+
+
+def _told(
+    one: Recording, bad: NDArray[np.bool_], thing: str, expected: str, numbers: NDArray[np.generic]
+) -> list[str]:
+    if not np.any(bad):
+        return []
+    first = int(np.flatnonzero(bad)[0])
+    more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+    got = f"{numbers[first]} at {one.freq_hz[first]:.6g} Hz{more}"
+    return [sentence(f"{thing} of point {one.point}", expected, got, one.where, "Export it again")]
