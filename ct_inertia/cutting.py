@@ -186,7 +186,7 @@ def _flooded_apart(view: _View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def _without_dust(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    labels, _ = labelled(mask)
-    kept = np.bincount(labels.ravel()) >= _DUST_VOXELS
+    labels, count = labelled(mask)
+    kept = boxes_and_sizes(labels, count)[1] >= _DUST_VOXELS
     kept[0] = False
-    return np.asarray(kept[labels])
+    return looked_up(labels, kept)

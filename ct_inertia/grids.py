@@ -124,27 +124,50 @@ def majority(mask: Mask) -> Mask:
     return out
 
 
-def gaussian(grey: NDArray[np.float32], sigma: float, truncate: float = 4.0) -> NDArray[np.float32]:
-    """Smooth grey values [z, y, x] by a Gaussian, ``sigma`` voxels wide, mirrored at the border."""
+def gaussian(grey: NDArray[np.float32], sigma: float | Array, truncate: float = 4.0) -> NDArray[np.float32]:
+    """Smooth grey values [z, y, x] by a Gaussian, ``sigma`` voxels wide (along all axes, or z, y, x).
+
+    They are mirrored at the border.
+    """
     kernels = compiled()
     if kernels is None:
         from scipy.ndimage import gaussian_filter
 
         return np.asarray(gaussian_filter(grey, sigma, truncate=truncate))
-    radius = int(truncate * sigma + 0.5)
-    place = np.arange(-radius, radius + 1)
-    bell = np.exp(-0.5 / (sigma * sigma) * place**2)
-    weights = np.ascontiguousarray((bell / bell.sum())[radius:])
     part = np.ascontiguousarray(grey, dtype=np.float32)
-    for axis in range(3):
+    for axis, width in enumerate(np.broadcast_to(np.asarray(sigma, dtype=float), 3).tolist()):
+        radius = int(truncate * width + 0.5)
+        if width <= 1e-15:
+            continue
+        place = np.arange(-radius, radius + 1)
+        bell = np.exp(-0.5 / (width * width) * place**2)
+        weights = np.ascontiguousarray((bell / bell.sum())[radius:])
         out = np.empty_like(part)
-        checked(
-            kernels.smooth_axis(
-                part.ctypes.data, shape_of(part), axis, radius, weights.ctypes.data, out.ctypes.data
-            )
-        )
+        given = (part.ctypes.data, shape_of(part), axis, radius, weights.ctypes.data)
+        checked(kernels.smooth_axis(*given, out.ctypes.data))
         part = out
-    return part
+    return part.copy() if part is grey else part
+
+
+def watershed(height: NDArray[np.float32], markers: NDArray[np.int32], mask: Mask) -> NDArray[np.int32]:
+    """Give every voxel of a mask to the marker whose flood reaches it first from the high side.
+
+    Parameters
+    ----------
+    height : ndarray of float32, [z, y, x]
+    markers : ndarray of int32, [z, y, x]
+        Positive numbers; 0 elsewhere.
+    mask : ndarray of bool, [z, y, x]
+    """
+    kernels = compiled()
+    if kernels is None:
+        from skimage.segmentation import watershed as by_skimage
+
+        return np.asarray(by_skimage(-height, markers, mask=mask), dtype=np.int32)
+    height, mask = np.ascontiguousarray(height, dtype=np.float32), np.ascontiguousarray(mask)
+    labels = np.array(markers, dtype=np.int32, order="C")
+    checked(kernels.flooded(height.ctypes.data, mask.ctypes.data, shape_of(mask), labels.ctypes.data))
+    return labels
 
 
 def interpolated(grey: NDArray[np.float32], places: Array) -> Array:

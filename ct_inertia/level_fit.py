@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.grids import gaussian
 from ct_inertia.native import checked, compiled, shape_of
 
 Array = NDArray[np.float64]
@@ -129,11 +130,10 @@ def _smoothed(
     rest: NDArray[np.float32], near: NDArray[np.bool_], width: Array, side: NDArray[np.bool_] | None
 ) -> NDArray[np.float32]:
     """Return the weighted mean of what is left near the surfaces, of each side by itself."""
-    from scipy.ndimage import gaussian_filter
 
     def mean(of: NDArray[np.bool_]) -> NDArray[np.float32]:
-        weight = gaussian_filter(of.astype(np.float32), width, truncate=3.0)
-        total = gaussian_filter(np.where(of, rest, np.float32(0.0)), width, truncate=3.0)
+        weight = gaussian(of.astype(np.float32), width, truncate=3.0)
+        total = gaussian(np.where(of, rest, np.float32(0.0)), width, truncate=3.0)
         return np.asarray(total / np.maximum(weight, np.float32(1e-3)))
 
     return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
@@ -141,10 +141,8 @@ def _smoothed(
 
 def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
     """Smooth the grey values that the surface is taken from, in step with their noise."""
-    from scipy.ndimage import gaussian_filter
-
     width = min(_CALM_PER_NOISE * noise, _MOST_CALM)
-    return np.asarray(gaussian_filter(data, width, truncate=3.0)) if width > 0.2 else data
+    return gaussian(data, width, truncate=3.0) if width > 0.2 else data
 
 
 def body_share(
@@ -199,10 +197,8 @@ def spread(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
 
 def blurred(body: NDArray[np.float32], sigma_mm: float, spacing: Array) -> NDArray[np.float32]:
     """Blur shares of voxels, which hold the voxel's own width already."""
-    from scipy.ndimage import gaussian_filter
-
     rest = np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0))
-    return np.asarray(gaussian_filter(body, rest, truncate=4.5))
+    return gaussian(body, rest, truncate=4.5)
 
 
 def _best_blur(

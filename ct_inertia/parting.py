@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ct_inertia.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
 from ct_inertia.coarse import calmed
 from ct_inertia.doubts import USUAL
+from ct_inertia.grids import boxes_and_sizes, labelled
+from ct_inertia.masked import looked_up
 from ct_inertia.necks import necks
 from ct_inertia.separate import Separation, separations
 from ct_inertia.volume import Volume
@@ -115,12 +117,12 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     noise = coarse.noise if working.noise is None else working.noise
     contrast = coarse.bone - coarse.air
     grey = calmed(working.grey, noise / contrast)
-    share = (grey - np.float32(coarse.air)) / np.float32(contrast)
+    held = [(grey - np.float32(coarse.air)) / np.float32(contrast)]
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
     bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
     del grey
-    for way in _every_way(share, bone, spacing, whole):
+    for way in _every_way(held, bone, spacing, whole):
         large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
         holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
         parts = tuple(
@@ -144,24 +146,22 @@ def _of_the_whole(
     bone: NDArray[np.bool_], coarse: CoarseGrid, whole: Piece, working: Working
 ) -> NDArray[np.bool_]:
     """Leave out bone of other pieces that reaches into the box: its cut ends are nobody's shape."""
-    from scipy import ndimage
-
     own = working.from_coarse(coarse.pieces == whole.label, coarse.step) & bone
     other = working.from_coarse((coarse.pieces != 0) & (coarse.pieces != whole.label), coarse.step) & bone
-    labels, count = ndimage.label(bone)
+    labels, count = labelled(bone)
     mine = np.bincount(labels[own], minlength=count + 1)
     kept = mine > np.bincount(labels[other], minlength=count + 1)
     kept[0] = False
-    return np.asarray(kept[labels])
+    return looked_up(labels, kept)
 
 
 def _every_way(
-    share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
+    held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
 ) -> Iterator[Separation]:
     """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
     if whole.holes == 1 and whole.surrounds < MOST_SURROUNDED:
         yield from neck_separations(bone, spacing_mm)
-    yield from _refined(separations(share, bone, spacing_mm), spacing_mm)
+    yield from _refined(separations(held, bone, spacing_mm), spacing_mm)
 
 
 def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
@@ -182,15 +182,13 @@ def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
 
 def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
     """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
-    from scipy import ndimage
-
     places = np.argwhere(bone)[:, ::-1]
     points = places * spacing_mm
     for neck in necks(points, spacing_mm):
         labels = bone.astype(np.int32)
         labels[tuple(places[points @ neck.normal > neck.height_mm].T[::-1])] = 2
-        boxes = ndimage.find_objects(labels)
-        pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in (1, 2)]
+        boxes, _ = boxes_and_sizes(labels, 2)
+        pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
         if pieces[0].possible and pieces[0].oddness < USUAL:
             yield Separation(0.0, labels, labels, pieces, neck.area_mm2)
 
@@ -223,15 +221,13 @@ def _united(
     labels: NDArray[np.int32], some: tuple[Piece, ...], spacing_mm: Array
 ) -> tuple[Piece, NDArray[np.int32]] | None:
     """Return the union of parts when it hangs together and can be a stapes, and the labels with it."""
-    from scipy import ndimage
-
     if not TYPICAL_MM3[0] <= sum(p.volume_mm3 for p in some) <= TYPICAL_MM3[1]:
         return None
     low = np.min([p.low for p in some], axis=0)
     high = np.max([p.high for p in some], axis=0)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
     mask = np.isin(labels[box], [p.label for p in some])
-    if ndimage.label(mask)[1] > 1 and _largest_share(mask) < _WHOLE:
+    if labelled(mask)[1] > 1 and _largest_share(mask) < _WHOLE:
         return None
     name = some[0].label
     joined = labels.copy()
@@ -244,9 +240,7 @@ def _united(
 
 
 def _largest_share(mask: NDArray[np.bool_]) -> float:
-    from scipy import ndimage
-
-    sizes = np.bincount(ndimage.label(mask)[0].ravel())[1:]
+    sizes = boxes_and_sizes(*labelled(mask))[1][1:]
     return float(sizes.max() / sizes.sum())
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.candidates import Piece, describe, used_box
 from ct_inertia.distance import capped_distance
+from ct_inertia.grids import boxes_and_sizes, dilated, gaussian, labelled, watershed
 
 Array = NDArray[np.float64]
 
@@ -43,9 +44,6 @@ def flooded(
     Watershed of the negative grey values (Meyer's flooding): the border runs along the darkest line between
     two bodies, where each loses to the other as much of its blur as it gains.
     """
-    from scipy.ndimage import binary_dilation, gaussian_filter
-    from skimage.segmentation import watershed
-
     result = np.where(mask, markers, 0).astype(np.int32)
     free = mask & (result == 0)
     index = np.nonzero(free)
@@ -53,9 +51,9 @@ def flooded(
         return result
     # Only markers that touch what is still free can flood it; the rest need not be looked at.
     box = tuple(slice(max(0, int(k.min()) - 3), int(k.max()) + 4) for k in index)
-    active = binary_dilation(free[box], iterations=1) & mask[box]
-    relief = gaussian_filter(grey[box], _SMOOTH_VOXELS)
-    flood = watershed(-relief, np.where(active, result[box], 0), mask=active)
+    active = dilated(free[box]) & mask[box]
+    relief = gaussian(grey[box], _SMOOTH_VOXELS)
+    flood = watershed(relief, np.where(active, result[box], 0).astype(np.int32), active)
     part = result[box]
     part[free[box]] = flood[free[box]]
     return result
@@ -77,10 +75,8 @@ def narrow_gaps(share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm:
     Two levels are used: the middle one for gaps that stand open in the image, a higher one for gaps of one
     or two voxels, which the blur fills.
     """
-    from scipy.ndimage import gaussian_filter
-
     valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
-    clear = gaussian_filter(share, _CALM_VOXELS, truncate=3.0) > _VALLEY
+    clear = gaussian(share, _CALM_VOXELS, truncate=3.0) > _VALLEY
     return _closed(bone, spacing_mm, _HALF_GAP_MM) | _closed(clear, spacing_mm, valley)
 
 
@@ -117,9 +113,16 @@ class Separation:
 
 
 def separations(
-    share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm: Array
+    held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array
 ) -> Iterator[Separation]:
     """Part bone along its narrow gaps, from gaps without bridges to wide bridges.
+
+    Parameters
+    ----------
+    held : list of one ndarray of float32, [z, y, x]
+        Grey values as a share of the contrast; taken out of the list, so that their memory is freed early.
+    bone : ndarray of bool, [z, y, x]
+    spacing_mm : ndarray, (3,)
 
     Notes
     -----
@@ -128,10 +131,7 @@ def separations(
     watershed parts the bones there. A crus, however thin, lies far from every narrow gap, so that it is
     not parted, which an erosion deep enough for the bridge would do.
     """
-    from scipy import ndimage
-    from skimage.segmentation import watershed
-
-    gaps = narrow_gaps(share, bone, spacing_mm)
+    gaps = narrow_gaps(held.pop(), bone, spacing_mm)
     box = used_box(bone)
     if box is None or not np.any(gaps):
         return
@@ -141,8 +141,8 @@ def separations(
     del gaps
     labels: NDArray[np.int32] | None = None
     for wanted in DEPTHS_MM:
-        markers, _ = ndimage.label(bone & (depth > max(wanted, least)))
-        sizes = np.bincount(markers[markers > 0], minlength=1)
+        markers, number = labelled(bone & (depth > max(wanted, least)))
+        sizes = boxes_and_sizes(markers, number)[1]
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
         count = int(np.count_nonzero(kept))
@@ -150,12 +150,11 @@ def separations(
         if count < 2 or (labels is not None and _alike(labels, markers, count)):
             continue
         labels = np.zeros(bone.shape, dtype=np.int32)
-        labels[box] = watershed(-depth[box], markers[box], mask=bone[box])
+        labels[box] = watershed(depth[box], markers[box], bone[box])
         del markers
-        boxes = ndimage.find_objects(labels)
-        grown = np.bincount(labels[labels > 0], minlength=1)
+        boxes, grown = boxes_and_sizes(labels, count)
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
-        pieces = [describe(labels, k, boxes[k - 1], spacing_mm) for k in order]
+        pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in order]
         yield Separation(wanted, labels, np.where(depth > least, labels, 0).astype(np.int32), pieces)
 
 

@@ -1,24 +1,16 @@
-"""The compiled kernels: which there are, and whether they were built when stapeskit was installed.
-
-Every kernel has a twin in numpy or scipy, which is used where no compiler was at hand. The library carries
-a check sum of its sources in its name, so that one of other sources is never taken.
-"""
+"""The compiled kernels of this room: which there are, and whether they were built at installation."""
 
 from __future__ import annotations
 
 import ctypes
-import os
-import sys
-import zlib
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-SWITCH = "STAPESKIT_KERNELS"
-_FOLDER = Path(__file__).parent
-_OF = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double, "f": ctypes.c_float}
+from kinematics.native import load
+
 # Arguments: p pointer, i whole number of 64 bits, d double, f float; behind the colon what it returns.
 _SIGNATURES = {
     "label_pieces": "ppip:i",
@@ -28,6 +20,7 @@ _SIGNATURES = {
     "majority": "ppp",
     "smooth_axis": "ppiipp:i",
     "interpolated": "pppip",
+    "flooded": "pppp:i",
     "contoured": "ppdpppp:i",
     "released": "p",
     "graph_pieces": "ipip:i",
@@ -57,33 +50,10 @@ _SIGNATURES = {
 }
 
 
-def library_name(folder: Path = _FOLDER) -> str:
-    """Return the file name of the library that belongs to the sources in a folder."""
-    total = 0
-    for source in sorted(folder.glob("*.[ch]")):
-        total = zlib.crc32(source.read_bytes().replace(b"\r\n", b"\n"), total)
-    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    return f"kernels-{total:08x}{ending}"
-
-
 @lru_cache(maxsize=1)
 def compiled() -> ctypes.CDLL | None:
     """Return the compiled kernels; None when they were not built, or ``STAPESKIT_KERNELS=numpy``."""
-    if os.environ.get(SWITCH) == "numpy":
-        return None
-    path = _FOLDER / library_name()
-    if not path.is_file():
-        return None
-    try:
-        library = ctypes.CDLL(str(path))
-    except OSError:
-        return None
-    for name, signature in _SIGNATURES.items():
-        given, _, returned = signature.partition(":")
-        function = getattr(library, name)
-        function.argtypes = [_OF[letter] for letter in given]
-        function.restype = _OF[returned] if returned else None
-    return library
+    return load(Path(__file__).parent, _SIGNATURES)
 
 
 def which() -> str:

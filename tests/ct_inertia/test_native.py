@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ct_inertia import native
+from kinematics.native import SWITCH, library_name
 from ct_inertia.contours import contoured
 from ct_inertia.distance import capped_distance
 from ct_inertia.graphs import graph_pieces, in_hull, solver
@@ -24,6 +25,7 @@ from ct_inertia.grids import (
     labelled,
     majority,
     used_box,
+    watershed,
 )
 from ct_inertia.interior import interior
 from ct_inertia.isosurface import largest_part
@@ -121,7 +123,8 @@ def test_grey_values(monkeypatch, shape):
     grey = rng.normal(9000.0, 2000.0, shape).astype(np.float32)
     mask, inner = rng.random(shape) < 0.4, rng.random(shape) < 0.5
     places = rng.uniform(-1.0, 1.2, (500, 3)) * np.array(shape)
-    exactly(monkeypatch, lambda: [gaussian(grey, sigma, 3.0) for sigma in (0.7, 1.0, 2.5)])
+    widths = (0.7, 1.0, 2.5, np.array([0.0, 0.4, 1.3]))
+    exactly(monkeypatch, lambda: [gaussian(grey, sigma, 3.0) for sigma in widths])
     exactly(monkeypatch, lambda: gathered(grey, mask, inner, (1.5, 2.5)))
     exactly(monkeypatch, lambda: [places_between(grey, mask, 8000.0, 9500.0, np.array([1, 1, 1]))])
     closely(monkeypatch, lambda: [interpolated(grey, places)])
@@ -223,6 +226,18 @@ def sorted_corners(corners):
     return turned[np.lexsort(middle.T)]
 
 
+@pytest.mark.parametrize("ties", [False, True])
+def test_floods_take_equal_heights_in_the_same_order(monkeypatch, ties):
+    rng = np.random.default_rng(12)
+    height = gaussian(rng.normal(size=(20, 26, 31)).astype(np.float32), 1.5)
+    if ties:
+        height = np.round(height * 20.0)
+    markers, _ = labelled(height > np.quantile(height, 0.93))
+    mask = height > np.quantile(height, 0.25)
+    found = exactly(monkeypatch, lambda: [watershed(height, markers, mask)])[0]
+    assert np.count_nonzero(found) > 0.9 * np.count_nonzero(mask)
+
+
 def test_graphs(monkeypatch):
     rng = np.random.default_rng(8)
     edges = rng.integers(0, 300, (180, 2))
@@ -315,7 +330,7 @@ def test_the_switch_and_a_library_of_other_sources():
     for switch, wanted in (("numpy", "numpy"), ("", "compiled")):
         said = subprocess.run(
             [sys.executable, "-c", code],
-            env=os.environ | {native.SWITCH: switch},
+            env=os.environ | {SWITCH: switch},
             capture_output=True,
             text=True,
             cwd=ROOT,
@@ -325,11 +340,11 @@ def test_the_switch_and_a_library_of_other_sources():
 
 def test_the_name_of_the_library_follows_its_sources(tmp_path):
     (tmp_path / "a.c").write_bytes(b"int a;\n")
-    first = native.library_name(tmp_path)
+    first = library_name(tmp_path)
     (tmp_path / "a.c").write_bytes(b"int a;\r\n")
-    assert native.library_name(tmp_path) == first
+    assert library_name(tmp_path) == first
     (tmp_path / "a.c").write_bytes(b"int b;\n")
-    assert native.library_name(tmp_path) != first
+    assert library_name(tmp_path) != first
 
 
 def test_a_whole_ear_weighs_the_same_without_the_kernels(monkeypatch):
