@@ -1,6 +1,6 @@
 """Is the rigid fit as good as its bound, and are its errors honest? Monte Carlo, as markdown tables.
 
-    python benchmarks/points_estimation.py            20 000 lines a case (half a minute)
+    python benchmarks/points_estimation.py            40 000 lines a case (half a minute)
     python benchmarks/points_estimation.py 4000
 
 Nine points on footplate, crura and head with three beams each (half-cone 20 degrees), motion with resonances
@@ -33,7 +33,7 @@ from kinematics.shared_errors import pose_derivatives, position_errors  # noqa: 
 from kinematics.spatial import DOF_NAMES  # noqa: E402
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams  # noqa: E402
 
-LINES = 20000
+LINES = 40000
 LEVEL = 1e-9
 
 

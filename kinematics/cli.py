@@ -111,7 +111,20 @@ def parser() -> Parser:
     )
     made.add_argument("--reference", default="", metavar="BODY:DOF", help="responses per unit of this motion")
     made.add_argument(
+        "--reference-noise",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="relative noise (sd of the real part) of the signal that all readings refer to (default 0)",
+    )
+    made.add_argument(
         "--robust", default="none", choices=("none", "huber", "t4"), help="resist outliers (default none)"
+    )
+    made.add_argument(
+        "--repeats",
+        default="pool",
+        choices=("pool", "separate"),
+        help="pool repeats and levels of a run after comparing them (default), or keep them as runs",
     )
     made.add_argument(
         "--mirror", choices=("x", "y", "z"), help="turn this axis of left-handed scanner coordinates round"
@@ -148,7 +161,14 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         series_options(options),
     )
     priors = geometry_options.priors(options.calibrate, options.axes_sd, options.beam_sd, options.gain_sd)
-    chosen = Options(parse_dof(options.dof), options.reference, options.robust, priors)
+    chosen = Options(
+        parse_dof(options.dof),
+        options.reference,
+        options.robust,
+        priors,
+        options.repeats,
+        options.reference_noise,
+    )
     mass = None if options.mass is None else read_mass_record(options.mass)
     fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
     frame = options.frame or "footplate"
@@ -177,6 +197,8 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
             "dof": list(chosen.dof),
             "reference": chosen.reference,
             "robust": chosen.robust,
+            "reference_noise": chosen.reference_noise,
+            "repeats": chosen.repeats,
             "frame": frame if source == frame else None,
             "mirror": options.mirror,
             "body": list(options.body),

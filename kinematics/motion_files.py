@@ -95,6 +95,8 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
         for name in ("freq_hz", "q", "covariance", "chi2", "n_dof"):
             file[name] = getattr(motion, name)
+        if motion.common_sd is not None:
+            file["common_sd"] = motion.common_sd
         if motion.shared is not None:
             group = file.create_group("shared")
             group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
@@ -190,6 +192,7 @@ def _motion_from_h5(file: Any) -> RigidMotion:
         shared=shared,
         notices=from_json(json.loads(file.attrs["notices"])),
         provenance=json.loads(file.attrs["provenance"]),
+        common_sd=file["common_sd"][()] if "common_sd" in file else None,
     )
 
 

@@ -24,7 +24,7 @@ from kinematics.noise import with_noise
 from kinematics.notices import Notice, unique
 from kinematics.phase import phase_notice
 from kinematics.placement import Placement, place
-from kinematics.pooling import pooled, with_gain_errors
+from kinematics.pooling import pooled, separate, with_gain_errors
 from kinematics.ratio import parse_reference, per_reference
 from kinematics.repeats import RunRepeats
 from kinematics.rigid_fit import LineFit, refitted
@@ -35,6 +35,7 @@ from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
+REPEATS = ("pool", "separate")
 
 
 @dataclass(frozen=True)
@@ -51,22 +52,35 @@ class Options:
         ``none``, ``huber`` or ``t4``.
     calibrate : GeometryPriors or None
         Estimate the geometry together with the motion.
+    repeats : str
+        ``pool`` repeats and levels of each run after comparing them, or keep them ``separate`` as runs of
+        their own.
+    reference_noise : float
+        Standard deviation of the real (= imaginary) part of the relative noise of the signal that all
+        readings refer to; it enters the covariance of absolute motion.
 
     Raises
     ------
     KinematicsError
-        An unknown degree of freedom or robust estimator.
+        An unknown degree of freedom, robust estimator or way with repeats, or a noise of the reference that
+        is no share.
     """
 
     dof: tuple[str, ...] = DOF_NAMES
     reference: str = ""
     robust: str = "none"
     calibrate: GeometryPriors | None = None
+    repeats: str = "pool"
+    reference_noise: float = 0.0
 
     def __post_init__(self) -> None:
         faults = []
         if self.robust not in ROBUST:
             faults.append(sentence("--robust", f"one of {', '.join(ROBUST)}", self.robust))
+        if self.repeats not in REPEATS:
+            faults.append(sentence("--repeats", f"one of {', '.join(REPEATS)}", self.repeats))
+        if not 0.0 <= self.reference_noise < 1.0:
+            faults.append(sentence("--reference-noise", "from 0 to below 1", f"{self.reference_noise:g}"))
         if not self.dof or tuple(name for name in DOF_NAMES if name in self.dof) != self.dof:
             faults.append(sentence("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
         raise_all(KinematicsError, faults)
@@ -147,7 +161,7 @@ def points2dof(
     whole = all(is_whole(body) for body in measurement.bodies)
     if not whole:
         raise_all(KinematicsError, empty_faults(measurement))
-    repeats = pooled(measurement)
+    repeats = pooled(measurement) if options.repeats == "pool" else separate(measurement)
     measurement = repeats.measurement
     placed = measurement.mapped(placement.transform)
     beams = _beam_sets(placed, options.dof)
@@ -187,8 +201,10 @@ def points2dof(
         shared=_shared(placed, fits, placement, motion, calibration),
         provenance=dict(provenance or {}),
     )
-    motion = with_gain_errors(motion, repeats.repeats)
+    motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
     notices += phase_notice(motion, mass)
+    if options.reference_noise > 0.0 and not options.reference:
+        motion = motion.with_common_noise(np.array(options.reference_noise))
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices

@@ -62,9 +62,12 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     Notes
     -----
     H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so the complex covariance goes over as
-    J C J^H. First order in noise / signal of the reference; lines below 10 are counted in a notice.
+    J C J^H; noise common to all motions of a line cancels. First order in noise / signal of the reference;
+    lines below 10 are counted in a notice.
     """
     body, place = parse_reference(reference, motion.bodies, motion.dof)
+    if motion.common_sd is not None:
+        motion = motion.with_common_noise(np.zeros(1))
     runs, bodies, lines, n = motion.q.shape
     ref = motion.q[:, body, :, place]
     with np.errstate(divide="ignore", invalid="ignore"):

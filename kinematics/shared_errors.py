@@ -96,7 +96,7 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
     flat = np.ascontiguousarray(changes.transpose(0, 2, 1).reshape(count * size, rows))
     pairs = (basis[:, None, :, None] * changes.transpose(1, 0, 2)[:, :, None, :]).reshape(rows, -1).T
     common = fit.common if fit.complete and fit.robust == "none" else None
-    always = np.empty(0)
+    always = np.empty((0, size))
     if common is not None:
         share = np.broadcast_to(common[0], len(beams.basis))[channels]
         always = (pairs @ (0.5 / share**2)).reshape(count * size, size)
