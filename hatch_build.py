@@ -1,4 +1,4 @@
-"""Builds the compiled kernels of ct_inertia when stapeskit is installed or packed.
+"""Builds the compiled kernels of every room when stapeskit is installed or packed.
 
     python hatch_build.py        builds them in place
 
@@ -20,7 +20,8 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).resolve().parent / "ct_inertia" / "native"
+ROOT = Path(__file__).resolve().parent
+FOLDERS = (ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
 FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror"]
 
@@ -46,30 +47,36 @@ def compiler() -> list[str] | None:
     return found
 
 
-def library_name() -> str:
-    """Return the file name of the library, which carries a check sum of its sources."""
+def library_name(folder: Path) -> str:
+    """Return the file name of a folder's library, which carries a check sum of its sources."""
     total = 0
-    for source in sorted(FOLDER.glob("*.[ch]")):
+    for source in sorted(folder.glob("*.[ch]")):
         total = zlib.crc32(source.read_bytes().replace(b"\r\n", b"\n"), total)
     ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
     return f"kernels-{total:08x}{ending}"
 
 
-def build(strict: bool = False) -> Path | None:
-    """Compile the kernels beside their sources; return the library, or None with a word why not."""
+def build(strict: bool = False) -> list[Path]:
+    """Compile the kernels beside their sources; return the libraries, fewer with a word why not."""
     if os.environ.get("STAPESKIT_KERNELS") == "numpy":
-        return None
-    target = FOLDER / library_name()
-    if target.is_file() and not strict:
-        return target
+        return []
     command = compiler()
     if command is None:
         sys.stderr.write("stapeskit: no C compiler; the kernels are left out, and numpy takes their place\n")
-        return None
-    with tempfile.TemporaryDirectory(dir=FOLDER) as place:
+        return [path for folder in FOLDERS if (path := folder / library_name(folder)).is_file()]
+    built = [build_folder(folder, command, strict) for folder in FOLDERS]
+    return [library for library in built if library is not None]
+
+
+def build_folder(folder: Path, command: list[str], strict: bool) -> Path | None:
+    """Compile the sources of one folder into its library."""
+    target = folder / library_name(folder)
+    if target.is_file() and not strict:
+        return target
+    with tempfile.TemporaryDirectory(dir=folder) as place:
         made = Path(place) / target.name
         line = [*command, *FLAGS, *(STRICT if strict else []), "-o", str(made)]
-        line += [str(source) for source in sorted(FOLDER.glob("*.c"))]
+        line += [str(source) for source in sorted(folder.glob("*.c"))]
         line += [] if sys.platform == "win32" else ["-fPIC", "-lm"]
         done = subprocess.run(line, capture_output=True, text=True, check=False)
         if done.returncode or not made.is_file():
@@ -77,7 +84,7 @@ def build(strict: bool = False) -> Path | None:
                 f"stapeskit: the kernels could not be compiled; numpy takes their place\n{done.stderr}"
             )
             return None
-        for old in FOLDER.glob("kernels-*"):
+        for old in folder.glob("kernels-*"):
             old.unlink()
         made.replace(target)
     return target
@@ -102,14 +109,14 @@ class KernelHook(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
         del version  # standard or editable: both hold the library
         if self.target_name != "wheel":
             return
-        library = build()
-        if library is None:
+        libraries = build()
+        if not libraries:
             return
         build_data["pure_python"] = False
         platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"
-        build_data["artifacts"].append(f"/{library.relative_to(FOLDER.parents[1]).as_posix()}")
+        build_data["artifacts"] += [f"/{library.relative_to(ROOT).as_posix()}" for library in libraries]
 
 
 if __name__ == "__main__":
-    sys.exit(0 if build(strict="--strict" in sys.argv) else 1)
+    sys.exit(0 if len(build(strict="--strict" in sys.argv)) == len(FOLDERS) else 1)

@@ -115,7 +115,7 @@ def _riser(lines: Lines, best: Estimate, along: Array, place: int, sign: float) 
 
 def _others(lines: Lines, parameters: Array, others: NDArray[np.intp]) -> tuple[Array, float]:
     """Minimise over the other entries by Gauss-Newton with halved steps; return parameters and objective."""
-    value = float(np.sum(ml.whiten(parameters, lines).distance))
+    value = float(np.sum(ml.distances(parameters, lines)))
     for _ in range(_MOST_STEPS):
         hessian, gradient = ml.normal_equations(parameters, lines)
         if not np.all(np.isfinite(hessian)):
@@ -124,7 +124,7 @@ def _others(lines: Lines, parameters: Array, others: NDArray[np.intp]) -> tuple[
         step[others] = -solve_symmetric(hessian[np.ix_(others, others)], gradient[others])
         decrement = float(step @ hessian @ step)
         for length in (1.0, 0.5, 0.25, 0.1, 0.02):
-            reached = float(np.sum(ml.whiten(parameters + length * step, lines).distance))
+            reached = float(np.sum(ml.distances(parameters + length * step, lines)))
             if reached <= value:
                 parameters, value = parameters + length * step, reached
                 break

@@ -85,7 +85,7 @@ def noise_covariance(problem: Problem, lines: Lines, found: Estimate) -> tuple[A
 
 def chi2(parameters: Array, lines: Lines) -> float:
     """Return the sum of squared normalised residuals over real and imaginary parts."""
-    return float(2.0 * np.sum(ml.whiten(parameters, lines).distance))
+    return float(2.0 * np.sum(ml.distances(parameters, lines)))
 
 
 def degrees(lines: Lines) -> int:

@@ -15,6 +15,7 @@ from fitting.estimators.base import (
     times,
     transposed_times,
 )
+from fitting.estimators.expansion import EQUAL, MEASURED, expanded
 from fitting.estimators.interior import inside, pull_inside, shortest_distance
 from fitting.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 
@@ -47,6 +48,12 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
 
 def quick_start(lines: Lines) -> Array:
     """Return the first reweighted estimate, by normal equations: a start for ml."""
+    plain = expanded(np.zeros(lines.parameters), lines, EQUAL)
+    if plain is not None:
+        begin = -solve_symmetric(plain.hessian, plain.gradient)
+        weighted = expanded(begin, lines, MEASURED)
+        if weighted is not None:
+            return np.asarray(begin - solve_symmetric(weighted.hessian, weighted.gradient))
     fixed = regressor(lines.dq, lines.factor)
     rows = real_rows(fixed)
     begin = solve_symmetric(gram(rows), transposed_times(rows, real_rows(lines.force)))

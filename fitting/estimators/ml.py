@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.estimators import irls, pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, gram, solve_symmetric, transposed_times
+from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
 from fitting.symmetric import join
@@ -106,15 +107,30 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         found, active = _held(lines, found, merit)
     weights = None
     if merit.robust:
-        weights = merit.weights(whiten(found.parameters, lines).distance)
+        weights = merit.weights(distances(found.parameters, lines))
         weights = weights * (_STUDENT * merit.spread) / (_STUDENT + merit.dimension)
     return Estimate(found.parameters, found.objective, found.iterations, found.converged, active, weights)
 
 
-def normal_equations(parameters: Array, lines: Lines, merit: _Merit | None = None) -> tuple[Array, Array]:
+def distances(parameters: Array, lines: Lines) -> Array:
+    """Return e^H Ce^-1 e of every line, (lines,); infinite where the noise is not positive definite."""
+    found = expanded(parameters, lines, DISTANCES)
+    return whiten(parameters, lines).distance if found is None else found.distance
+
+
+def normal_equations(parameters: Array, lines: Lines) -> tuple[Array, Array]:
     """Return the Gauss-Newton Hessian (p, p) and the gradient (p,) of the sum of e^H Ce^-1 e, halved."""
+    now = _expand(parameters, lines, _Merit(False, 2 * lines.n))
+    return now.hessian, now.gradient
+
+
+def _expand(parameters: Array, lines: Lines, merit: _Merit) -> Expansion:
+    """Return distances, weighted Gauss-Newton Hessian and gradient: compiled, or by numpy."""
+    found = expanded(parameters, lines, CORRECTED, 4.0 * merit.spread if merit.robust else 0.0)
+    if found is not None:
+        return found
     now = whiten(parameters, lines)
-    return _normal(now, lines, (merit or _Merit(False, 2 * lines.n)).weights(now.distance))
+    return Expansion(now.distance, *_normal(now, lines, merit.weights(now.distance)))
 
 
 def _normal(now: Whitened, lines: Lines, weights: Array) -> tuple[Array, Array]:
@@ -130,19 +146,19 @@ def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Meri
     that the last two foretell the next.
     """
     parameters = np.array(start)
-    now = whiten(parameters, lines)
-    value = _bounded_value(parameters, now, merit)
+    now = _expand(parameters, lines, merit)
+    value = _bounded_value(parameters, now.distance, merit)
     if not np.isfinite(value):
         return Estimate(parameters, value, 0, False)
     damping, iterations, converged, previous = 0.0, 0, False, 1e-300
     while iterations < _MOST_ITERATIONS and not converged:
-        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
+        hessian, gradient = now.hessian, now.gradient
         while iterations < _MOST_ITERATIONS:
             iterations += 1
             step = -solve_symmetric(hessian + damping * np.diag(np.diag(hessian)), gradient)
             decrement = float(step @ hessian @ step)
-            trial = whiten(parameters + step, lines)
-            reached = _bounded_value(parameters + step, trial, merit)
+            trial = _expand(parameters + step, lines, merit)
+            reached = _bounded_value(parameters + step, trial.distance, merit)
             converged = decrement * min(decrement / previous, 1.0) < options.tolerance
             if reached <= value or (converged and reached <= value * (1.0 + 1e-9)):
                 parameters, now, value = parameters + step, trial, reached
@@ -155,14 +171,14 @@ def _descend(lines: Lines, options: EstimatorOptions, start: Array, merit: _Meri
     return Estimate(parameters, value, iterations, converged)
 
 
-def _bounded_value(parameters: Array, now: Whitened, merit: _Merit) -> float:
+def _bounded_value(parameters: Array, distance: Array, merit: _Merit) -> float:
     """Return the merit, infinite where entries are so large that only noise can have led there.
 
     The objective saturates for ever larger parameters, so that weak data could send a descent to infinity.
     """
     if not np.max(np.abs(parameters)) < _LARGEST:
         return float("inf")
-    return merit.value(now.distance)
+    return merit.value(distance)
 
 
 def _jointly(lines: Lines, options: EstimatorOptions, found: Estimate) -> tuple[Estimate, _Merit] | None:
@@ -170,17 +186,18 @@ def _jointly(lines: Lines, options: EstimatorOptions, found: Estimate) -> tuple[
     dimension = 2 * lines.n
     parameters, spread = found.parameters, 1.0
     for count in range(1, _MOST_ITERATIONS):
-        now = whiten(parameters, lines)
-        if not np.isfinite(_bounded_value(parameters, now, _Merit(False, dimension))):
+        distance = distances(parameters, lines)
+        if not np.isfinite(_bounded_value(parameters, distance, _Merit(False, dimension))):
             return None
-        following = _spread(now.distance, lines, spread, 1e-5)
+        following = _spread(distance, lines, spread, 1e-5)
         merit = _Merit(True, dimension, following)
-        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
-        step = -solve_symmetric(hessian, gradient)
+        now = _expand(parameters, lines, merit)
+        hessian = now.hessian
+        step = -solve_symmetric(hessian, now.gradient)
         settled = abs(following - spread) < 1e-4 * spread
         parameters, spread = parameters + step, following
         if settled and float(step @ hessian @ step) < options.tolerance:
-            value = merit.value(whiten(parameters, lines).distance)
+            value = merit.value(distances(parameters, lines))
             return Estimate(parameters, value, found.iterations + count, True), merit
     return None
 
@@ -190,7 +207,7 @@ def _with_spread(
 ) -> tuple[Estimate, _Merit]:
     """Alternate between the parameters, with step control, and the spread of Student's t."""
     for _ in range(20):
-        distance = whiten(found.parameters, lines).distance
+        distance = distances(found.parameters, lines)
         spread = _spread(distance, lines, merit.spread, 1e-6)
         done = abs(spread - merit.spread) < 1e-4 * spread
         merit = _Merit(True, merit.dimension, spread)
@@ -204,12 +221,11 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
     """Minimise within the positive semidefinite K and D, from several starts."""
 
     def value(parameters: Array) -> float:
-        return _bounded_value(parameters, whiten(parameters, lines), merit)
+        return _bounded_value(parameters, distances(parameters, lines), merit)
 
     def expansion(parameters: Array) -> tuple[float, Array, Array]:
-        now = whiten(parameters, lines)
-        hessian, gradient = _normal(now, lines, merit.weights(now.distance))
-        return merit.value(now.distance), 2.0 * gradient, 2.0 * hessian
+        now = _expand(parameters, lines, merit)
+        return merit.value(now.distance), 2.0 * now.gradient, 2.0 * now.hessian
 
     balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
     starts = [balanced] if np.max(np.abs(free.parameters)) > _WILD else [free.parameters, balanced]
