@@ -118,6 +118,7 @@ def sections(result: Points2Dof) -> list[Section]:
 
 def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
     from kinematics import page
+    from kinematics.moved import shift_words
     from kinematics.page import Section
 
     section = Section("Points on the surfaces of the scan")
@@ -132,17 +133,20 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
     for check in checks:
         rms = float(np.sqrt(np.mean(check.distance_mm**2)))
         expected = float(np.sqrt(np.mean(check.expected_sd_mm**2)))
-        shift = ", ".join(
-            f"{axis} {value * 1e3:+.0f} ± {sd * 1e3:.0f}"
-            for axis, value, sd in zip("xyz", check.shift_mm, check.shift_sd_mm, strict=True)
-            if sd > 0.0
-        )
         told.append(
             (f"{check.body} on the {check.surface}", len(check.points), f"{rms * 1e3:.3g}",
-             f"{expected * 1e3:.3g}", f"{check.p_value:.2g}", shift or "none seen",
+             f"{expected * 1e3:.3g}", f"{check.p_value:.2g}", shift_words(check),
              "; ".join(check.open_motions) or "none")
         )  # fmt: skip
-    head = ("points", "number", "distance, rms (um)", "expected", "p", "shift (um)", "motions not seen")
+    head = (
+        "points",
+        "number",
+        "distance, rms (um)",
+        "expected",
+        "p",
+        "best rigid shift, footplate axes",
+        "motions not seen",
+    )
     section.add(page.table(head, told, words=True))
     return section
 

@@ -12,7 +12,8 @@ from kinematics.mesh_distance import TriangleSurface
 
 Array = NDArray[np.float64]
 _SAMPLES = 30_000
-_MOST_POINTS = 60
+_MOST_POINTS = 40
+_START_SAMPLES = 2_000
 _ROTATIONS = 400
 _STAGES = ((5, 0.3, 160), (8, 0.1, 40), (12, 0.03, 24))
 _FACING = -0.2
@@ -83,7 +84,8 @@ def candidates(
     chosen = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, _MOST_POINTS).astype(int))]
     middle = chosen.mean(axis=0)
     local = chosen - middle
-    rotation, shift = _starts(local, samples, normals, towards)
+    few = slice(None, None, max(1, _SAMPLES // _START_SAMPLES))
+    rotation, shift = _starts(local, samples[few], normals[few], towards)
     size = float(np.linalg.norm(np.ptp(samples, axis=0)))
     miss = np.zeros(len(rotation))
     for rounds, width, keep in _STAGES:

@@ -16,6 +16,7 @@ _SMALL = 3.0
 _FIRST = 12
 _REACH = 6.0
 _SAME_SIDE = 0.8
+_EDGE = 0.7
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class TriangleSurface:
     faces : ndarray, (m, 3), int
     name : str
         What it is, for messages.
+    sd_mm : float or None
+        How well it is known, where that was said.
 
     Raises
     ------
@@ -38,6 +41,7 @@ class TriangleSurface:
     vertices_mm: Array
     faces: Index
     name: str = "surface"
+    sd_mm: float | None = None
     _parts: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -140,6 +144,19 @@ class TriangleSurface:
             sides, areas = parts["normal"][near], parts["area"][near]
             mean[place] = _main_side(sides, areas, own[place])
         return mean
+
+    def near_edge(self, near_mm: Array, normal: Array, reach_mm: Array) -> NDArray[np.bool_]:
+        """Tell which points (n, 3) have an edge, a turn by 45 degrees, within a reach (n,), mm."""
+        first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        second = np.cross(normal, first)
+        edge = np.zeros(len(near_mm), dtype=bool)
+        for turn in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
+            step = reach_mm[:, None] * (np.cos(turn) * first + np.sin(turn) * second)
+            _, away, triangle = self.closest(near_mm + step)
+            other = self.normals(triangle)
+            edge |= (np.sum(other * normal, axis=1) < _EDGE) | (away > 0.5 * reach_mm)
+        return edge
 
     def signed(self, points_mm: Array) -> tuple[Array, Array, Array]:
         """Return signed distances (n,), mm (outside positive), along normals (n, 3), and nearest points."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, sentence
 from kinematics.frames import RigidTransform
-from kinematics.icp import Cloud
+from kinematics.icp_refine import Cloud
 from kinematics.kabsch import pose_rows
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import Measurement
@@ -28,7 +28,6 @@ _PLAUSIBLE = 1e-2
 _VOXEL_SHARE = 0.15
 _LEAST_SD_MM = 1e-4
 _SURE_MM = 0.1
-_SHOWN = 0.5
 
 
 @dataclass(frozen=True)
@@ -49,9 +48,11 @@ class SurfaceCheck:
     stated : bool
     shift_mm : ndarray, (3,)
         Translation of the points relative to the surface that explains the distances, in footplate axes, at
-        the centroid of the points; zero, with zero sd, along what is open.
+        the centroid of the points; without what is open.
     turn_deg : ndarray, (3,)
     shift_sd_mm, turn_sd_deg : ndarray, (3,)
+    size_mm : (float, float)
+        Length of the shift, and its standard deviation along itself.
     open_motions : tuple of str
         Motions that these distances do not show.
     off : tuple of str
@@ -72,6 +73,7 @@ class SurfaceCheck:
     turn_deg: Array
     shift_sd_mm: Array
     turn_sd_deg: Array
+    size_mm: tuple[float, float]
     open_motions: tuple[str, ...] = ()
     off: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
@@ -214,16 +216,14 @@ def _checked(
     values, motions = open_motions(rows, lever)
     seen = motions[:, values >= OPEN**2] / np.array([1.0] * 3 + [lever] * 3)[:, None]
     joint = np.diag(own**2) + by_pose
-    chi2, n_dof, p = _test(rows @ seen, distance, joint, cloud.sd_mm is not None)
+    chi2, n_dof, p = _test(rows @ seen, distance, joint, own, cloud.sd_mm is not None)
     if cloud.sd_mm is None:
         scale = _scatter(rows @ seen, distance)
         joint = np.diag(np.full(len(distance), max(scale, _LEAST_SD_MM) ** 2)) + by_pose
     shift, covariance = _shift(rows, seen, distance, joint)
     turn = np.kron(np.eye(2), axes.rotation.T)
-    kept = turn @ motions[:, values >= OPEN**2]
-    shown = np.sum(kept**2, axis=1) > _SHOWN
-    shift = np.where(shown, turn @ shift, 0.0)
-    sd = np.where(shown, np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0)), 0.0)
+    shift, covariance = turn @ shift, turn @ covariance @ turn.T
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     open_ = undetermined(rows, placed - middle, np.eye(3), middle, axes)
     made = SurfaceCheck(
         cloud.kind,
@@ -239,6 +239,7 @@ def _checked(
         np.rad2deg(shift[3:]),
         sd[:3],
         np.rad2deg(sd[3:]),
+        _size(shift[:3], covariance[:3, :3]),
         tuple(open_),
     )
     return _told(made, _alone(rows @ seen, distance, joint, chi2, made) if p < _UNLIKELY else [])
@@ -267,7 +268,7 @@ def _scatter(design: Array, distance: Array) -> float:
     return float(np.sqrt(np.sum(left**2) / max(len(distance) - design.shape[1], 1)))
 
 
-def _test(design: Array, distance: Array, joint: Array, stated: bool) -> tuple[float, int, float]:
+def _test(design: Array, distance: Array, joint: Array, own: Array, stated: bool) -> tuple[float, int, float]:
     """Return chi2, its degrees of freedom and the p-value.
 
     Notes
@@ -287,7 +288,7 @@ def _test(design: Array, distance: Array, joint: Array, stated: bool) -> tuple[f
     if count <= size:
         return float("nan"), 0, 1.0
     scatter = max(_scatter(design, distance), _LEAST_SD_MM)
-    around = joint + scatter**2 * np.eye(count)
+    around = joint + np.diag(np.maximum(scatter**2 - own**2, 0.0))
     weight = np.asarray(np.linalg.inv(around), dtype=float)
     gain = float(distance @ weight @ distance) - _left(design, distance, weight)
     return gain, size, float(fdtrc(size, count - size, gain / size))
@@ -325,6 +326,21 @@ def _alone(design: Array, distance: Array, joint: Array, chi2: float, made: Surf
     return [made.points[best]] if fits and rest[best] < 0.6 * total else []
 
 
+def _size(shift: Array, covariance: Array) -> tuple[float, float]:
+    length = float(np.linalg.norm(shift))
+    along = shift / length if length > 0.0 else np.zeros(3)
+    return length, float(np.sqrt(max(along @ covariance @ along, 0.0)))
+
+
+def shift_words(made: SurfaceCheck) -> str:
+    """Write the shift of a check: its size, its sd and its direction in footplate axes."""
+    size, sd = (1e3 * value for value in made.size_mm)
+    if size == 0.0:
+        return "none seen"
+    along = ", ".join(f"{value:.2f}" for value in made.shift_mm / made.size_mm[0])
+    return f"{size:.0f} ± {sd:.0f} um along ({along})"
+
+
 def _told(made: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
     """Put the verdict into words."""
     if made.p_value >= _UNLIKELY:
@@ -337,20 +353,14 @@ def _told(made: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
         )
         return replace(made, off=tuple(alone), notices=(Notice("point_off_surface", text),))
     rms = float(np.sqrt(np.mean(made.distance_mm**2)))
-    parts = [
-        f"{axis} {value * 1e3:+.0f} ± {sd * 1e3:.0f} um"
-        for axis, value, sd in zip("xyz", made.shift_mm, made.shift_sd_mm, strict=True)
-        if sd > 0.0
-    ]
-    parts += [
-        f"{axis} {value:+.2f} ± {sd:.2f}°"
-        for axis, value, sd in zip(("alpha", "beta", "gamma"), made.turn_deg, made.turn_sd_deg, strict=True)
-        if sd > 0.0
-    ]
+    turn = ", ".join(
+        f"{name} {value:+.2f} ± {sd:.2f}°"
+        for name, value, sd in zip(("alpha", "beta", "gamma"), made.turn_deg, made.turn_sd_deg, strict=True)
+    )
     unseen = f"; not seen: {'; '.join(made.open_motions)}" if made.open_motions else ""
     text = (
         f"the {len(made.points)} points of {made.body} lie {rms * 1e3:.0f} um rms off the {made.surface} of "
         f"the scan (p {made.p_value:.1g}): it moved, or the registration is wrong. Best rigid shift in "
-        f"footplate axes: {', '.join(parts)}{unseen}."
+        f"footplate axes: {shift_words(made)}; {turn}{unseen}."
     )
     return replace(made, notices=(Notice("sample_moved", text),))

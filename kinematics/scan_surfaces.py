@@ -38,6 +38,7 @@ class ScanSurfaces:
 
     find: Callable[[str], Path]
     _read: dict[str, TriangleSurface | None] = field(default_factory=dict, repr=False, compare=False)
+    _labels: dict[str, Labels] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def beside(cls, mass_file: Path) -> ScanSurfaces:
@@ -62,7 +63,9 @@ class ScanSurfaces:
         path = self.find("labels.nrrd")
         if not path.is_file():
             return None
-        return label_surface(read_labels(path), OTHER_BONE, points_mm)
+        if "labels" not in self._labels:
+            self._labels["labels"] = read_labels(path)
+        return label_surface(self._labels["labels"], OTHER_BONE, points_mm)
 
 
 def read_mesh(path: Path, name: str) -> TriangleSurface:

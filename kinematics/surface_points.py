@@ -10,7 +10,7 @@ import numpy as np
 
 from kinematics.csv_table import Table, read_table
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.icp import Cloud
+from kinematics.icp_refine import Cloud
 from kinematics.measurement import mirror_sign
 from kinematics.points_csv import finite_faults, require, sd_faults
 

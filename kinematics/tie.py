@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, sentence
 from kinematics.fiducials import Fiducials
 from kinematics.frames import RigidTransform
-from kinematics.icp import Cloud, fit_to_surface
+from kinematics.icp import fit_to_surface
+from kinematics.icp_refine import Cloud
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import Measurement
 from kinematics.mesh_distance import TriangleSurface

@@ -16,7 +16,7 @@ from pipeline.study import Ldv, Study
 
 if TYPE_CHECKING:
     from kinematics.fiducials import Fiducials
-    from kinematics.icp import Cloud
+    from kinematics.icp_refine import Cloud
     from kinematics.mass_record import MassRecord
     from kinematics.measurement import Measurement
     from kinematics.placement import Placement
