@@ -194,6 +194,7 @@ def _recordings(lines: Sequence[_Line], name: str) -> tuple[Recording, ...]:
                 values[key][number] = signal.value[row]
     raise_all(KinematicsError, faults)
     order = lines[0].signals[0].unit.order
+    rank = {point: place for place, point in enumerate(positions)}
     return tuple(
         Recording(
             point,
@@ -205,7 +206,7 @@ def _recordings(lines: Sequence[_Line], name: str) -> tuple[Recording, ...]:
             direction=axis_vector(axis),
             per=min(pers),
         )
-        for (point, axis), value in values.items()
+        for (point, axis), value in sorted(values.items(), key=lambda entry: rank[entry[0][0]])
     )
 
 

@@ -13,8 +13,7 @@ from pipeline.options import input_options
 from pipeline.scan2kd import run_study
 from pipeline.stages import Motion
 from pipeline.study import parse_study
-from tests.kinematics import written_uff as uff
-from tests.kinematics.written_psv import fastscan
+from tests.kinematics.rewritten import write_three_ways
 from tests.pipeline.ears import make_ear
 
 SCAN = '[scan]\nfile = "a.tif"\ndensity_kg_m3 = 1900\n[ldv]\n'
@@ -89,38 +88,7 @@ def ear_in_three_ways(tmp_path):
     """An ear whose velocities along x, y, z stand in a table, a universal file and a FastScan folder."""
     study = make_ear(tmp_path / "ear")
     folder = study.parent
-    made = read_ldv(folder / "ldv.csv", folder / "points.csv")
-    rate = 2j * np.pi * made.freq_hz
-    step = round((made.freq_hz[1] - made.freq_hz[0]), 2)
-    freq = made.freq_hz[0] + step * np.arange(len(made.freq_hz))
-    rows, points, parts = ["body,point,dir,freq_hz,re_m_s,im_m_s"], ["body,point,x_mm,y_mm,z_mm,sd_mm"], []
-    places, values = [], []
-    for body in made.bodies:
-        for start in range(0, len(body.points), 3):
-            solved = np.linalg.solve(
-                body.directions[start : start + 3], body.displacement[0, start : start + 3] * rate
-            )
-            places.append(body.positions_mm[start])
-            values.append(solved)
-            number = len(places)
-            points.append(
-                f"{body.body},{number}," + ",".join(f"{v!r}" for v in places[-1].tolist()) + ",0.01"
-            )
-            for axis, line in enumerate(solved):
-                parts.append(
-                    uff.function(freq, line, number, axis + 1, form=6, binary="<", kind=uff.SPECTRUM)
-                )
-                rows += [
-                    f"{body.body},{number},{'xyz'[axis]},{float(f)!r},{float(v.real)!r},{float(v.imag)!r}"
-                    for f, v in zip(freq, line, strict=True)
-                ]
-    (folder / "points.csv").write_text("\n".join(points) + "\n")
-    (folder / "xyz.csv").write_text("\n".join(rows) + "\n")
-    (folder / "xyz.uff").write_bytes(b"".join([uff.units(), *parts]))
-    (folder / "xyz").mkdir()
-    for k, f in enumerate(freq):
-        text = fastscan(f, np.array(places) * 1e-3, np.array([v[:, k] for v in values]))
-        (folder / "xyz" / f"{f:.2f}.txt").write_bytes(text)
+    write_three_ways(folder, read_ldv(folder / "ldv.csv", folder / "points.csv"))
     return study
 
 
