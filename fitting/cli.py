@@ -127,7 +127,7 @@ def parser() -> Parser:
         type=_refits,
         default=0,
         metavar="N",
-        help="check the intervals by N refits of simulated repetitions, e.g. 10000 (about 20 s)",
+        help="check the intervals by N refits of simulated repetitions, e.g. 10000 (about 10 s)",
     )
     made.add_argument(
         "--out", type=Path, default=None, metavar="FILE.json", help="kd.json; plan.json with --plan"

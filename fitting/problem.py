@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.damping import DampingLaw
-from fitting.estimators import Estimate, EstimatorOptions, estimator
+from fitting.estimators import Estimate, EstimatorOptions, estimator, ml
 from fitting.inertia import Inertia
 from fitting.lines import Lines, Scale, assemble
 from fitting.observation import Observation
@@ -70,6 +70,8 @@ class Problem:
 
     def gradient(self, parameters: Array, lines: Lines) -> Array:
         """Return the sum of the estimating equations (p,) at scaled parameters."""
+        if self.name == "ml":
+            return ml.gradient(parameters, lines, self.options)
         return np.asarray(estimator(self.name).scores(parameters, lines, self.options).sum(axis=0))
 
     def with_law(self, law: DampingLaw) -> Problem:

@@ -257,6 +257,13 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     return np.einsum("ilp,il->lp", corrected.conj(), now.residual * weights).real
 
 
+def gradient(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
+    """Return the sum of the scores, (p,)."""
+    robust = options.robust == "t4"
+    spread = _spread(distances(parameters, lines), lines) if robust else 1.0
+    return _expand(parameters, lines, _Merit(robust, 2 * lines.n, spread)).gradient
+
+
 def _spread(distance: Array, lines: Lines, spread: float = 1.0, tolerance: float = 1e-12) -> float:
     """Return the spread of Student's t that its weighted distances have, by Newton steps in its logarithm."""
     dimension = 2 * lines.n
