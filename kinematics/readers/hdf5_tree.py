@@ -82,7 +82,9 @@ def complex_of(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return compound numbers with the fields real, imag or r, i as complex ones, others as they are."""
     names = values.dtype.names
     if names and len(names) == 2:
-        return np.asarray(values[names[0]] + 1j * values[names[1]])
+        both = np.empty(values.shape, dtype=complex)
+        both.real, both.imag = values[names[0]], values[names[1]]
+        return both
     return values
 
 

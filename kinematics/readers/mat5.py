@@ -150,7 +150,9 @@ def _matrix(elements: _Elements, depth: int) -> tuple[str, Any]:
         return name, _structs(elements, count, kind == _OBJECT, depth)
     real = _sized(elements, count)
     if is_complex:
-        real = real.astype(float) + 1j * _sized(elements, count).astype(float)
+        both = np.empty(count, dtype=complex)
+        both.real, both.imag = real, _sized(elements, count)
+        real = both
     return name, real.astype(real.dtype.newbyteorder("=")).reshape(shape, order="F")
 
 
