@@ -1,0 +1,121 @@
+"""What a clean verdict excludes: the information is that of the whole regression, the power what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, ncx2
+
+from kinematics.beams import beam_set
+from kinematics.detectable import POWER, detectable
+from kinematics.draw_motion import full_motion
+from kinematics.points2dof import points2dof
+from kinematics.report_faults import verdict_section
+from kinematics.rigid_fit import fit_lines
+from tests.kinematics.simulated import body, measurement, readings, scene
+
+ALARM = 1e-4
+LINES = 12
+
+
+@pytest.fixture(scope="module")
+def made():
+    one = scene(11, lines=LINES)
+    rng = np.random.default_rng(2)
+    one.sd *= rng.uniform(0.5, 2.0, one.sd.shape)
+    one.value = readings(one.positions_mm, one.directions, one.q)
+    return one
+
+
+def spread_of(made, columns):
+    """Covariance of extra parameters when the motion at every line is fitted with them, all at once."""
+    count, lines = made.value.shape
+    basis = np.hstack([made.directions, np.cross(made.positions_mm * 1e-3, made.directions)])
+    size = columns.shape[-1]
+    rows = np.zeros((2 * count * lines, 12 * lines + size))
+    for line in range(lines):
+        for part, value in ((0, np.real), (1, np.imag)):
+            at = slice((2 * line + part) * count, (2 * line + part + 1) * count)
+            scale = 1.0 / made.sd[:, line, None]
+            rows[at, 12 * line + 6 * part : 12 * line + 6 * part + 6] = basis * scale
+            rows[at, 12 * lines :] = value(columns[:, line]) * scale
+    norm = np.linalg.norm(rows, axis=0)
+    inverse = np.linalg.inv((rows / norm).T @ (rows / norm))
+    return (inverse / np.outer(norm, norm))[-size:, -size:]
+
+
+def needed(size):
+    """Noncentrality with which chi2 of some degrees of freedom passes its limit with the stated power."""
+    low, high, limit = 0.0, 1e3, chi2.isf(ALARM, size)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ncx2.sf(limit, size, middle) < POWER else (low, middle)
+    return middle
+
+
+@pytest.mark.parametrize("channel", [0, 13, 26])
+def test_the_smallest_faults_are_those_of_the_whole_regression(made, channel):
+    channels = body("stapes", made)
+    beams = beam_set("stapes", made.positions_mm, made.directions, ("x", "y", "z", "alpha", "beta", "gamma"))
+    least = detectable(fit_lines(beams, made.value, made.sd), channels, made.q, ALARM)
+    columns = np.zeros((*made.value.shape, 1), dtype=complex)
+    columns[channel, :, 0] = made.value[channel]
+    expected = np.sqrt(needed(1) * spread_of(made, columns)[0, 0])
+    assert least.gain[channel] == pytest.approx(expected, rel=1e-3)
+
+    beam = made.directions[channel]
+    first = np.linalg.svd(beam[None])[2][1:].T
+    local = made.q[:, :3] + np.cross(made.q[:, 3:], made.positions_mm[channel] * 1e-3)
+    columns = np.zeros((*made.value.shape, 2), dtype=complex)
+    columns[channel] = local @ first
+    worst = np.linalg.eigvalsh(spread_of(made, columns))[-1]
+    assert least.angle_rad[channel] == pytest.approx(np.sqrt(needed(2) * worst), rel=1e-3)
+
+    columns = np.zeros((*made.value.shape, 3), dtype=complex)
+    for own in range(3 * (channel // 3), 3 * (channel // 3) + 3):
+        for axis in range(3):
+            columns[own, :, axis] = np.cross(made.q[:, 3:], np.eye(3)[axis]) @ made.directions[own]
+    worst = np.linalg.eigvalsh(spread_of(made, columns))[-1]
+    assert least.shift_m[channel] == pytest.approx(np.sqrt(needed(3) * worst), rel=1e-3)
+
+
+def test_a_stated_position_error_adds_to_what_can_hide(made):
+    beams = beam_set("stapes", made.positions_mm, made.directions, ("x", "y", "z", "alpha", "beta", "gamma"))
+    fit = fit_lines(beams, made.value, made.sd)
+    sure = detectable(fit, body("stapes", made), made.q, ALARM)
+    vague = detectable(fit, body("stapes", made, 0.05), made.q, ALARM)
+    assert vague.shift_m**2 == pytest.approx(sure.shift_m**2 + needed(3) * 0.05e-3**2, rel=1e-3)
+    assert np.array_equal(vague.gain, sure.gain)
+
+
+def test_a_motion_that_turns_nothing_hides_every_position(made):
+    still = made.q.copy()
+    still[:, 3:] = 0.0
+    value = readings(made.positions_mm, made.directions, still)
+    beams = beam_set("stapes", made.positions_mm, made.directions, ("x", "y", "z", "alpha", "beta", "gamma"))
+    least = detectable(fit_lines(beams, value, made.sd), body("stapes", made), still, ALARM)
+    assert np.all(np.isnan(least.shift_m))
+    assert np.all(np.isfinite(least.gain))
+
+
+def test_a_gain_of_that_size_is_found_as_often_as_said():
+    found, runs = 0, 20
+    for seed in range(runs):
+        one = scene(100 + seed, lines=30)
+        clean = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
+        alarm = 0.01 / (4.0 * 27)
+        least = detectable(
+            clean.fits[0, 0], clean.measurement.bodies[0], full_motion(clean.motion)[0, 0], alarm
+        )
+        one.value[7] *= 1.0 + least.gain[7]
+        spoiled = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
+        found += any(v.verdict != "ok" for v in spoiled.channels[6:9])
+    assert found >= 17
+
+
+def test_the_report_says_what_would_have_been_found():
+    one = scene(3, lines=60)
+    result = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
+    text = "".join(verdict_section(result).blocks)
+    assert "What would have been found" in text
+    assert "position of a point" in text
