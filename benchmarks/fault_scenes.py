@@ -88,7 +88,8 @@ GEOMETRIES: dict[str, tuple[Callable[[np.random.Generator], Array], Array]] = {
     "1D, 40 points": (lambda rng: rng.uniform(-1.0, 1.0, (40, 3)) * [1.4, 0.1, 0.65], np.eye(3)[1:2]),
 }
 SINGLE = (
-    "gain 5 %", "gain 2 %", "phase 3 deg", "delay 10 us", "sign", "direction 3 deg", "noise x4", "drift 6 %", "zeros",
+    "gain 5 %", "gain 2 %", "phase 3 deg", "delay 10 us", "sign", "direction 3 deg", "noise x4",
+    "drift 6 %", "zeros",
 )  # fmt: skip
 POINT = ("position 200 um", "point sign", "label swap")
 THREE_D = ("beams swapped", "axes 2 deg", "laser gain 5 %", "laser sign", "laser direction 3 deg")

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _SEGMENTS = 12
 _REST = 512
-_HELD = 150_000
+_HELD = 60_000
 _WHOLE = 64
 
 
@@ -227,7 +227,8 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     for number, (start, stop) in enumerate(pairwise(edges)):
         lines = slice(start, stop) if whole else good[start:stop]
         b, z = source.line[lines], fit.solution.z[:, lines]
-        residual = fit.value[:, lines] - fit.beams.basis @ z if source.even else fit.at(lines)[0]
+        plain = first and source.even
+        residual = fit.value[:, lines] if plain else fit.at(lines)[0]
         if not first:
             held = (fit.beams.basis @ z + residual) / data.divisor[:, number][:, None]
             z = back @ held
@@ -236,9 +237,11 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
         vectors = np.linalg.svd(moving, full_matrices=stop - start <= _WHOLE)[2]
         into = vectors[: min(size, stop - start)].conj().T
         error = residual @ (b[:, None] * into)
+        if plain:
+            error -= basis @ (moving @ into)
         packed.append((moving @ into, error))
         mixed.append(np.abs(into) ** 2)
-        rest.append(_rest(residual, b, vectors, into, error, share))
+        rest.append(_rest(residual, z if plain else None, basis, (b, vectors, into, error), share))
         if first and not source.even:
             mix = np.sum(np.abs(into) ** 2, axis=1)
             sd = fit.at(lines)[1]
@@ -269,21 +272,34 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
 
 
 def _rest(
-    residual: ComplexArray,
-    b: Array,
-    vectors: ComplexArray,
-    into: ComplexArray,
-    error: ComplexArray,
+    held: ComplexArray,
+    z: ComplexArray | None,
+    basis: Array,
+    mixing: tuple[Array, ComplexArray, ComplexArray, ComplexArray],
     share: int,
 ) -> ComplexArray:
-    """Return some mixtures (channel, n) of equal noise of the residuals that the packed lines leave."""
+    """Return mixtures (channel, n) of equal noise of the residuals that the packed lines leave.
+
+    Parameters
+    ----------
+    held : ndarray, (channel, n), complex
+        Residuals, or readings whose motion ``z`` is still to be taken off.
+    z : ndarray, (m, n), complex, or None
+    basis : ndarray, (channel, m)
+    mixing : tuple
+        Weights of the lines, all mixing vectors, those of the packed lines, and the packed residuals.
+    share : int
+        How many to return at most.
+    """
+    b, vectors, into, error = mixing
     lines, rank = into.shape
     if lines == rank:
-        return np.zeros((len(residual), 0), dtype=complex)
+        return np.zeros((len(held), 0), dtype=complex)
     if len(vectors) == lines:
-        return np.asarray(residual @ (b[:, None] * vectors[rank:].conj().T)[:, :share])
+        others = (b[:, None] * vectors[rank:].conj().T)[:, :share]
+        return np.asarray(held @ others if z is None else held @ others - basis @ (z @ others))
     pick = np.unique(np.linspace(0, lines - 1, min(share, lines)).round().astype(int))
     left = 1.0 - np.sum(np.abs(into[pick]) ** 2, axis=1)
     pick, left = pick[left > 0.1], left[left > 0.1]
-    others = residual[:, pick] * b[pick] - error @ into[pick].conj().T
-    return np.asarray(others / np.sqrt(left))
+    own = held[:, pick] if z is None else held[:, pick] - basis @ z[:, pick]
+    return np.asarray((own * b[pick] - error @ into[pick].conj().T) / np.sqrt(left))

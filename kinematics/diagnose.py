@@ -90,6 +90,8 @@ def diagnose(
         found = search.best()
         if found is None:
             break
+        if found.kind == "flexible":
+            found = _explained(current, prior, noise_known, alarm, found)
         if found.kind == "flexible" or len(findings) >= most:
             body = found if not findings and found.kind == "flexible" else first.flexible()
             return _made((body,), first, search, data)
@@ -98,6 +100,14 @@ def diagnose(
     if len(findings) > 1:
         findings = _again(data, prior, noise_known, alarm, findings)
     return _made(tuple(findings), first, search, data)
+
+
+def _explained(data: Compact, prior: Array, noise_known: bool, alarm: float, found: Finding) -> Finding:
+    """Return a fault at one place that leaves nothing to be found, instead of a body that is not rigid."""
+    for other in found.rivals:
+        if Search(cleared(data, other), prior, noise_known, alarm).best() is None:
+            return other
+    return found
 
 
 def cleared(data: Compact, found: Finding) -> Compact:

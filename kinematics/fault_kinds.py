@@ -212,7 +212,8 @@ def swap(data: Compact, first: list[int], second: list[int], owner: str) -> Faul
 
 
 def across(direction: Array) -> tuple[Array, Array]:
-    """Return two unit vectors square to a beam and to each other."""
-    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
-    first /= np.linalg.norm(first)
+    """Return two unit vectors (..., 3) square to beams (..., 3) and to each other."""
+    least = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    first = np.cross(direction, least)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
     return first, np.cross(direction, first)

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _ROUNDS = 6
 _SMALL = 1e-5
+_UNSEEN = 1e-22
 
 
 @dataclass(frozen=True)
@@ -332,7 +333,9 @@ class _Refit:
 
 def _inverse(information: Array) -> Array:
     """Return the pseudo-inverse of an information matrix, scaled to a unit diagonal first."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    diagonal = np.diag(information)
+    seen = diagonal > _UNSEEN * np.max(diagonal, initial=0.0)
+    scale = np.where(seen, 1.0 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
     even = information * np.outer(scale, scale)
     found = np.linalg.inv(even) if len(even) > 60 else np.linalg.pinv(even, rcond=1e-9, hermitian=True)
     return np.asarray(found * np.outer(scale, scale))

@@ -63,10 +63,11 @@ class ScoreTests:
     of them Re tr(D^H P D' T) with P the projector on the residual space and T = z z^H (Rao 1948,
     doi:10.1017/S0305004100023987,
     for complex noise; faults as changes of rows). Position errors of a stated size are marginalised:
-    I - X (N + 1 / (2 sd^2))^-1 X^T, N their own information and X that in common.
+    I - X (N + 1 / (2 sd^2))^-1 X^T, N their own information and X that in common. ``settled``: the points
+    stand at their most probable positions; otherwise the score of their shifts is marginalised too.
     """
 
-    def __init__(self, state: State, places: Places) -> None:
+    def __init__(self, state: State, places: Places, settled: bool = True) -> None:
         self.state, self.places = state, places
         data = state.data
         ratio = data.freq_hz / np.mean(data.freq_hz)
@@ -80,7 +81,7 @@ class ScoreTests:
         self.rows = data.a[:, None] * data.beams.basis
         self.turns = self._turns()
         if places.owners:
-            self._marginal()
+            self._marginal(settled)
 
     def _turns(self) -> Array:
         """Return the whitened derivatives (channel, 3, m) of all rows by a shift of their points."""
@@ -90,7 +91,7 @@ class ScoreTests:
         rows = change[..., dof_indices(data.beams.dof)] @ data.beams.to_dof
         return np.asarray(self.a[:, None, None] * rows)
 
-    def _marginal(self) -> None:
+    def _marginal(self, settled: bool) -> None:
         """Prepare the information of the positions with their prior."""
         places, count = self.places, len(self.places.owners)
         channels = [c for owner in places.owners for c in owner]
@@ -113,6 +114,10 @@ class ScoreTests:
         self.half, self.flat, self.blocks = half, flat, blocks
         self.number_of = np.full(len(self.a), -1)
         self.number_of[channels] = owner
+        self.shift_score = np.zeros((count, 3))
+        if not settled:
+            own_score = np.real(np.einsum("cim,cm->ci", d, self.g[""][channels]))
+            np.add.at(self.shift_score, owner, own_score)
 
     def run(self, batch: Batch) -> Tested:
         """Run the score tests of a batch."""
@@ -139,6 +144,7 @@ class ScoreTests:
         if self.places.owners:
             crossed = np.concatenate([self._crossed(d, channels, span, name) for name in names], axis=1)
             held = crossed @ self.inner
+            score = score - held @ self.shift_score.ravel()
             information = information - np.einsum("bkp,bjp->bkj", held, crossed)
         return score, information
 
@@ -213,7 +219,7 @@ def _turned(tests: ScoreTests, channels: NDArray[np.int64]) -> Array:
     """Return the whitened derivatives (B, 2, n, m) by the two angles across parallel beams."""
     data = tests.state.data
     places = dof_indices(data.beams.dof)
-    sides = np.array([across(data.directions[own[0]]) for own in channels])
+    sides = np.stack(across(data.directions[channels[:, 0]]), axis=1)
     made = []
     for k in range(2):
         turned = np.repeat(sides[:, k][:, None], channels.shape[1], axis=1)
@@ -221,6 +227,22 @@ def _turned(tests: ScoreTests, channels: NDArray[np.int64]) -> Array:
         rows = rows[:, places] @ data.beams.to_dof
         made.append(tests.a[channels][..., None] * rows.reshape(*channels.shape, -1))
     return np.stack(made, axis=1)
+
+
+def any_batches(tests: ScoreTests, channels: list[int], points: list[list[int]]) -> list[Batch]:
+    """Return any change at all of the rows of single channels, and of all channels of single points."""
+    size = tests.rows.shape[1]
+    free = np.concatenate([np.eye(size), 1j * np.eye(size)])
+    made = []
+    for owner, sets in (("channel", [[c] for c in channels]), ("point", points)):
+        for number in sorted({len(own) for own in sets}):
+            same = np.array([own for own in sets if len(own) == number])
+            slopes = np.zeros((len(same), number, 2 * size, number, size), dtype=complex)
+            for place in range(number):
+                slopes[:, place, :, place] = tests.a[same[:, place]][:, None, None] * free
+            flat = slopes.reshape(len(same), 2 * size * number, number, size)
+            made.append(Batch("any", owner, same, flat))
+    return made
 
 
 def axes_batch(tests: ScoreTests) -> Batch:

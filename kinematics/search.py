@@ -12,8 +12,8 @@ from kinematics import fault_kinds as kinds
 from kinematics.compact import Compact
 from kinematics.evidence import log_evidence
 from kinematics.fault_kinds import Fault
-from kinematics.fault_model import FaultFit, Places, fit_fault, objective, solve, static
-from kinematics.score_tests import ScoreTests, Tested, axes_batch, batches
+from kinematics.fault_model import FaultFit, Places, State, fit_fault, objective, solve, static
+from kinematics.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
 from kinematics.structure import Structure, structure_of
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ _QUIET = 1.3
 _BLAMED = {"channel": 3, "point": 3, "laser": 3}
 _TESTED = {"channel": 2, "point": 1, "laser": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1}
-_SUSPECTS = 10
+_SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
 _VARYING = ("delay", "drift")
 
@@ -91,6 +91,7 @@ class Search:
         self.data = self.places.moved(data, shift)
         self.state = solve(self.data)
         self.before = float(np.sum(np.abs(self.state.e) ** 2)) + self.places.penalty(shift)
+        self.given = solve(data) if self.places.owners else self.state
         self.live = data.live
         self.h = self.state.h
         self.rest = self.state.rest()
@@ -162,9 +163,8 @@ class Search:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
-        rivals = tuple(
-            other for value, other in scored[1:] if value > top - _NEAR and _differ(finding, other)
-        )
+        near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
+        rivals = tuple(other for value, other in scored[1:] if value > near and _differ(finding, other))
         return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
 
     def flexible(self) -> Finding:
@@ -180,7 +180,7 @@ class Search:
 
     def _test(self) -> None:
         tests = ScoreTests(self.state, self.places)
-        free = [c for c in self.live if self.h[c] < 0.98]
+        free = [c for c in self.live if self.given.h[c] < 0.98]
         points = [
             own for own in self.by_point.values() if len(self.live) - len(own) >= self.state.span.shape[1]
         ]
@@ -202,10 +202,14 @@ class Search:
     def _suspects(self) -> list[FaultFit]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
+        given = self.given
+        freely = self._freely() if self.places.owners else {}
         for owner, groups in self._owners().items():
             tested = [found for found in self.tested if found.batch.owner == owner]
-            order = sorted(groups, key=lambda own: -self._blame(list(own)))
-            chosen = dict.fromkeys(order[: _BLAMED[owner]])
+            chosen: dict[tuple[int, ...], None] = {}
+            for blame in (freely.get, lambda own: _blame(given, list(own))):
+                order = sorted(groups, key=lambda own: -(blame(own) or 0.0))
+                chosen |= dict.fromkeys(order[: _BLAMED[owner]])
             for found in tested:
                 best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
                 chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
@@ -219,6 +223,18 @@ class Search:
             faults.append(kinds.axes(self.raw))
         return [self.fitted(fault) for fault in [*faults, *self._swaps()]]
 
+    def _freely(self) -> dict[tuple[int, ...], float]:
+        """Return, per channel and point, what any change of its rows would explain beside the positions."""
+        tests = ScoreTests(self.given, self.places, settled=False)
+        free = [c for c in self.live if self.given.h[c] < 0.98]
+        size = self.state.span.shape[1]
+        points = [own for own in self.by_point.values() if len(self.live) - len(own) >= size]
+        made: dict[tuple[int, ...], float] = {}
+        for batch in any_batches(tests, free, points):
+            found = tests.run(batch)
+            made |= dict(zip(_sets(found), found.statistic.tolist(), strict=True))
+        return made
+
     def _owners(self) -> dict[str, list[tuple[int, ...]]]:
         """Return the sets of channels that were tested, by what they are."""
         made: dict[str, dict[tuple[int, ...], None]] = {}
@@ -226,15 +242,6 @@ class Search:
             if found.batch.owner != "body":
                 made.setdefault(found.batch.owner, {}).update(dict.fromkeys(_sets(found)))
         return {owner: list(groups) for owner, groups in made.items()}
-
-    def _blame(self, channels: list[int]) -> float:
-        """Return by how much the residual energy falls when some channels are left out."""
-        span, e = self.state.span[channels], self.state.e[channels]
-        left = np.eye(len(channels)) - span @ span.T
-        values, vectors = np.linalg.eigh(left)
-        good = values > 1e-6
-        seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
-        return float(np.sum(seen / values[good]))
 
     def _fault(self, kind: str, owner: str, channels: list[int]) -> Fault:
         if kind == "gain":
@@ -284,14 +291,17 @@ class Search:
             both = [(c, same[self.data.points[c]]) for c in one if self.data.points[c] in same]
             if len(both) > 2:
                 made.append(kinds.swap(self.raw, [c for c, _ in both], [d for _, d in both], "lasers"))
-        gains = [self._at_sight(fault) for fault in made]
-        best = sorted(range(len(made)), key=lambda k: gains[k])[:6]
-        return [made[k] for k in best]
+        chosen: dict[int, Fault] = {}
+        shifts = [self.shift, np.zeros_like(self.shift)] if self.places.owners else [self.shift]
+        for shift in shifts:
+            left = [self._at_sight(fault, shift) for fault in made]
+            chosen |= {k: made[k] for k in sorted(range(len(made)), key=lambda k: left[k])[:_EXCHANGES]}
+        return list(chosen.values())
 
-    def _at_sight(self, fault: Fault) -> float:
+    def _at_sight(self, fault: Fault, shift: Array) -> float:
         """Return the objective after an exchange of names, the positions as they are."""
         fit = FaultFit(fault, np.zeros(0), np.zeros((0, 0)), 0.0)
-        return objective(self.flat, self.places, fit, self.shift)
+        return objective(self.flat, self.places, fit, shift)
 
     def _finding(self, fit: FaultFit) -> Finding:
         size = max(fit.fault.size, 1)
@@ -320,6 +330,15 @@ class Search:
             size = float(np.sqrt((energy[channel] - h) / (1.0 - h)))
             made.append((score, Finding("noise", [channel], p, None, size)))
         return made
+
+
+def _blame(state: State, channels: list[int]) -> float:
+    """Return by how much the residual energy falls when some channels are left out."""
+    span, e = state.span[channels], state.e[channels]
+    values, vectors = np.linalg.eigh(np.eye(len(channels)) - span @ span.T)
+    good = values > 1e-6
+    seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
+    return float(np.sum(seen / values[good]))
 
 
 def _sets(found: Tested) -> list[tuple[int, ...]]:

@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.compact import Compact
 from kinematics.fault_model import State
 
 Array = NDArray[np.float64]
@@ -72,28 +71,24 @@ def structure_of(state: State, rest: ComplexArray, scale: float = 1.0) -> Struct
     free, lines = len(live) - size, residual.shape[1]
     if free < 2 or lines < 8:
         return nothing
-    left = np.linalg.qr(state.span[live], mode="complete")[0][:, size:]
-    inside = left.T @ residual
-    if lines < free:
-        inside_covariance = inside.conj().T @ inside / lines
-        values = np.linalg.eigvalsh(inside_covariance)[::-1]
-        vectors = np.linalg.svd(inside, full_matrices=False)[0]
+    if lines >= free:
+        values, vectors = np.linalg.eigh(residual @ residual.conj().T / lines)
+        values, vectors = values[::-1][:free], vectors[:, ::-1]
+        shape = vectors[:, 0]
     else:
-        values, vectors = np.linalg.eigh(inside @ inside.conj().T / lines)
+        values, vectors = np.linalg.eigh(residual.conj().T @ residual / lines)
         values, vectors = values[::-1], vectors[:, ::-1]
+        shape = residual @ vectors[:, 0] / np.sqrt(max(lines * values[0], 1e-300))
     level = max(scale, float(np.median(values)) / _median_factor(free, lines) if lines >= free else 0.0)
     edge = (1.0 + np.sqrt(free / lines)) ** 2
     width = (np.sqrt(lines) + np.sqrt(free)) * (lines**-0.5 + free**-0.5) ** (1.0 / 3.0) / lines
     s = (values[0] / level - edge) / width
     p = float(np.exp(-4.0 / 3.0 * s**1.5)) if s > 0.0 else 1.0
     pattern = np.zeros(count)
-    shape = left @ vectors[:, 0]
     pattern[live] = np.abs(shape) * np.sqrt(values[0])
     above = values[values > level * (edge + 3.0 * width)]
     gain = float(lines * np.sum(above - edge * level))
-    return Structure(
-        values[0] / level / edge, p, _concentrated(data, live, left, vectors[:, 0]), gain, pattern
-    )
+    return Structure(values[0] / level / edge, p, _concentrated(state, live, shape), gain, pattern)
 
 
 def _median_factor(free: int, lines: int) -> float:
@@ -106,22 +101,23 @@ def _median_factor(free: int, lines: int) -> float:
     return float(grid[np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
-def _concentrated(
-    data: Compact, live: NDArray[np.intp], left: Array, pattern: NDArray[np.complex128]
-) -> bool:
+def _concentrated(state: State, live: NDArray[np.intp], pattern: ComplexArray) -> bool:
     """Tell whether faults at one point, or at two, could make the pattern alone."""
-    names = [data.points[c] for c in live]
-    rows = {name: left[[n == name for n in names]] for name in dict.fromkeys(names)}
-    shares = {name: _share(part, pattern) for name, part in rows.items()}
+    groups: dict[str, list[int]] = {}
+    for place, channel in enumerate(live):
+        groups.setdefault(state.data.points[channel], []).append(place)
+    span = state.span[live]
+    shares = {name: _share(span, own, pattern) for name, own in groups.items()}
     if max(shares.values()) > _ONE_POINT:
         return True
     best = sorted(shares, key=lambda name: -shares[name])[:4]
-    pairs = [_share(np.vstack([rows[a], rows[b]]), pattern) for a, b in combinations(best, 2)]
-    return len(rows) > 4 and max(pairs, default=0.0) > _TWO_POINTS
+    pairs = [_share(span, groups[a] + groups[b], pattern) for a, b in combinations(best, 2)]
+    return len(groups) > 4 and max(pairs, default=0.0) > _TWO_POINTS
 
 
-def _share(rows: Array, pattern: NDArray[np.complex128]) -> float:
-    """Return the part of a unit pattern that lies in the span of some channels' residual directions."""
-    q, r = np.linalg.qr(rows.T)
-    keep = np.abs(np.diag(r)) > 1e-9
-    return float(np.sum(np.abs(q[:, keep].T @ pattern) ** 2))
+def _share(span: Array, channels: list[int], pattern: ComplexArray) -> float:
+    """Return the part of a unit pattern that lies in the residual directions of some channels."""
+    own = np.eye(len(channels)) - span[channels] @ span[channels].T
+    values, vectors = np.linalg.eigh(own)
+    keep = values > 1e-9
+    return float(np.sum(np.abs(vectors[:, keep].T @ pattern[channels]) ** 2 / values[keep]))
