@@ -279,7 +279,8 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
         full = float(np.iinfo(data.dtype).max) + 1.0
         data = data.astype(float) - (128.0 if data.dtype == np.uint8 else 0.0)
         full = 128.0 if full == 256.0 else full
-    data = np.atleast_2d(data.T).astype(float) / full
+    with np.errstate(invalid="ignore"):
+        data = np.atleast_2d(data.T).astype(float) / full
     known = [str(k) for k in range(1, len(data) + 1)]
     found = _matched(names, known, path.name)
     channels = {name: (data[int(key) - 1],) for name, key in found.items()}
