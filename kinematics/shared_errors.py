@@ -148,7 +148,8 @@ def position_errors(fits: Mapping[tuple[int, int], LineFit], bodies: Sequence[Bo
 
     Points by name while their derivatives take at most 64 MiB. Beyond, the errors of a body are rewritten as
     few uncorrelated patterns of unit variance (displacements of all its points together) that move the motion
-    as the single errors do: the covariance of q, between any lines and runs too, is theirs to within 1e-3.
+    as the single errors do: the covariance of q, between any lines and runs too, is theirs to within 5e-3 of
+    the largest variance of each degree of freedom.
 
     Parameters
     ----------
