@@ -329,7 +329,7 @@ def _alone(design: Array, distance: Array, joint: Array, chi2: float, made: Surf
 def _size(shift: Array, covariance: Array) -> tuple[float, float]:
     length = float(np.linalg.norm(shift))
     along = shift / length if length > 0.0 else np.zeros(3)
-    return length, float(np.sqrt(max(along @ covariance @ along, 0.0)))
+    return length, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
 
 
 def shift_words(made: SurfaceCheck) -> str:
