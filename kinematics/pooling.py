@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.motion import RigidMotion, SharedErrors
 from kinematics.notices import Notice
+from kinematics.repeat_shift import frequency_shifts
 from kinematics.repeats import ALARM, RunRepeats, compare
 from kinematics.take_shapes import Shapes, shapes_of
 
@@ -66,7 +67,7 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
             parts.append(_alone(measurement, places[0]))
             continue
         value, sd, known, shapes = _shapes(measurement, places)
-        report = compare(run, takes, shapes, known, _single(alarm, runs))
+        report = _compared(measurement, run, takes, shapes, known, _single(alarm, runs))
         part, from_scatter = _pool(value, sd, known, shapes, takes, report.sd_factor)
         reports.append(replace(report, noise_from_repeats=from_scatter))
         parts.append(part)
@@ -88,10 +89,19 @@ def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         places, takes = _takes_of(measurement, run)
         if len(places) > 1:
             _, _, known, shapes = _shapes(measurement, places)
-            report = compare(run, takes, shapes, known, _single(alarm, runs))
+            report = _compared(measurement, run, takes, shapes, known, _single(alarm, runs))
             reports.append(replace(report, were_pooled=False))
             notices += report.notices(len(runs) > 1)
     return Pooled(replace(measurement, takes=(), notices=tuple(notices)), tuple(reports))
+
+
+def _compared(
+    measurement: Measurement, run: str, takes: Sequence[Take], shapes: Shapes, known: bool, alarm: float
+) -> RunRepeats:
+    report = compare(run, takes, shapes, known, alarm)
+    sizes = [len(body.points) for body in measurement.bodies]
+    shift, share = frequency_shifts(shapes, measurement.freq_hz, np.repeat(np.arange(len(sizes)), sizes))
+    return replace(report, shift=shift, shift_share=share)
 
 
 def _single(alarm: float, runs: Sequence[str]) -> float:

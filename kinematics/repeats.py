@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 ALARM = 0.05
 _WIDER = 1.1
 _CERTAIN = 1e-3
+_EXPLAINED = 0.3
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class RunRepeats:
         The noise of the pooled values was estimated from the scatter between the takes.
     were_pooled : bool
         The takes were pooled into one run; else each is a run of its own.
+    shift : ndarray, (take,)
+        Relative shift of each take's responses along the frequency (a moving resonance); NaN when it cannot
+        be told. ``shift_share`` is the part of all differences that it explains.
     """
 
     run: str
@@ -59,6 +63,8 @@ class RunRepeats:
     phase_sd: float
     noise_from_repeats: bool = False
     were_pooled: bool = True
+    shift: Array = field(default_factory=lambda: np.empty(0))
+    shift_share: float = 0.0
 
     @property
     def verdict(self) -> str:
@@ -98,12 +104,25 @@ class RunRepeats:
             "gain_outlier": f"{which} differs by {percent} in amplitude from the others ({p})",
             "gain_level": f"the amplitude grows as level to the power {1.0 + test.size:.3g} ({p})",
             "shape_trend": f"the responses change relative to each other by {percent} from the first repeat "
-            f"to the last ({p})",
+            f"to the last{self._moved()} ({p})",
             "shape_level": f"the responses change relative to each other by {percent} from the lowest level "
-            f"to the highest ({p})",
+            f"to the highest{self._moved()} ({p})",
             "shape_outlier": f"{which} differs by {percent} in its shape from the others ({p})",
             "shape_scatter": f"the repeats scatter {test.size:.2g} times as much as the stated noise ({p})",
         }[test.name]
+
+    def _moved(self) -> str:
+        """Return how far resonances seem to have moved, when that explains the differences."""
+        if self.shift_share < _EXPLAINED:
+            return ""
+        time, level = regressors(self.takes)
+        order = time if time is not None else level
+        if order is None:
+            return ""
+        ends = [float(np.mean(self.shift[order == end])) for end in (order.min(), order.max())]
+        if level is not None and any(test.name == "shape_level" for test in self.found):
+            ends = [float(np.mean(self.shift[level == end])) for end in (level.min(), level.max())]
+        return f", as if resonances moved by {100.0 * (ends[1] - ends[0]):+.2g} %"
 
     def notices(self, several: bool) -> list[Notice]:
         """Return one warning for each finding."""
@@ -136,6 +155,8 @@ class RunRepeats:
             "sd_factor": self.sd_factor if np.isfinite(self.sd_factor) else None,
             "noise_from_repeats": self.noise_from_repeats,
             "pooled": self.were_pooled,
+            "frequency_shift": [float(s) if np.isfinite(s) else None for s in self.shift],
+            "frequency_shift_share": self.shift_share,
             "lines": self.lines,
             "channels": self.channels,
         }

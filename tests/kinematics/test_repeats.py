@@ -104,6 +104,17 @@ def test_response_that_depends_on_level():
     assert re.search(r"amplitude grows as level to the power 0\.(79|80)", said)
 
 
+def test_a_moving_resonance_is_measured():
+    moved = 1.0 + np.array([0.0, -0.004, -0.008, -0.012, -0.016])
+    report = pooled(measured(3, repeats(5), resonance=moved, snr=300.0)[0]).repeats[0]
+    assert np.allclose(report.shift - report.shift[0], np.log(moved), atol=8e-4)
+    assert report.shift_share > 0.5
+    assert re.search(r"as if resonances moved by -1\.[67] %", report.summary)
+    still = pooled(measured(3, repeats(5), snr=300.0)[0]).repeats[0]
+    assert np.max(np.abs(still.shift)) < 3e-4
+    assert "moved" not in still.summary
+
+
 def test_levels_are_pooled_at_the_highest():
     takes = levels()
     level = np.array([take.level for take in takes])
