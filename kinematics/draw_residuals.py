@@ -96,9 +96,8 @@ def _edges(values: Array) -> Array:
     if len(values) == 1:
         return np.array([values[0] * 0.99, values[0] * 1.01])
     middle = 0.5 * (values[1:] + values[:-1])
-    return np.concatenate(
-        [[1.5 * values[0] - 0.5 * values[1]], middle, [1.5 * values[-1] - 0.5 * values[-2]]]
-    )
+    first = max(1.5 * values[0] - 0.5 * values[1], 0.5 * values[0])
+    return np.concatenate([[first], middle, [1.5 * values[-1] - 0.5 * values[-2]]])
 
 
 def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualMap]:
@@ -125,11 +124,13 @@ def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualM
         side = figure.add_axes(((_LEFT + wide + 0.08) / _WIDTH, box[1], _BAR / _WIDTH, box[3]))
         _draw_rms(side, one, verdicts, number, last=number == len(bodies) - 1)
         _margin(side, verdicts, height)
+        frequency_axis(view, result.motion.freq_hz)
+        view.set_xlim(one.edges_hz[0] / 1e3, one.edges_hz[-1] / 1e3)
         if number < len(bodies) - 1:
-            view.set_xticklabels([])
+            view.set_xlabel("")
+            view.tick_params(labelbottom=False)
         top -= _GAP
     if view is not None and picture is not None:
-        frequency_axis(view, maps[0].edges_hz)
         bar = figure.add_axes((0.30 / _WIDTH, _BELOW / total, 0.13 / _WIDTH, min(2.4, heights[-1]) / total))
         figure.colorbar(picture, cax=bar, extend="max", orientation="vertical")
         bar.set_yticks([0.0, *np.arange(2.0, highest + 0.1, max(1.0, np.round(highest / 8.0)))])

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics import page
-from kinematics.diagnose import FALSE_ALARM
-from kinematics.draw_motion import full_motion
 from kinematics.draw_residuals import relative_rms, residual_figure
 from kinematics.draw_spectra import chi2_figure
-from kinematics.drawings import shortened
 from kinematics.measurement import direction_name
 from kinematics.page import Section
+from kinematics.report_detectable import detectable_blocks
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -109,7 +107,7 @@ def verdict_section(result: Points2Dof) -> Section:
         )
     else:
         section.add(page.text("Every channel agrees with the rigid motion of its body within its noise."))
-    section.add(*_detectable(result))
+    section.add(*detectable_blocks(result))
     section.add(page.folded("All channels", *_all_channels(result)))
     if groups:
         section.add(
@@ -166,49 +164,6 @@ def chance(p: float) -> str:
         return "-"
     words = "<\u00a01e-300" if p < 1e-300 else f"{p:.2g}"
     return words.replace("-", "\u2212")
-
-
-def _detectable(result: Points2Dof) -> list[Markup]:
-    """Return how large a fault would have to be to be found, typical and at the worst channel of a body."""
-    from kinematics.detectable import detectable
-
-    if result.options.robust != "none" or result.motion.reference:
-        return []
-    q, rows = full_motion(result.motion), []
-    for number, body in enumerate(result.measurement.bodies):
-        fit = result.fits[0, number]
-        if not fit.solution.good.any() or fit.is_rounding():
-            continue
-        alarm = FALSE_ALARM / max(1, len(result.fits)) / (4.0 * len(body.points))
-        least = detectable(fit, body, q[0, number], alarm)
-        for what, unit, values in (
-            ("gain of a channel", "%", 100.0 * least.gain),
-            ("direction of a beam", "°", np.rad2deg(least.angle_rad)),
-            ("position of a point", "µm", 1e6 * least.shift_m),
-        ):
-            rows.append((body.body, what, *_typical_and_worst(values, unit, body)))
-    if not rows:
-        return []
-    run = f" in run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
-    return [
-        page.subheading("What would have been found"),
-        page.table(("body", "error of", "typical", "largest", "at"), rows, words=True),
-        page.text(
-            f"The smallest error{run} that is found with 95 % probability, along the direction in which it "
-            "shows least; smaller ones can hide behind a clean verdict. A dash: it would never show."
-        ),
-    ]
-
-
-def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[str, str, str]:
-    known = np.isfinite(values)
-    if not np.any(known):
-        return "-", "-", "-"
-    worst = int(np.nanargmax(values))
-    blind = [body.points[c] for c in np.flatnonzero(~known)]
-    at = body.points[worst] + (f"; none at {', '.join(dict.fromkeys(blind))}" if blind else "")
-    typical, largest = float(np.nanmedian(values)), float(values[worst])
-    return f"{typical:.3g} {unit}", f"{largest:.3g} {unit}", shortened(at, 60)
 
 
 def _all_channels(result: Points2Dof) -> list[Markup]:

@@ -7,7 +7,7 @@ import pytest
 
 from kinematics.draw_geometry import placement_figure
 from kinematics.draw_motion import SHARE, displacement_of, full_motion, moment, shown_points, surface_body
-from kinematics.draw_residuals import channel_labels, residual_map
+from kinematics.draw_residuals import channel_labels, residual_figure, residual_map
 from kinematics.drawings import distinct, kept_lines, log_spaced, shortened, unit
 from kinematics.points2dof import points2dof
 from kinematics.scenery import Scenery, coarse, scenery_of
@@ -226,3 +226,16 @@ def test_units_of_what_is_drawn():
     assert unit("alpha") == (1e6, "µrad")
     assert unit("y", "base:y") == (1.0, "1")
     assert unit("alpha", "base:y") == (1.0, "rad/m")
+
+
+def test_maps_of_few_wide_or_logarithmic_lines_are_drawn():
+    for freq in (np.array([100.0]), np.array([100.0, 5000.0]), np.geomspace(10.0, 1e4, 40)):
+        one = scene(4, lines=len(freq))
+        two = scene(6, lines=len(freq))
+        made = points2dof(measurement(body("stapes", one), body("base", two), freq_hz=freq))
+        figure, first = residual_figure(made)
+        figure.canvas.draw()
+        maps = figure.axes[0], figure.axes[2]
+        assert {view.get_xscale() for view in maps} == {"log" if len(freq) == 40 else "linear"}
+        assert {view.get_xlim() for view in maps} == {(first.edges_hz[0] / 1e3, first.edges_hz[-1] / 1e3)}
+        assert first.edges_hz[0] > 0.0
