@@ -70,8 +70,9 @@ def solve(data: Compact) -> State:
 
 
 def _solved(upper: Array, seen: ComplexArray) -> ComplexArray:
-    diagonal = np.abs(np.diag(upper))
-    if np.min(diagonal) > 1e-9 * np.max(diagonal):
+    """Solve triangular systems (..., m, m); directions that are not determined stay zero."""
+    diagonal = np.abs(np.diagonal(upper, axis1=-2, axis2=-1))
+    if np.all(np.min(diagonal, axis=-1) > 1e-9 * np.max(diagonal, axis=-1)):
         return np.asarray(np.linalg.solve(upper, seen))
     return np.asarray(np.linalg.pinv(upper, rcond=1e-9) @ seen)
 
@@ -259,7 +260,7 @@ class _Refit:
             all_rows[:, self.channels] = self.own * rows
             span, upper = np.linalg.qr(all_rows)
             seen = np.einsum("fcm,cf->fm", span.conj(), held)
-            self.z = np.linalg.solve(upper, seen[..., None])[..., 0].T
+            self.z = _solved(upper, seen[..., None])[..., 0].T
             self.e = held - np.einsum("fcm,fm->cf", span, seen)
         else:
             changed = base.astype(rows.dtype)
@@ -337,5 +338,9 @@ def _inverse(information: Array) -> Array:
     seen = diagonal > _UNSEEN * np.max(diagonal, initial=0.0)
     scale = np.where(seen, 1.0 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
     even = information * np.outer(scale, scale)
-    found = np.linalg.inv(even) if len(even) > 60 else np.linalg.pinv(even, rcond=1e-9, hermitian=True)
+    found = (
+        np.linalg.inv(even)
+        if len(even) > 60 and np.all(seen)
+        else np.linalg.pinv(even, rcond=1e-9, hermitian=True)
+    )
     return np.asarray(found * np.outer(scale, scale))

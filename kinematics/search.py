@@ -206,10 +206,14 @@ class Search:
         freely = self._freely() if self.places.owners else {}
         for owner, groups in self._owners().items():
             tested = [found for found in self.tested if found.batch.owner == owner]
-            chosen: dict[tuple[int, ...], None] = {}
-            for blame in (freely.get, lambda own: _blame(given, list(own))):
-                order = sorted(groups, key=lambda own: -(blame(own) or 0.0))
-                chosen |= dict.fromkeys(order[: _BLAMED[owner]])
+            orders = [sorted(groups, key=lambda own: -_blame(given, list(own)))]
+            if freely:
+                orders.append(sorted(groups, key=lambda own: -freely.get(own, 0.0)))
+            chosen = dict.fromkeys(
+                own
+                for first in zip(*(order[: _BLAMED[owner]] for order in orders), strict=True)
+                for own in first
+            )
             for found in tested:
                 best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
                 chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
