@@ -62,7 +62,8 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     parts, reports = [], []
     notices = list(measurement.notices)
     for run in runs:
-        places, takes = _takes_of(measurement, run)
+        places, takes, said = _takes_of(measurement, run)
+        notices += said
         if len(places) == 1:
             parts.append(_alone(measurement, places[0]))
             continue
@@ -86,7 +87,8 @@ def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     reports = []
     notices = list(measurement.notices)
     for run in runs:
-        places, takes = _takes_of(measurement, run)
+        places, takes, said = _takes_of(measurement, run)
+        notices += said
         if len(places) > 1:
             _, _, known, shapes = _shapes(measurement, places)
             report = _compared(measurement, run, takes, shapes, known, _single(alarm, runs))
@@ -109,9 +111,20 @@ def _single(alarm: float, runs: Sequence[str]) -> float:
     return 1.0 - (1.0 - alarm) ** (1.0 / len(runs))
 
 
-def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]]:
-    places = [number for number, take in enumerate(measurement.takes) if take.run == run]
-    return places, [measurement.takes[place] for place in places]
+def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take], list[Notice]]:
+    """Return the takes of a run that hold anything, and a warning on those that do not."""
+    takes = measurement.takes
+    places = [number for number, take in enumerate(takes) if take.run == run]
+    live = [
+        place
+        for place in places
+        if any(np.nansum(np.abs(body.displacement[place])) > 0.0 for body in measurement.bodies)
+    ]
+    kept = live or places
+    dead = [takes[place].name for place in places if place not in kept]
+    text = f"{', '.join(dead)}: zeros or empty cells throughout; not compared or pooled."
+    notices = [Notice("repeat_empty", text)] if dead else []
+    return kept, [takes[place] for place in kept], notices
 
 
 def _shapes(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArray, Array, bool, Shapes]:

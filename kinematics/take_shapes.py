@@ -127,7 +127,7 @@ def _overall(gain: ComplexArray, strength: Array, clear: NDArray[np.bool_]) -> t
     if not np.any(lines):
         return np.zeros(gain.shape[1]), np.zeros(gain.shape[1])
     weights = strength[lines] / np.sum(strength[lines])
-    size = np.log(np.maximum(np.abs(gain[lines]), 1e-300))
+    size = np.log(np.maximum(np.abs(gain[lines]), 1e-12))
     size -= size.mean(axis=1, keepdims=True)
     turned = gain[lines] / np.maximum(np.abs(gain[lines]), 1e-300)
     mean = turned * np.exp(-1j * np.angle(np.sum(turned, axis=1)))[:, None]

@@ -177,6 +177,16 @@ def test_runs_keep_their_own_repeats():
     assert np.array_equal(made.measurement.bodies[0].displacement[1], last)
 
 
+def test_a_repeat_that_holds_nothing_is_left_out():
+    for nothing in (0.0, np.nan):
+        measurement, _ = measured(4, repeats(4))
+        for body in measurement.bodies:
+            body.displacement[2] = nothing
+        made = pooled(measurement)
+        assert [take.repeat for take in made.repeats[0].takes] == ["1", "2", "4"]
+        assert [notice.code for notice in made.measurement.notices] == ["repeat_empty"]
+
+
 def test_too_little_to_compare_is_said():
     measurement, _ = measured(4, repeats(2), sd=False)
     report = pooled(measurement).repeats[0]
