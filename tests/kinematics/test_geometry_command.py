@@ -61,13 +61,8 @@ def files(tmp_path):
 
 
 def run(files, scan, *more, fiducials=True):
-    arguments = [
-        str(files / "ldv.csv"),
-        "--points",
-        str(files / "points.csv"),
-        "--mass",
-        str(scan[0] / "mass.json"),
-    ]
+    arguments = [str(files / "ldv.csv"), "--points", str(files / "points.csv")]
+    arguments += ["--mass", str(scan[0] / "mass.json")]
     if fiducials:
         arguments += ["--fiducials", str(files / "fiducials.csv")]
     return work([*arguments, *map(str, more), "--out", str(files / "dof.csv"), "--quiet"])[1]

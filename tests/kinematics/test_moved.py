@@ -40,16 +40,19 @@ def bone_labels():
     return labels
 
 
-@pytest.fixture(scope="module")
-def scan(tmp_path_factory):
-    """A folder as ct2mass leaves it; the bone's origin lies at the footplate's neighbourhood in the scan."""
-    folder = tmp_path_factory.mktemp("scan")
+def write_scan(folder):
+    """Write a folder as ct2mass leaves it; return it and its surfaces."""
     write_record(folder)
     for name, surface, pose in (("stapes", STAPES, SCAN_FROM_FOOTPLATE), ("plate", PLATE, SCAN_FROM_PLATE)):
         mesh = trimesh.Trimesh(pose.points(surface.vertices_mm), surface.faces, process=False)
         mesh.export(folder / f"{name}.ply")
     write_labels(folder / "labels.nrrd", bone_labels(), 0.05)
     return folder, ScanSurfaces.beside(folder / "mass.json")
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return write_scan(tmp_path_factory.mktemp("scan"))
 
 
 def bone_places(count=9, seed=0):
