@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from kinematics.spatial import DOF_NAMES, DOF_UNITS
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
+_ROWS = 2000
 _PER_REFERENCE = "_per_ref"
 
 
@@ -59,26 +61,35 @@ def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Pa
 
 
 def _write_csv(path: Path, motion: RigidMotion) -> None:
-    import pandas as pd
-
-    runs, bodies, lines, dof = motion.q.shape
-    keep = np.isfinite(motion.q[..., 0].real).ravel()
-    run, body, line = (index.ravel()[keep] for index in np.indices((runs, bodies, lines)))
-    q = motion.q.reshape(-1, dof)[keep]
-    sd = standard_deviation(motion).reshape(-1, dof)[keep]
-    values = np.empty((len(q), 3 * dof))
-    values[:, 0 : 2 * dof : 2], values[:, 1 : 2 * dof : 2], values[:, 2 * dof :] = q.real, q.imag, sd
+    """Write the rows of all determined lines: q with all its digits, sd and chi2 with 9."""
+    runs, bodies, _, dof = motion.q.shape
     names = column_names(motion.dof, bool(motion.reference))
-    frame = pd.DataFrame(
-        {
-            "run": np.array(motion.runs)[run],
-            "body": np.array(motion.bodies)[body],
-            "freq_hz": motion.freq_hz[line],
-        }
-        | dict(zip(names[3:-2], values.T, strict=True))
-        | {"chi2": motion.chi2.ravel()[keep], "n_dof": motion.n_dof.ravel()[keep].astype(int)}
-    )
-    frame.to_csv(path, index=False, lineterminator="\n")
+    sd = standard_deviation(motion)
+    freq = [repr(value) for value in motion.freq_hz.tolist()]
+    pattern = ",".join(["%s", *["%r"] * (2 * dof), *["%.9g"] * (dof + 1), "%d"]) + "\n"
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(names) + "\n")
+        for run, body in np.ndindex(runs, bodies):
+            start = _cell(motion.runs[run]) + "," + _cell(motion.bodies[body]) + ","
+            kept = np.flatnonzero(np.isfinite(motion.q[run, body, :, 0].real))
+            for first in range(0, len(kept), _ROWS):
+                pick = kept[first : first + _ROWS]
+                q, chi2 = motion.q[run, body, pick], motion.chi2[run, body, pick, None]
+                parts = np.stack([q.real, q.imag], axis=-1).reshape(len(q), -1)
+                table = np.hstack([parts, sd[run, body, pick], chi2, motion.n_dof[run, body, pick, None]])
+                values: list[Any] = []
+                for line, row in zip(pick.tolist(), table.tolist(), strict=True):
+                    values.append(start + freq[line])
+                    values += row
+                text = (pattern * len(pick)) % tuple(values)
+                file.write(text if np.all(np.isfinite(table)) else re.sub(r"(?<=,)-?nan(?=[,\n])", "", text))
+
+
+def _cell(text: str) -> str:
+    """Return a name as a cell of a CSV file, in quotes where it needs them."""
+    if any(mark in text for mark in ',"\r\n') or text != text.strip():
+        return '"' + text.replace('"', '""') + '"'
+    return text
 
 
 def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
