@@ -19,7 +19,6 @@ MISSING = ("", "nan", "NaN", "NAN", "Nan", "NA", "N/A", "n/a", "#N/A", "null", "
 Piece = tuple[dict[str, Array], dict[str, tuple[NDArray[np.intp], list[str]]]]
 _PIECE = 4 << 20
 _STRETCH = 1 << 18
-_WORDS = (b"rue", b"RUE", b"alse", b"ALSE")
 _MOST_THREADS = 4
 
 
@@ -94,6 +93,7 @@ class _Parse:
     def __init__(self, sheet: Sheet, decimal: str, numbers: set[str], texts: set[str]) -> None:
         self.sheet, self.decimal, self.numbers, self.texts = sheet, decimal, numbers, texts
         self.careful = False
+        self.all_columns = numbers | texts == set(sheet.header)
 
     def piece(self, piece: tuple[int, int]) -> Piece | None:
         """Return numbers and coded texts of the rows between two offsets; None when they are not regular."""
@@ -102,7 +102,7 @@ class _Parse:
         if b"#" in body or b"\x00" in body:
             return None
         rows = _count(body, b"\n") + (not body.endswith(b"\n"))
-        if _count(body, sheet.separator.encode()) != rows * (len(sheet.header) - 1):
+        if not self._wide_enough(body, rows):
             return None
         frame = None if self.careful else self._frame(body, False)
         if frame is None:
@@ -111,9 +111,29 @@ class _Parse:
         if frame is None or len(frame) != rows or not _every_row_complete(sheet, body, frame):
             return None
         values = {column: np.ascontiguousarray(frame[column].to_numpy()) for column in self.numbers}
-        if _only_words(values.values()) and any(word in body for word in _WORDS):
+        if any(self._is_word(body, name, values[name]) for name in self.numbers):
             return None
         return values, {column: _coded(frame[column]) for column in self.texts}
+
+    def _wide_enough(self, body: bytes, rows: int) -> bool:
+        """Tell whether no row has too many cells, which pandas notices itself when it reads all columns."""
+        mark, width = self.sheet.separator.encode(), len(self.sheet.header)
+        if self.all_columns and b'"' not in body:
+            return body.count(mark, 0, body.find(b"\n") % (len(body) + 1)) == width - 1
+        return _count(body, mark) == rows * (width - 1)
+
+    def _is_word(self, body: bytes, name: str, values: Array) -> bool:
+        """Tell whether a column of zeros and ones was read from the words true and false."""
+        few = values[:64]
+        if not np.all(np.isnan(few) | (few == 0.0) | (few == 1.0)):
+            return False
+        known = np.flatnonzero(~np.isnan(values))
+        if not known.size or not np.all((values[known] == 0.0) | (values[known] == 1.0)):
+            return False
+        row = int(known[0])
+        line = body.split(b"\n", row + 1)[row].decode("utf-8", "replace")
+        cells = next(csv.reader([line], delimiter=self.sheet.separator, skipinitialspace=True))
+        return cells[self.sheet.header.index(name)].strip().lower() in ("true", "false")
 
     def _frame(self, body: bytes, careful: bool) -> Any:
         import pandas as pd
@@ -128,7 +148,7 @@ class _Parse:
                 decimal=self.decimal,
                 names=list(self.sheet.header),
                 header=None,
-                usecols=list(kinds),
+                usecols=None if self.all_columns and not quoted else list(kinds),
                 dtype=kinds,
                 engine="c",
                 keep_default_na=False,
@@ -151,9 +171,9 @@ def _count(body: bytes, mark: bytes) -> int:
 
 
 def _every_row_complete(sheet: Sheet, body: bytes, frame: Any) -> bool:
-    """Tell whether each row has the header's number of cells, knowing that all rows together have.
+    """Tell whether each row has the header's number of cells, knowing that none or all together have more.
 
-    A row with a cell too many then needs another one that ends too early, whose last cell reads empty.
+    A row that ends too early then shows by its last cell, which reads empty.
     """
     last = sheet.header[-1]
     if last in frame.columns and not frame[last].isna().any() and b'"' not in body:
@@ -163,17 +183,6 @@ def _every_row_complete(sheet: Sheet, body: bytes, frame: Any) -> bool:
     width = len(sheet.header)
     newline = text[ends] == 10
     return bool(np.all(newline[width - 1 :: width])) and int(np.sum(newline)) == len(ends) // width
-
-
-def _only_words(columns: Any) -> bool:
-    """Tell whether a column holds zeros and ones only, which pandas also reads from true and false."""
-    for values in columns:
-        few = values[:64]
-        if not np.all(np.isnan(few) | (few == 0.0) | (few == 1.0)):
-            continue
-        if np.all(np.isnan(values) | (values == 0.0) | (values == 1.0)):
-            return True
-    return False
 
 
 def _coded(series: Any) -> tuple[NDArray[np.intp], list[str]]:
