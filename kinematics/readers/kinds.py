@@ -12,6 +12,7 @@ from kinematics.readers.psv_fastscan import looks_like_fastscan
 from kinematics.readers.psv_points import looks_like_points
 from kinematics.readers.psv_text import decoded
 from kinematics.readers.recording import Recordings
+from kinematics.readers.text import lines_of
 from kinematics.readers.uff_sets import looks_like_uff
 
 TIDY = "tidy"
@@ -98,7 +99,7 @@ def _kind_of_folder(path: Path) -> str:
 
 def _has_time(text: str) -> bool:
     """Tell whether the header of a table has a column of times."""
-    lines = [line for line in text.splitlines()[:20] if line.strip() and not line.startswith("#")]
+    lines = [line for line in lines_of(text)[:20] if line.strip() and not line.startswith("#")]
     names = [] if not lines else [name.strip().strip('"').lower() for name in _split(lines[0])]
     return "time_s" in names
 

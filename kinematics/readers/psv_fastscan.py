@@ -17,6 +17,7 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_text import Block, Signal, blocks, fields_of, frequency_hz, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ class _Line:
 def looks_like_fastscan(text: str) -> bool:
     """Tell from its head whether a text is one frequency of a FastScan export."""
     fields = fields_of(text)
-    lines = [line for line in text.splitlines()[:40] if line.lower().startswith("index")]
+    lines = [line for line in lines_of(text)[:40] if line.lower().startswith("index")]
     return bool(lines) and any(name in fields for name in _FREQUENCY)
 
 
@@ -99,7 +100,9 @@ def _line(block: Block) -> _Line:
     if index is None:
         step = "Export it again with the index of the points"
         raise KinematicsError(
-            sentence("the table", "one with a column Index", ", ".join(block.columns), block.where, step)
+            sentence(
+                "the table", "one with a column Index", shown(", ".join(block.columns)), block.where, step
+            )
         )
     numbers = block.numbers[:, index]
     if not np.all(np.isfinite(numbers) & (numbers == np.round(numbers))):
@@ -120,7 +123,7 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
     columns = [places[axis] for axis in "xyz"]
     labels = {block.units[column] for column in columns}
     if len(labels) > 1 or (not is_none(min(labels)) and length_scale(min(labels)) is None):
-        got = ", ".join(sorted(labels))
+        got = shown(", ".join(sorted(labels)))
         step = "Export the coordinates in metres"
         raise KinematicsError(sentence("the unit of X, Y, Z", "one length unit", got, block.where, step))
     label = min(labels)

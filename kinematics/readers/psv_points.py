@@ -17,6 +17,7 @@ from kinematics.notices import Notice
 from kinematics.readers.psv_fastscan import axis_vector
 from kinematics.readers.psv_text import Block, blocks, fields_of, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 
 Array = NDArray[np.float64]
@@ -92,7 +93,7 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     text = block.fields[name]
     number = re.match(r"\s*(\d+)", text)
     if number is None:
-        raise KinematicsError(sentence("the point index", "a number", f'"{text}"', block.where))
+        raise KinematicsError(sentence("the point index", "a number", shown(text), block.where))
     first = block.columns[0].lower()
     if first.startswith(_TIME):
         step = (
@@ -100,7 +101,7 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
         )
         raise KinematicsError(sentence("the export", "over frequency", "a time series", block.where, step))
     if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
-        got = f"{block.columns[0]} [{block.units[0]}]"
+        got = shown(f"{block.columns[0]} [{block.units[0]}]")
         step = "Export spectra or frequency responses"
         raise KinematicsError(sentence("the first column", "Frequency [Hz]", got, block.where, step))
     freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, sentence
+from kinematics.readers.recording import scaled
+from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
 
 Array = NDArray[np.float64]
@@ -69,7 +71,7 @@ def decoded(content: bytes) -> str:
 def fields_of(text: str) -> dict[str, str]:
     """Return the ``Name: value`` lines at the top of a text, names in lower case."""
     found = {}
-    for line in text.splitlines()[:40]:
+    for line in lines_of(text)[:40]:
         match = _FIELD.match(line)
         if match is not None:
             found[match[1].lower()] = match[2].strip()
@@ -88,7 +90,7 @@ def blocks(path: Path) -> list[Block]:
     """
     if path.stat().st_size > _MAX_FILE:
         raise KinematicsError(sentence("a text export", "smaller than 1 GB", "a larger one", path.name))
-    lines = decoded(path.read_bytes()).splitlines()
+    lines = lines_of(decoded(path.read_bytes()))
     found: list[Block] = []
     start = 0
     while (made := _block(lines, start, path.name)) is not None:
@@ -128,7 +130,7 @@ def _block(lines: list[str], start: int, file: str) -> tuple[Block, int] | None:
         last += 1
     if last < len(lines) and lines[last].strip() and _FIELD.match(lines[last]) is None:
         step = "It may be cut short: export it again"
-        got = f'"{lines[last].strip()[-40:]}"'
+        got = shown(lines[last])
         raise KinematicsError(sentence("a row", "of numbers", got, f"{file}, line {last + 1}", step))
     columns, inline = _split_names(names)
     below = _split_units(units) if units else inline
@@ -230,7 +232,13 @@ def signals(block: Block) -> list[Signal]:
         step = "Export Real & Imag., or Magnitude & Phase"
         expected = "columns of real and imaginary part, or magnitude and phase"
         raise KinematicsError(
-            sentence("the table", expected, ", ".join(block.columns) or "no names", block.where, step)
+            sentence(
+                "the table",
+                expected,
+                shown(", ".join(block.columns)) if block.columns else "no names",
+                block.where,
+                step,
+            )
         )
     return made
 
@@ -239,16 +247,18 @@ def _signal(block: Block, axis: str, parts: Mapping[str, int]) -> Signal:
     of_axis = f" of axis {axis}" if axis else ""
     if {"re", "im"} <= set(parts):
         first, second = parts["re"], parts["im"]
-        value = np.asarray(block.numbers[:, first] + 1j * block.numbers[:, second])
+        value = np.empty(len(block.numbers), dtype=complex)
+        value.real, value.imag = block.numbers[:, first], block.numbers[:, second]
         if block.units[first] != block.units[second]:
-            got = f"{block.units[first]} and {block.units[second]}"
+            got = f"{shown(block.units[first])} and {shown(block.units[second])}"
             raise KinematicsError(
                 sentence(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
             )
     elif {"amp", "phase"} <= set(parts):
         first, second = parts["amp"], parts["phase"]
         turn = _phase_factor(block.units[second], block.where)
-        value = np.asarray(block.numbers[:, first] * np.exp(1j * turn * block.numbers[:, second]))
+        with np.errstate(invalid="ignore", over="ignore"):
+            value = np.asarray(block.numbers[:, first] * np.exp(1j * turn * block.numbers[:, second]))
     else:
         names = {"re": "real part", "im": "imaginary part", "amp": "magnitude", "phase": "phase"}
         got = " and ".join(names[part] for part in parts) + " alone"
@@ -257,11 +267,11 @@ def _signal(block: Block, axis: str, parts: Mapping[str, int]) -> Signal:
         raise KinematicsError(sentence(f"the values{of_axis}", expected, got, block.where, step))
     unit = motion_unit(block.units[first]) if not is_none(block.units[first]) else None
     if unit is None:
-        got = f'"{block.units[first]}"' if block.units[first] else "none"
+        got = shown(block.units[first]) if block.units[first] else "none"
         expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
         step = "Export velocity or displacement on a linear scale, not in dB"
         raise KinematicsError(sentence(f"the unit{of_axis}", expected, got, block.where, step))
-    return Signal(axis, unit, np.asarray(value * unit.scale, dtype=complex))
+    return Signal(axis, unit, scaled(value, unit.scale))
 
 
 def _phase_factor(unit: str, where: str) -> float:
@@ -269,7 +279,7 @@ def _phase_factor(unit: str, where: str) -> float:
         return float(np.pi / 180.0)
     if unit.strip().lower() in ("rad", "radian", "radians"):
         return 1.0
-    got = f'"{unit}"' if unit else "none"
+    got = shown(unit) if unit else "none"
     raise KinematicsError(sentence("the unit of the phase", "degrees or rad", got, where, "Export it again"))
 
 
@@ -285,6 +295,6 @@ def frequency_hz(text: str, where: str) -> float:
     value = None if match is None else _value(match[1])
     if match is None or value is None:
         raise KinematicsError(
-            sentence("the frequency", "a number in Hz", f'"{text.strip()}"', where, "Export it again")
+            sentence("the frequency", "a number in Hz", shown(text), where, "Export it again")
         )
     return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]

@@ -20,6 +20,14 @@ def unknown_vector() -> Array:
     return np.full(3, np.nan)
 
 
+def scaled(value: ComplexArray, factor: float) -> ComplexArray:
+    """Return ``value * factor`` without a complex product, which would make NaN of infinite parts."""
+    made = np.empty(value.shape, dtype=complex)
+    with np.errstate(over="ignore"):
+        made.real, made.imag = value.real * factor, value.imag * factor
+    return made
+
+
 @dataclass(frozen=True)
 class Recording:
     """What one beam at one point read in one run.

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice, unique
-from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.recording import QUANTITIES, Recording, Recordings, scaled, unknown_vector
+from kinematics.readers.text import shown
 from kinematics.readers.uff_coherence import Coherences, coherences, reference_of
 from kinematics.readers.uff_function import (
     COHERENCE,
@@ -188,7 +189,7 @@ def _motion(function: Function, geometry: Geometry, file: str, faults: list[str]
                 sentence(
                     "the unit of the values",
                     f"one of {'; '.join(MOTIONS)} [per unit of a reference]",
-                    f'"{ordinate.unit}"',
+                    shown(ordinate.unit),
                     where,
                     "Export the file in SI units",
                 )
@@ -299,7 +300,7 @@ def _recording(
     return Recording(
         name,
         freq,
-        function.y[order] * motion.scale,
+        scaled(function.y[order], motion.scale),
         motion.order,
         where,
         run=run,

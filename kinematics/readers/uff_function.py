@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, sentence
+from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff_sets import CUT, Dataset, data_form
 
 Array = NDArray[np.float64]
@@ -129,7 +130,7 @@ def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, in
             step = "Export it again"
             raise KinematicsError(
                 sentence(
-                    "record 6 of a function", "function type, node and direction", f'"{record}"', where, step
+                    "record 6 of a function", "function type, node and direction", shown(record), where, step
                 )
             )
         cells = list(loose.groups())
@@ -163,7 +164,7 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
             first, step = (_number(cell) for cell in record.split()[3:5])
         except ValueError as fault:
             raise KinematicsError(
-                sentence("the abscissa of a function", "a first value and a step", f'"{record}"', where)
+                sentence("the abscissa of a function", "a first value and a step", shown(record), where)
             ) from fault
     if not (np.isfinite(first) and np.isfinite(step)) or step <= 0.0:
         raise KinematicsError(
@@ -178,7 +179,7 @@ def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return float(re.sub(r"(\d)([+-]\d{3})$", r"\1E\2", text))
+        return float(re.sub(r"([\d.])([+-]\d{3})$", r"\1E\2", text))
 
 
 def _values(
@@ -243,7 +244,7 @@ def _formats(kind: int, even: bool) -> tuple[int, ...]:
 def _fixed(data: bytes, widths: tuple[int, ...], where: str) -> list[float]:
     """Read numbers by their columns, where they stand without blanks between them."""
     numbers = []
-    for line in data.decode("latin-1").splitlines():
+    for line in lines_of(data.decode("latin-1")):
         start = 0
         for width in widths:
             cell = line[start : start + width]
@@ -255,6 +256,6 @@ def _fixed(data: bytes, widths: tuple[int, ...], where: str) -> list[float]:
             except ValueError as fault:
                 step = "Export it again"
                 raise KinematicsError(
-                    sentence("a value of a function", "a number", f'"{cell.strip()}"', where, step)
+                    sentence("a value of a function", "a number", shown(cell), where, step)
                 ) from fault
     return numbers

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
+from kinematics.readers.text import shown
 from kinematics.readers.uff_sets import CUT, Dataset
 
 Array = NDArray[np.float64]
 _NODES, _PRECISE_NODES, _UNITS, _SYSTEMS, _PRECISE_SYSTEMS = 15, 2411, 164, 18, 2420
+_FAR_M = 1e3
 _SHAPES = {0: "cartesian", 1: "cylindrical", 2: "spherical"}
 _REAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+|[+-]\d{3})?")
 
@@ -109,8 +111,13 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
             faults += _system_faults(number, systems, label, where) if systems else []
         if faults:
             continue
-        turn, origin = _to_global(defined_in, systems)
-        positions[label] = (position @ turn + origin) / (factor or 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            turn, origin = _to_global(defined_in, systems)
+            positions[label] = (position @ turn + origin) / (factor or 1.0)
+        if not np.all(np.abs(positions[label]) < _FAR_M):
+            got = f"{positions[label].tolist()} m"
+            thing = f"the position of node {label}"
+            faults.append(sentence(thing, f"within {_FAR_M:g} m", got, where, "Export it again"))
         axes[label] = _to_global(measured_in, systems)[0]
     raise_all(KinematicsError, faults)
     notices = []
@@ -139,7 +146,7 @@ def _reals(text: str) -> list[float]:
     for word in _REAL.findall(text):
         plain = word.replace("D", "E").replace("d", "e")
         found.append(
-            float(re.sub(r"(\d)([+-]\d{3})$", r"\1E\2", plain) if "E" not in plain.upper() else plain)
+            float(plain if "E" in plain.upper() else re.sub(r"([\d.])([+-]\d{3})$", r"\1E\2", plain))
         )
     return found
 
@@ -148,7 +155,7 @@ def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
     words = text.split()[:count]
     if len(words) < count or not all(re.fullmatch(r"[+-]?\d+", word) for word in words):
         raise KinematicsError(
-            sentence(thing, f"{count} whole numbers", f'"{text.strip()}"', where, "Export it again")
+            sentence(thing, f"{count} whole numbers", shown(text), where, "Export it again")
         )
     return [int(word) for word in words]
 
@@ -156,7 +163,7 @@ def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
 def _vectors(text: str, count: int, thing: str, where: str) -> Array:
     numbers = _reals(text)
     if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise KinematicsError(sentence(thing, f"{count} numbers", f'"{text.strip()}"', where, CUT))
+        raise KinematicsError(sentence(thing, f"{count} numbers", shown(text), where, CUT))
     return np.array(numbers).reshape(-1, 3)
 
 
@@ -189,7 +196,8 @@ def _old_systems(dataset: Dataset, where: str) -> list[System]:
         thing = f"the definition of coordinate system {label}"
         origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
         x = on_x - origin
-        z = (on_xz - origin) - np.dot(on_xz - origin, x) / max(np.dot(x, x), 1e-300) * x
+        with np.errstate(over="ignore", invalid="ignore"):
+            z = (on_xz - origin) - np.dot(on_xz - origin, x) / max(np.dot(x, x), 1e-300) * x
         if not (np.linalg.norm(x) > 0.0 and np.linalg.norm(z) > 1e-9 * np.linalg.norm(x)):
             got = "points on one line"
             raise KinematicsError(sentence(thing, "three points that span a plane", got, where, "Correct it"))

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kinematics.errors import KinematicsError, sentence
+from kinematics.readers.text import lines_of, shown
 
 _RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _LOOSE = re.compile(rb"[ \t]*-1[ \t]*\r?\n")
@@ -70,7 +71,7 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
         number = _NUMBER.match(content, min(start.end() + 1, len(content)))
         if number is None:
             rest = content[start.end() :].strip().split(b"\n")[0][:40].decode("latin-1").strip()
-            got = f'"{rest}"' if rest else "the end of the file"
+            got = shown(rest) if rest else "the end of the file"
             raise KinematicsError(sentence("the line after -1", "the number of a dataset", got, where, CUT))
         if number[2] and int(number[1]) == 58:
             made, position = _binary(content, number, place, where)
@@ -86,13 +87,13 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
         yield _text(int(number[1]), place, body)
     tail = content[position:].strip(b" \t\r\n\x00\x1a")
     if tail:
-        got = f'"{tail.splitlines()[0][:40].decode("latin-1")}"'
+        got = shown(lines_of(tail.decode("latin-1"))[0])
         raise KinematicsError(sentence("the last line of a universal file", "-1", got, file, CUT))
 
 
 def _text(number: int, place: int, body: bytes) -> Dataset:
     if number != 58:
-        return Dataset(number, place, tuple(body.decode("latin-1").splitlines()))
+        return Dataset(number, place, tuple(lines_of(body.decode("latin-1"))))
     head, data = _after_lines(body, 0, _HEADER_LINES)
     return Dataset(58, place, head, body[data:])
 
@@ -113,7 +114,7 @@ def _binary(content: bytes, number: re.Match[bytes], place: int, where: str) -> 
     """Read a 58b dataset: header as text, values as bytes counted by the header."""
     fields = number[3].split()
     if len(fields) < 4 or not all(re.fullmatch(rb"\d+", field) for field in fields[:4]):
-        got = number[0].decode("latin-1").strip()
+        got = shown(number[0].decode("latin-1"))
         raise KinematicsError(
             sentence("the line of a dataset 58b", "byte order, format, lines and bytes", got, where)
         )
@@ -176,9 +177,9 @@ def data_form(head: tuple[str, ...], where: str) -> tuple[int, int, bool]:
     if len(fields) < 3 or not all(re.fullmatch(r"\s*\d+\s*", field) for field in fields):
         step = "Export it again"
         raise KinematicsError(
-            sentence("record 7 of a function", "type, number and spacing", f'"{record}"', where, step)
+            sentence("record 7 of a function", "type, number and spacing", shown(record), where, step)
         )
-    kind, count, spacing = (int(field) for field in fields)
+    kind, count, spacing = (int(field.strip()) for field in fields)
     if kind not in (2, 4, 5, 6) or spacing not in (0, 1) or count < 1:
         got = f"type {kind}, {count} values, spacing {spacing}"
         expected = "of type 2, 4, 5 or 6, with one value at least and spacing 0 or 1"
