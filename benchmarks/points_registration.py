@@ -252,7 +252,8 @@ def calibrate_rows(ears: int, seed: int) -> list[str]:
                 spread.append(np.rad2deg(found.sd[:3].mean()))
         rows.append(
             f"| {full['pos'] * 1e3:g} um, {full['axes']:g}°, {full['beam']:g}°, {full['gain']:g} % "
-            f"| {full['snr']:g} | {np.mean(plain):.2f} | {np.mean(joint):.2f} ± {np.std(joint) / np.sqrt(ears):.2f} "
+            f"| {full['snr']:g} | {np.mean(plain):.2f} | {np.mean(joint):.2f} "
+            f"± {np.std(joint) / np.sqrt(ears):.2f} "
             f"| {np.sqrt(np.median(ratio)):.2f} | {np.mean(spread):.2f}° |"
         )
     return rows

@@ -180,6 +180,10 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         measurement = measurement.mirrored(options.mirror)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
         clouds = {kind: mirrored(cloud, options.mirror) for kind, cloud in clouds.items()}
+    if options.mirror_points:
+        measurement = measurement.mirrored(options.mirror_points, points_only=True)
+        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror_points)
+        clouds = {kind: mirrored(cloud, options.mirror_points) for kind, cloud in clouds.items()}
     surfaces = None if options.mass is None else ScanSurfaces.beside(options.mass)
     placement = tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
     provenance = record(

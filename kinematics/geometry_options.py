@@ -32,6 +32,12 @@ def add_options(made: Parser) -> None:
         help="points measured on the bone, in the same columns (body bone): did the sample move?",
     )
     made.add_argument(
+        "--mirror-points",
+        choices=("x", "y", "z"),
+        help="turn this axis of all positions round, not of the beams: for left-handed coordinates beside "
+        "right-handed directions",
+    )
+    made.add_argument(
         "--calibrate",
         action="store_true",
         help="estimate axes, laser directions and point positions together with the motion, within their sd",
@@ -107,4 +113,4 @@ def priors(
 
 def parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options for the provenance."""
-    return {name: getattr(options, name) for name in ("calibrate", *_PRIORS)}
+    return {name: getattr(options, name) for name in ("mirror_points", "calibrate", *_PRIORS)}

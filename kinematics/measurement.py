@@ -182,8 +182,10 @@ class Measurement:
         )
         return replace(self, frame=to_from_here.to, bodies=bodies)
 
-    def mirrored(self, axis: str) -> Measurement:
+    def mirrored(self, axis: str, points_only: bool = False) -> Measurement:
         """Return the measurement with one axis of its left-handed coordinates turned round.
+
+        ``points_only`` leaves the beams as they are, for files whose positions alone are left-handed.
 
         Raises
         ------
@@ -192,7 +194,11 @@ class Measurement:
         """
         sign = np.array(mirror_sign(axis))
         bodies = tuple(
-            replace(body, positions_mm=body.positions_mm * sign, directions=body.directions * sign)
+            replace(
+                body,
+                positions_mm=body.positions_mm * sign,
+                directions=body.directions * (1.0 if points_only else sign),
+            )
             for body in self.bodies
         )
         return replace(self, bodies=bodies)

@@ -16,6 +16,7 @@ from kinematics.compact import compact
 from kinematics.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.geometry_model import GeometryPriors
+from kinematics.handedness import check_axes
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion import RigidMotion, SharedErrors
@@ -151,8 +152,9 @@ def points2dof(
     Raises
     ------
     KinematicsError
-        The beams of a body cannot observe the degrees of freedom, the reference is no fitted motion, or a
-        body has no usable value, or too few channels at every line.
+        The beams of a body cannot observe the degrees of freedom, the reference is no fitted motion, a
+        body has no usable value, or too few channels at every line, or positions and beams agree only when
+        one of them is mirrored.
     """
     options = options or Options()
     placement = placement or place()
@@ -194,6 +196,7 @@ def points2dof(
             diagnoses[key] = _diagnosed(placed, screen, fits[key], options.dof, known)
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
+    check_axes(placed, placement.transform, fits)
     motion = _motion(placed, fits, options.dof)
     _check_determined(motion)
     motion = replace(

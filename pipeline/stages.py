@@ -225,10 +225,11 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
     tied = fiducials is not None or ldv.plate_points is not None
     frame = "vibrometer" if tied else ldv.frame or "footplate"
     measurement = read_files(ldv.files, ldv.points, frame, input_options(ldv))
-    if ldv.mirror is None:
-        return measurement, fiducials
-    mirrored = None if fiducials is None else fiducials.mirrored(ldv.mirror)
-    return measurement.mirrored(ldv.mirror), mirrored
+    for axis, points_only in ((ldv.mirror, False), (ldv.mirror_points, True)):
+        if axis is not None:
+            measurement = measurement.mirrored(axis, points_only)
+            fiducials = None if fiducials is None else fiducials.mirrored(axis)
+    return measurement, fiducials
 
 
 def _clouds(ldv: Ldv) -> dict[str, Cloud]:
@@ -237,9 +238,10 @@ def _clouds(ldv: Ldv) -> dict[str, Cloud]:
 
     named = {"plate": ldv.plate_points, "bone": ldv.bone_points}
     clouds = {kind: read_surface_points(path, kind) for kind, path in named.items() if path is not None}
-    if ldv.mirror is None:
-        return clouds
-    return {kind: mirrored(cloud, ldv.mirror) for kind, cloud in clouds.items()}
+    for axis in (ldv.mirror, ldv.mirror_points):
+        if axis is not None:
+            clouds = {kind: mirrored(cloud, axis) for kind, cloud in clouds.items()}
+    return clouds
 
 
 def _placement(

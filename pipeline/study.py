@@ -82,6 +82,7 @@ class Ldv(_Table):
     robust: fields.RobustPoints = "none"
     repeats: fields.Repeats = "pool"
     mirror: fields.Axis | None = None
+    mirror_points: fields.Axis | None = None
     plate_points: fields.File | None = None
     bone_points: fields.File | None = None
     calibrate: fields.Flag = False

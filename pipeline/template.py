@@ -87,7 +87,9 @@ fiducials = "fiducials.csv"
 # robust = "none"
 # Columns repeat and level of the table: pool them after comparing them, or keep them separate as runs.
 # repeats = "pool"
+# Left-handed coordinates of the scanning head: of positions and beams, or of the positions alone.
 # mirror = "x"
+# mirror_points = "x"
 # Points measured on the plate, laid on its surface in the scan, alone or with fiducials as a first guess:
 # [name,] x_mm, y_mm, z_mm [, sd_mm]. Points on the bone, to see whether the sample moved since the scan.
 # plate_points = "plate_points.csv"

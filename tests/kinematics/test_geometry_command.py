@@ -69,8 +69,9 @@ def run(files, scan, *more, fiducials=True):
 
 
 def test_plate_points_bone_points_and_calibration_reach_every_output(files, scan):
-    done = run(files, scan, "--plate-points", files / "plate.csv", "--bone-points", files / "bone.csv",
-               "--calibrate", "--axes-sd", "0.5", "--beam-sd", "0.2", "--gain-sd", "0.5", fiducials=False)  # fmt: skip
+    more = ["--plate-points", files / "plate.csv", "--bone-points", files / "bone.csv", "--calibrate"]
+    more += ["--axes-sd", "0.5", "--beam-sd", "0.2", "--gain-sd", "0.5"]
+    done = run(files, scan, *more, fiducials=False)
     told = json.loads(json.dumps(done.result))
     assert told["registration"]["kind"] == "plate points"
     assert 0.0 < told["registration"]["error_at_footplate_centre_mm"] < 0.05
@@ -123,3 +124,22 @@ def test_surface_points_need_a_mass_file_and_no_frame(files):
     with pytest.raises(KinematicsError, match=r"--plate-points must be given with --mass") as told:
         work(base)
     assert "--frame must be left out beside --plate-points" in str(told.value)
+
+
+def test_positions_that_alone_are_mirrored_are_refused_and_cured(files, scan):
+    """Turn y of all positions round in the files: refused by fiducials, right with --mirror-points."""
+    from kinematics.motion_files import read_motion
+
+    run(files, scan)
+    wanted = read_motion(files / "dof.h5").q
+    for name, column in (("points", 3), ("fiducials", 2)):
+        path = files / f"{name}.csv"
+        head, *rows = path.read_text().splitlines()
+        cells = [row.split(",") for row in rows]
+        for row in cells:
+            row[column] = str(-float(row[column]))
+        path.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
+    with pytest.raises(KinematicsError, match="right-handed"):
+        run(files, scan)
+    run(files, scan, "--mirror-points", "y")
+    assert np.allclose(read_motion(files / "dof.h5").q, wanted, rtol=1e-6, atol=1e-16)

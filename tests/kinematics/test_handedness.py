@@ -1,0 +1,67 @@
+"""Positions and beams of which only one is mirrored."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinematics.errors import KinematicsError
+from kinematics.frames import RigidTransform, rotation_from_vector
+from kinematics.measurement import Measurement
+from kinematics.placement import Placement
+from kinematics.points2dof import points2dof
+from tests.kinematics.simulated import FAULTS, body, scene
+
+POSE = RigidTransform.from_parts(
+    rotation_from_vector([0.3, -0.5, 0.2]), [1.0, 2.0, 3.0], "footplate", "vibrometer"
+)
+
+
+def measured(seed, fault="", sd=True, **more):
+    made = scene(seed, fault, lines=60, **more)
+    data = Measurement("footplate", ("1",), made.freq_hz, (body("stapes", made, sd=sd),), 0)
+    return data.mapped(replace_frame(POSE.inverse()))
+
+
+def replace_frame(pose):
+    return RigidTransform(pose.matrix, "vibrometer", "footplate")
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("sd", [True, False])
+def test_mirrored_positions_are_refused_with_their_axis(axis, sd):
+    data = measured(3, sd=sd).mirrored(axis, points_only=True)
+    with pytest.raises(
+        KinematicsError, match=rf"only when their {axis} is turned round.*--mirror-points {axis}"
+    ):
+        points2dof(data, Placement(POSE))
+    points2dof(data.mirrored(axis, points_only=True), Placement(POSE))
+
+
+def test_mirrored_beams_are_refused_and_cured_by_both_options():
+    data = measured(4).mirrored("z").mirrored("z", points_only=True)
+    with pytest.raises(KinematicsError, match=r"--mirror-points z.*with --mirror z too when it is the dir"):
+        points2dof(data, Placement(POSE))
+    q = points2dof(data.mirrored("z").mirrored("z", points_only=True), Placement(POSE)).motion.q
+    assert np.allclose(q, points2dof(measured(4), Placement(POSE)).motion.q, rtol=1e-9)
+
+
+def test_when_both_are_mirrored_no_residual_shows_it():
+    chi2 = points2dof(measured(5), Placement(POSE)).motion.chi2
+    both = points2dof(measured(5).mirrored("y"), Placement(POSE)).motion.chi2
+    assert np.sum(both) == pytest.approx(np.sum(chi2), rel=1e-6)
+
+
+@pytest.mark.parametrize("fault", ["", *FAULTS])
+def test_other_faults_are_not_taken_for_mirrored_axes(fault):
+    for seed in range(3):
+        points2dof(measured(seed, fault), Placement(POSE))
+
+
+def test_flat_sets_of_points_and_parallel_beams_are_left_alone():
+    data = measured(6)
+    one = data.bodies[0]
+    flat = replace(one, positions_mm=one.positions_mm * [1.0, 1.0, 0.0])
+    points2dof(replace(data, bodies=(flat,)), Placement(POSE))
