@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.frf_noise import Frf, check_signals, common_notice, split_noise
+from kinematics.frf_noise import Frf, check_signals, common_notice, smoothed, split_noise
 from kinematics.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
 _FEWEST = 3
+_STEADY = 20
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     (Bendat and Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real
     part has half of it. For all three, with u = |Gxy| / |H| the power of the true reference, e = Gxx - u
     and v = Gyy - |H|^2 u: E|dH|^2 = (v + |H|^2 e + e v / u) / ((n - 1) u) (Fuller 1987, eq. 1.3.12), for
-    the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)).
+    the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)). Below twenty averages the noise power in it
+    is averaged over neighbouring lines, so that weights made of it are steady.
     """
     records = checked_records(records, sample_rate_hz, where)
     taper = how.taper()
@@ -178,6 +180,10 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         step = "Restrict the band to where the reference has power"
         raise KinematicsError(sentence("the reference", "of some power at every line", 0, where, step))
     value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
+    if averages < _STEADY:
+        true = np.abs(gxy) / np.maximum(np.abs(value), np.finfo(float).tiny)
+        noise = smoothed(variance * true, int(np.ceil(1.5 * _STEADY / averages)))
+        variance = noise / np.maximum(true, np.finfo(float).tiny)
     left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
     own, common = split_noise(
         lambda: (y - value * x for x, y in segments()), np.maximum(left, 0.0), value, float(total)

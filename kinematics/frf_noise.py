@@ -14,6 +14,7 @@ from kinematics.notices import Notice
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _ROUNDS = 4
+_SEEN = 1.5
 
 
 @dataclass(frozen=True)
@@ -105,11 +106,29 @@ def split_noise(
         left = np.maximum(1.0 - weight * power / safe, 0.1)
         own = np.maximum(own / left, 1e-6 * spectrum)
         weight = 1.0 / np.maximum(own, floor)
-    excess = common * information
-    seen = np.isfinite(excess) & (information > 0.0)
-    if not np.any(seen) or np.mean(excess[seen]) < 1.5 + 4.0 / np.sqrt(max(dof, 1.0) * np.sum(seen)):
-        return spectrum, none
+        excess = (common * information)[information > 0.0]
+        if not excess.size or np.mean(excess) < _SEEN + 4.0 / np.sqrt(max(dof, 1.0) * excess.size):
+            return spectrum, none
     return own, np.maximum(common - 1.0 / np.maximum(information, floor), 0.0)
+
+
+def smoothed(spectrum: Array, width: int) -> Array:
+    """Average a noise spectrum over neighbouring lines.
+
+    Parameters
+    ----------
+    spectrum : ndarray, (channel, freq)
+    width : int
+        Lines; fewer towards the ends, evenly to both sides.
+    """
+    width = min(width, spectrum.shape[1])
+    if width <= 1:
+        return spectrum
+    total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
+    place = np.arange(spectrum.shape[1])
+    half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
+    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
+    return np.asarray((total[:, stop] - total[:, start]) / (stop - start))
 
 
 def common_notice(common_sd: Array, what: str) -> list[Notice]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.frf import Records, checked_records
-from kinematics.frf_noise import Frf, common_notice, split_noise
+from kinematics.frf_noise import Frf, common_notice, smoothed, split_noise
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     raw = np.sum([np.abs(block) ** 2 for block in residuals], axis=0) / dof
     own, common = split_noise(lambda: residuals, raw, value, dof)
     width = 1 if dof >= _STEADY_DOF else int(np.ceil(_STEADY_DOF / dof))
-    own, raw = _smoothed(own, width), _smoothed(raw, width)
+    own, raw = smoothed(own, width), smoothed(raw, width)
     notices: list[Notice] = []
     if len(stacks) > 1:
         between = sum(
@@ -161,7 +161,7 @@ def _excited(
     good = np.ones(stacks[0][0].shape[1], dtype=bool)
     for (x, _), (mean, _) in zip(stacks, means, strict=True):
         spread = np.sum(np.abs(x - mean) ** 2, axis=0) / (len(x) - 1) / len(x)
-        noise = np.maximum(_smoothed(spread[None], 41)[0], spread)
+        noise = np.maximum(smoothed(spread[None], 41)[0], spread)
         size = np.abs(mean)
         good &= (size > threshold * np.max(size, initial=0.0)) & (size**2 > 25.0 * noise) & (size > 0.0)
     lines = np.flatnonzero(good)
@@ -179,18 +179,6 @@ def _coherence(stacks: list[tuple[ComplexArray, ComplexArray]], lines: NDArray[n
     yy = sum(np.sum(np.abs(y[:, :, lines]) ** 2, axis=0) for _, y in stacks)
     xy = sum(np.sum(x[:, None, lines].conj() * y[:, :, lines], axis=0) for x, y in stacks)
     return np.clip(np.abs(np.asarray(xy)) ** 2 / np.maximum(np.asarray(xx * yy), tiny), 0.0, 1.0)
-
-
-def _smoothed(spectrum: Array, width: int) -> Array:
-    """Average (channel, freq) over so many neighbouring lines; towards the ends over fewer, evenly."""
-    width = min(width, spectrum.shape[1])
-    if width <= 1:
-        return spectrum
-    total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
-    place = np.arange(spectrum.shape[1])
-    half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
-    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
-    return np.asarray((total[:, stop] - total[:, start]) / (stop - start))
 
 
 def _widened(own: Array, raw: Array, between: Array, records: int) -> tuple[Array, list[Notice]]:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 OFFSETS = 16
 _GAP = 3
+_NEAR = 0.25
 _SEEN = 1e-3
 _FEWEST_CYCLES = 4.0
 
@@ -223,6 +224,8 @@ def _near(left: Array, rate: float, freq: float) -> ComplexArray:
     places = freq + bins * rate / count
     kept = places[(places > 2.0 * rate / count) & (places < 0.5 * rate - 2.0 * rate / count)]
     kept = kept[np.abs(kept / freq - np.round(kept / freq)) * freq > 2.5 * rate / count]
+    narrow = kept[np.abs(kept - freq) < _NEAR * freq]
+    kept = narrow if len(narrow) >= 12 else kept
     if len(kept) < 4:
         kept = places[places > 0.0]
     time = np.arange(count) / rate

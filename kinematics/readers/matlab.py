@@ -80,7 +80,7 @@ def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
 
 
 def _unrecognised(tree: Mapping[str, Any], path: Path) -> str:
-    want = "of a known layout (x 1 x F, y points x F complex, usd; see the mapping in the documentation)"
+    want = "of a known layout (x 1 x F, y points x F complex, usd; see docs/vibrometer_files.md)"
     step = f"Say which variable is what in {path.name}.toml, or by --mapping FILE"
     times = [name for name in tree if name.lower() in ("t", "time", "time_s")]
     if times:

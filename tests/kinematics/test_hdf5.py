@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
@@ -166,3 +168,12 @@ def test_damaged_files_are_refused_in_a_sentence(tmp_path):
         bad.write_bytes(whole[:length])
         with pytest.raises(KinematicsError):
             read(bad)
+
+
+def test_the_example_of_the_page_runs(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "vibrometer_files.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(page.split("```python\n")[1].split("```")[0], {})
+    found = read(tmp_path / "ldv.h5")
+    assert [one.direction.tolist() for one in found.recordings] == np.eye(3).tolist()
+    np.testing.assert_allclose(found.recordings[0].value, 1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -311,3 +312,15 @@ def test_the_command_reads_a_mat_file(tmp_path):
     _, outcome = work([str(tmp_path / "scan.mat"), *options])
     assert out.is_file()
     assert "dc_line" in {notice.code for notice in outcome.notices}
+
+
+def test_the_mapping_of_the_page_is_read(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "vibrometer_files.md").read_text(encoding="utf-8")
+    (tmp_path / "map.toml").write_text(page.split("```toml\n")[1].split("```")[0])
+    names = [f"n{k}" for k in range(POINTS)]
+    data = {"f": FREQ, "vz": VALUE, "coh": np.full((POINTS, LINES), 0.5)}
+    v5(tmp_path / "scan.mat", {"data": data, "where": XYZ, "names": names})
+    one = read(tmp_path / "scan.mat", tmp_path / "map.toml").recordings[2]
+    assert (one.point, one.coherence[0]) == ("n2", 0.5)
+    np.testing.assert_allclose(one.value, VALUE[2] * 1e-3)
+    np.testing.assert_allclose(one.position_mm, XYZ[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -279,3 +280,12 @@ def test_an_array_larger_than_its_archive_is_refused(tmp_path):
         archive.writestr("vib.npy", head + b"\0" * 80)
     with pytest.raises(KinematicsError, match=r"a readable NPZ archive; got vib\.npy claims"):
         read_series(path, ["vib"])
+
+
+def test_the_channel_table_of_the_page_is_read(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "vibrometer_files.md").read_text(encoding="utf-8")
+    (tmp_path / "c.csv").write_text(page.split("```csv\n")[1].split("```")[0])
+    vib, acc, mic = read_channels(tmp_path / "c.csv")
+    assert (vib.order, vib.scale) == (1, pytest.approx(5e-3))
+    assert (acc.order, acc.scale) == (2, pytest.approx(98.0665))
+    assert (mic.role, mic.unit, mic.scale) == ("reference", "Pa", pytest.approx(20.0))
