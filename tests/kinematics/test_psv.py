@@ -119,7 +119,7 @@ def spoiled(tmp_path, old, new):
         (b"1000 Hz", b"1000 rpm", 'a number in Hz; got "1000 rpm" (scan_1000Hz.txt, line 11)'),
         (b"Frequency:", b"Band:", "one with a line Frequency: <f> Hz"),
         (b"Index", b"Number", "one with a column Index"),
-        (b"[m/s]", b"[dB]", "the values of axis x must be in one unit; got dB and m/s"),
+        (b"[m/s]", b"[dB]", 'the values of axis x must be in one unit; got "dB" and "m/s"'),
         (b"Imaginary", b"Other", "got real part alone"),
         (b"Z\tReal", b"Z [yd]\tReal", "the unit of X, Y, Z must be one length unit"),
         (b"\r\n2\t", b"\r\n1\t", "Index must be different in each row; got 1 twice"),
