@@ -66,7 +66,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
             comments += 1
             continue
         if (len(row) != width and "".join(row[width:]).strip()) or len(row) < width:
-            faults.append(_length_fault(sheet, line, begun - line, len(row)))
+            faults.append(_length_fault(sheet, line, begun - line, row))
             continue
         lines.append(line)
         for column, place in places:
@@ -114,14 +114,24 @@ def _hint(cell: str, decimal: str) -> str:
     return "Write a plain number such as 1000 or 1e-6"
 
 
-def _length_fault(sheet: Sheet, line: int, height: int, got: int) -> str:
+def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> str:
+    got = len(row)
     hint = "Give every row one cell per column, empty where a value is missing"
     width = len(sheet.header)
     if sheet.separator == "," and got > width:
         hint = "Decimal commas need semicolons between the columns"
+    others = [mark for mark in (",", ";", "\t") if mark != sheet.separator and mark in row[0]]
+    if got == 1 and others:
+        names = {",": "commas", ";": "semicolons", "\t": "tabs"}
+        hint = f"Part all rows by {names[sheet.separator]}, as the header is, not by {names[others[0]]}"
+        return _row_fault(sheet, line, got, hint)
     if height > 1:
         hint = "Close the quotation mark that the row opens"
     if got < width and sheet.header[got]:
         hint += f"; this one ends before {sheet.header[got]}"
-    where = f"{sheet.file}, line {line}"
-    return sentence("a row", f"{width} cells long, as the header is", f"{got}", where, hint)
+    return _row_fault(sheet, line, got, hint)
+
+
+def _row_fault(sheet: Sheet, line: int, got: int, hint: str) -> str:
+    expected = f"{len(sheet.header)} cells long, as the header is"
+    return sentence("a row", expected, f"{got}", f"{sheet.file}, line {line}", hint)

@@ -89,6 +89,18 @@ def check_values(table: Table, columns: Columns, faults: list[str]) -> None:
             check((level <= 0.0) | np.isinf(level), columns.level, "positive and finite", step)
 
 
+def check_takes(table: Table, columns: Columns, faults: list[str]) -> None:
+    """Add the faults of runs, repeats and levels that some rows name and others do not."""
+    empty = {name: table.texts[name].codes < 0 for name in ("run", "repeat") if name in table.texts}
+    if columns.level:
+        told = table.told_rows(columns.level)
+        empty[columns.level] = np.isnan(table.numbers[columns.level]) & ~told
+    for name, rows in empty.items():
+        if np.any(rows) and not np.all(rows):
+            expected = "given in every row, or in none"
+            each(rows, name, expected, lambda _row: "an empty cell", table, faults, "Fill it in")
+
+
 def check_directions(table: Table, columns: Columns, faults: list[str]) -> tuple[Array, Index]:
     """Return the unit direction (rows, 3) of every row and a number (rows,) for each different one."""
     if columns.direction == ("dir",):

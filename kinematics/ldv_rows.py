@@ -12,7 +12,14 @@ from kinematics.csv_table import Table, TextColumn
 from kinematics.csv_text import no_rows
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.frequency_grids import Grid, join_lines
-from kinematics.ldv_checks import check_directions, check_frequencies, check_values, each, numbered
+from kinematics.ldv_checks import (
+    check_directions,
+    check_frequencies,
+    check_takes,
+    check_values,
+    each,
+    numbered,
+)
 from kinematics.ldv_columns import POSITION, Columns
 from kinematics.ldv_positions import alike_notice, check_positions, unmeasured_notice
 from kinematics.measurement import Take
@@ -124,6 +131,7 @@ def _placed(
     body, point = short.texts["body"], short.texts["point"]
     for name, column in (("body", body), ("point", point)):
         each(column.codes < 0, name, "a name", lambda _row: "an empty cell", short, faults)
+    check_takes(short, columns, faults)
     directions, which = check_directions(short, columns, faults)
     place, place_first = numbered(body.codes * (len(point.names) + 1) + point.codes)
     positions, spread = check_positions(short, columns, listed, place, place_first, faults)

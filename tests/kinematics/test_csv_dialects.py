@@ -175,6 +175,24 @@ def test_cells_moved_from_row_to_row_are_found(tmp_path):
     assert "ends before im_m_s" in told
 
 
+def test_runs_and_levels_named_in_some_rows_only_are_refused(tmp_path):
+    for name in ("run", "repeat", "level"):
+        rows = [f"{row},{'' if k == 5 else '1'}" for k, row in enumerate(ROWS)]
+        with pytest.raises(KinematicsError) as caught:
+            read_ldv(written(tmp_path, plain(rows, f"{HEAD},{name}")))
+        assert str(caught.value) == (
+            f"{name} must be given in every row, or in none; got an empty cell "
+            f"(ldv.csv, line 7, {name}). Fill it in."
+        )
+        rows = [f"{row}," for row in ROWS]
+        assert read_ldv(written(tmp_path, plain(rows, f"{HEAD},{name}"))).runs == ("1",)
+
+
+def test_rows_parted_otherwise_than_the_header(tmp_path):
+    with pytest.raises(KinematicsError, match="Part all rows by commas, as the header is, not by semicolons"):
+        read_ldv(written(tmp_path, plain([semicolons(row) for row in ROWS])))
+
+
 def test_an_unclosed_quotation_mark_is_named(tmp_path):
     rows = list(ROWS)
     rows[3] = '"' + rows[3]
