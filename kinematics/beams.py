@@ -14,6 +14,7 @@ from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
 Array = NDArray[np.float64]
 UNOBSERVABLE = 1e-5
 WEAK = 1e-2
+_AXES = ("long axis of the footplate", "piston axis", "short axis of the footplate")
 _PREFERENCE = ("y", "alpha", "gamma", "x", "z", "beta")
 
 
@@ -168,7 +169,7 @@ def _axis_name(vector: Array) -> str:
     unit = vector / np.linalg.norm(vector)
     place = int(np.argmax(np.abs(unit)))
     if abs(unit[place]) > 0.9998:
-        return f"the {'xyz'[place]} axis"
+        return f"the {'xyz'[place]} axis ({_AXES[place]})"
     unit = unit * np.sign(unit[place])
     return f"({', '.join(f'{value:.3f}' for value in unit)})"
 
@@ -183,7 +184,7 @@ def _described(motion: Array, dof: Sequence[str]) -> str:
     point = np.cross(omega, v) / turn**2 * 1e3
     slide = float(v @ omega) / turn**2 * 1e3
     if len(dof) < 6 and np.count_nonzero(motion) == 1:
-        return f"rotation about {_axis_name(omega)} ({DOF_NAMES[3 + int(np.argmax(np.abs(omega)))]})"
+        return f"{DOF_NAMES[3 + int(np.argmax(np.abs(omega)))]}, rotation about {_axis_name(omega)}"
     through = "" if np.linalg.norm(point) < 1e-3 else f" through ({', '.join(f'{p:.3g}' for p in point)}) mm"
     also = "" if abs(slide) < 1e-3 else f" with {slide:.3g} mm per rad along it"
     return f"rotation about {_axis_name(omega)}{through}{also}"
