@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -260,6 +262,18 @@ def test_spoiled_points_are_named(content, words, tmp_path):
 def test_one_point_twice_is_refused(tmp_path):
     with pytest.raises(KinematicsError, match="the signal of point 1 must be there once"):
         psv_points.read(pointwise(tmp_path, point(1, FREQ, SPECTRUM), point(1, FREQ, SPECTRUM)))
+
+
+def test_the_layouts_of_the_documentation_are_read(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "vibrometer_files.md").read_text(encoding="utf-8")
+    fast, single = (text.split("```")[0] for text in page.split("```text\n")[1:3])
+    (tmp_path / "a.txt").write_text(fast)
+    (tmp_path / "b.txt").write_text(single)
+    first = read_recordings(tmp_path / "a.txt")
+    assert [one.value[0] for one in first.recordings] == [1.2e-05 + 4e-06j, 2.5e-06 + 5e-06j, -3e-07 + 6e-06j]
+    (one,) = read_recordings(tmp_path / "b.txt").recordings
+    assert (one.point, one.value[0]) == ("5", 1.2e-05 - 3.4e-06j)
+    np.testing.assert_allclose(one.position_mm, first.recordings[0].position_mm)
 
 
 @pytest.mark.parametrize("name", ["scan.svd", "point.pvd", "renamed.dat"])
