@@ -66,14 +66,14 @@ def surface_body(bodies: tuple[str, ...]) -> int | None:
 
 
 def shown_points(result: Points2Dof, scenery: Scenery) -> list[Array]:
-    """Return, by body, the points (n, 3), mm, whose motion is judged: measured, and some of the surface."""
+    """Return, by body, its outermost points (n, 3), mm, measured or of the surface: one moves most."""
     own = surface_body(result.motion.bodies)
     clouds = []
     for number, body in enumerate(result.measurement.bodies):
         cloud = np.unique(body.positions_mm, axis=0)
         if number == own and scenery.has_surface:
-            cloud = np.vstack([cloud, scenery.vertices_mm[:: max(1, len(scenery.vertices_mm) // 60)]])
-        clouds.append(cloud)
+            cloud = np.vstack([cloud, scenery.vertices_mm])
+        clouds.append(_corners(cloud))
     return clouds
 
 
@@ -87,14 +87,14 @@ def largest_over_lines(result: Points2Dof, scenery: Scenery) -> Array:
     q = full_motion(result.motion)
     size = np.zeros(q.shape[:3])
     for number, cloud in enumerate(shown_points(result, scenery)):
-        for point in _corners(cloud):
+        for point in cloud:
             moved = displacement_of(q[:, number], point[None])[..., 0, :]
             np.maximum(size[:, number], np.linalg.norm(np.abs(moved), axis=-1), out=size[:, number])
     return size
 
 
 def _corners(cloud: Array) -> Array:
-    """Return the points farthest out along some directions: one of them moves most."""
+    """Return the points farthest out along 26 directions."""
     from itertools import product
 
     directions = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])

@@ -93,7 +93,7 @@ def picture_data(result: Points2Dof, now: Moment, scenery: Scenery) -> dict[str,
     low, high = everything.min(axis=0), everything.max(axis=0)
     span = float(np.max(np.ptp(np.concatenate(clouds), axis=0))) or 1.0
     numbers = np.concatenate([q[:, :, lines].real, q[:, :, lines].imag], axis=-1).astype("<f4")
-    bodies = [_body(result, k) for k in range(len(motion.bodies))]
+    bodies = [_body(result, k, clouds[k]) for k in range(len(motion.bodies))]
     reference = DOF_UNITS[motion.reference.rpartition(":")[2]] if motion.reference else ""
     return {
         "views": _views(views(scenery.z_is), scenery, 0.5 * (low + high), 0.5 * (high - low) + 0.16 * span),
@@ -133,7 +133,7 @@ def _mesh(scenery: Scenery) -> dict[str, Any]:
     }
 
 
-def _body(result: Points2Dof, number: int) -> dict[str, Any]:
+def _body(result: Points2Dof, number: int, outermost: Array) -> dict[str, Any]:
     body = result.measurement.bodies[number]
     names = list(dict.fromkeys(body.points))
     places = body.positions_mm[[body.points.index(name) for name in names]]
@@ -143,6 +143,7 @@ def _body(result: Points2Dof, number: int) -> dict[str, Any]:
         "colour": colour(number),
         "points": np.round(places, 4).tolist(),
         "edges": _edges(places),
+        "outermost": np.round(outermost, 4).tolist(),
     }
 
 

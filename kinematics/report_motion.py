@@ -58,17 +58,18 @@ def _moment_words(result: Points2Dof, now: Moment, scenery: Scenery) -> str:
     if motion.reference:
         unit = DOF_UNITS[motion.reference.rpartition(":")[2]]
         size = f"{now.largest_m:.3g} m per {unit} of {motion.reference}"
+        scale = f"drawn as for {motion.reference} = {now.exaggeration * 1e3:.2g} m{unit}"
     else:
         size = f"{now.largest_m * 1e9:.3g} nm (peak)"
+        scale = f"{now.exaggeration:,.0f} times larger than life"
     own = surface_body(motion.bodies)
     which = "the stapes" if own is not None and len(motion.bodies) > 1 else "the body"
     missing = ""
     if scenery.has_surface and own is None:
         missing = " The surface rests: none of the bodies is called stapes."
     return (
-        f"{where}, where {which} moves most: {PHASES} phases of one period, {now.exaggeration:,.0f} times "
-        f"larger than life; the largest displacement drawn is {size}. Pale: at rest; dots: the points at the "
-        f"same phases.{missing}"
+        f"{where}, where {which} moves most: {PHASES} phases of one period, {scale}; the largest "
+        f"displacement drawn is {size}. Pale: at rest; dots: the points at the same phases.{missing}"
     )
 
 

@@ -55,13 +55,23 @@ def repeats_section(result: Points2Dof) -> Section:
         ]
         if rows:
             section.add(page.table(("what was compared", "size", "p-value", ""), rows, words=True))
-        takes = [
-            (take.name, f"{gain:.5g}", f"{turn:.3g}")
-            for take, gain, turn in zip(one.takes, one.gain, one.phase_deg, strict=True)
-        ]
-        table = page.table(("repeat", "relative amplitude", "relative phase (°)"), takes[:_MOST_ROWS])
+        table = page.table(*_takes(one))
         section.add(page.folded("All repeats", table))
     return section
+
+
+def _takes(one: RunRepeats) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return header and rows of the table of all repeats."""
+    header: tuple[str, ...] = ("repeat", "relative amplitude", "relative phase (°)")
+    rows: list[tuple[str, ...]] = [
+        (take.name, f"{gain:.5g}", f"{turn:.3g}")
+        for take, gain, turn in zip(one.takes, one.gain, one.phase_deg, strict=True)
+    ]
+    if len(one.shift) == len(rows):
+        header = (*header, "shift of frequencies (%)")
+        moved = ["-" if np.isnan(value) else f"{100.0 * value:+.2g}" for value in one.shift]
+        rows = [(*row, value) for row, value in zip(rows, moved, strict=True)]
+    return header, rows[:_MOST_ROWS]
 
 
 def _sentence(words: str) -> str:

@@ -25,15 +25,9 @@
     return out;
   }
   const length = (d) => Math.hypot(d[0], d[1], d[2], d[3], d[4], d[5]);
-  function judged(body) {
-    const list = D.bodies[body].points.slice();
-    if (body === D.own) for (let k = 0; k < rest.length; k += 3 * Math.max(1, Math.floor(rest.length / 150)))
-      list.push([rest[k], rest[k + 1], rest[k + 2]]);
-    return list;
-  }
   function largest(run, line, body) {
     const c = coordinates(run, line, body);
-    return judged(body).reduce((most, p) => Math.max(most, length(moved(c, p[0], p[1], p[2]))), 0);
+    return D.bodies[body].outermost.reduce((most, p) => Math.max(most, length(moved(c, p[0], p[1], p[2]))), 0);
   }
   const nice = (value) => { const p = Math.pow(10, Math.floor(Math.log10(value)) - 1); return Math.round(value / p) * p; };
   function words(value, unit) {
@@ -207,9 +201,11 @@
     const parts = D.bodies.map((body, k) => k === S.relative ? "" : body.name + " " + words(now.sizes[k], D.unit)).filter((t) => t);
     find("said").textContent = hz(S.line) + (D.runs.length > 1 ? ", run " + D.runs[S.run] : "") +
       (S.relative < 0 ? "" : ", relative to " + D.bodies[S.relative].name) + ". Largest motion (peak" + per + "): " + parts.join(", ") +
-      ". Drawn " + now.factor.toLocaleString("en") + " times larger than life.";
-    find("factor").textContent = "× " + now.factor.toLocaleString("en");
+      ". Drawn " + (D.unit === "m" ? now.factor.toLocaleString("en") + " times larger than life." :
+        "as for " + D.reference + " = " + driven() + ".");
+    find("factor").textContent = D.unit === "m" ? "× " + now.factor.toLocaleString("en") : D.reference + " = " + driven();
   }
+  function driven() { return D.unit === "m/m" ? words(now.factor, "m") : now.factor.toPrecision(2) + " rad"; }
   function phase() {
     const p = Math.round(S.phase) % 360;
     find("phase").value = p; find("phase").setAttribute("aria-valuetext", p + " degrees"); find("degrees").textContent = p + "°";

@@ -218,6 +218,8 @@ def test_subsets_and_references_are_named_with_their_units(options):
     if options.reference:
         assert picture(text)["unit"] == "m/m"
         assert "m per m of base:y" in words(text)
+        drawn = float(re.search(r"drawn as for base:y = ([\d.]+) mm", words(text)).group(1))
+        assert 0.001 < drawn < 1.0
         assert "per unit of base:y" in words("".join(motion_section(made).blocks))
     else:
         numbers = np.frombuffer(base64.b64decode(picture(text)["q"][0][0]), dtype="<f4").reshape(-1, 12)
