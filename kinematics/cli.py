@@ -302,7 +302,10 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
         if np.any(noise > 0.0):
             text += f", best peak/noise {float(np.max(size[noise > 0.0] / noise[noise > 0.0])):.3g}"
         rows.append((name, text))
-        bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof}
+        blind = result.unseen.get(name, ())
+        bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof, "unobservable": list(blind)}
+        if blind:
+            rows.append((f"{name} not seen", "; ".join(blind)))
     counts = Counter(v.verdict for v in result.channels)
     rows.append(("channels", ", ".join(f"{number} {name}" for name, number in counts.most_common())))
     rows += geometry_report.rows(result)
