@@ -266,13 +266,14 @@ def _unequal(left: NDArray[np.complex128], rest: float) -> float:
 
 def _correlation(left: NDArray[np.complex128]) -> float:
     """Return by what factor correlation between neighbouring lines lowers the degrees of freedom."""
-    total = float(np.sum(np.abs(left) ** 2))
-    lines = len(left)
+    left = np.ascontiguousarray(left)
+    size = left.real**2 + left.imag**2
+    total, lines = float(np.sum(size)), len(left)
     factor = 1.0
     for lag in range(1, min(_CORRELATED_LINES, lines - 1) + 1):
-        product = np.sum(left[lag:] * left[:-lag].conj())
-        chance = float(np.sum(np.abs(left[lag:]) ** 2 * np.abs(left[:-lag]) ** 2))
-        factor += 2.0 * max(float(np.abs(product)) ** 2 - chance, 0.0) / total**2
+        product = abs(complex(np.vdot(left[:-lag], left[lag:]))) ** 2
+        chance = float(np.vdot(size[lag:], size[:-lag]))
+        factor += 2.0 * max(product - chance, 0.0) / total**2
     return factor
 
 
