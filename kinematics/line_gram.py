@@ -88,9 +88,10 @@ def pieces(
         top, used = np.max(root, axis=0), None
         flat = y.reshape(-1)
         if not (np.isfinite(flat @ flat) and np.isfinite(np.sum(top)) and np.min(root) > 0.0):
-            used = np.isfinite(block) & np.isfinite(root) & (root > 0.0)
-            root[~used] = 0.0
-            y[:, ~used] = 0.0
+            used = np.isfinite(y[0]) & np.isfinite(y[1]) & np.isfinite(root) & (root > 0.0)
+            missing = ~used
+            for part_of in mine:
+                np.copyto(part_of, 0.0, where=missing)
             top = np.max(root, axis=0)
             top[top <= 0.0] = 1.0
         root *= 1.0 / top
@@ -194,7 +195,7 @@ def add(basis: Array, cut: Sequence[Piece], top: Array, fit: Weighted, part: sli
         square += other
         number: Array = np.full(channels, live.sum())
         if piece.used is not None:
-            square[~piece.used] = 0.0
+            np.copyto(square, 0.0, where=~piece.used)
             number = piece.used @ live
             count[at] = piece.used.sum(axis=0)
         if not np.all(fit.good[at]):
