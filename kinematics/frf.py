@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.frf_noise import Frf, check_signals, common_notice, smoothed, split_noise
+from kinematics.notices import Notice
 from kinematics.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
 _FEWEST = 3
 _STEADY = 20
+_FEW = 5.0
 
 
 @dataclass(frozen=True)
@@ -198,8 +200,21 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         averages,
         common_sd,
         np.sqrt(gxx) * np.sqrt(2.0) / np.sqrt(how.segment * np.sum(taper**2)),
-        tuple(common_notice(common_sd, "the reference")),
+        tuple(_notices(common_sd, common / gxx, averages, how)),
     )
+
+
+def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> list[Notice]:
+    """Say what the noise of the reference does to the estimate, and when averages are few."""
+    more = ""
+    if how.estimator == "h1":
+        low = 100.0 * float(np.median(share))
+        more = f" H1 reads all of them {low:.2g} % low for it; H2 and Hv with the ratio of noises do not."
+    notices = common_notice(common_sd, "the reference", more)
+    if averages < _FEW:
+        text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
+        notices.append(Notice("few_averages", text))
+    return notices
 
 
 def _spectrum(signal: Array, taper: Array, lines: slice) -> ComplexArray:

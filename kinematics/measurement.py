@@ -143,6 +143,9 @@ class Measurement:
     takes : tuple of Take, (run,)
         What each entry of ``runs`` (their ``name``) is while repeats and levels are not pooled yet; empty
         in a measurement without any.
+    common_sd : ndarray, (run, freq), or None
+        Relative standard deviation of the real (= imaginary) part of an error that all channels of a run
+        share: noise of the signal that the readings refer to. It is not in the sd of the channels.
     """
 
     frame: str
@@ -153,6 +156,7 @@ class Measurement:
     inputs: Mapping[str, Path] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()
     takes: tuple[Take, ...] = ()
+    common_sd: Array | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -164,6 +168,9 @@ class Measurement:
                 )
         if np.any(self.freq_hz <= 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
             faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+        if self.common_sd is not None and self.common_sd.shape != (len(self.runs), len(self.freq_hz)):
+            shape = f"of shape {(len(self.runs), len(self.freq_hz))}"
+            faults.append(sentence("the noise of the reference", shape, self.common_sd.shape))
         if not self.bodies:
             faults.append(sentence("a measurement", "of one body at least", "none"))
         if self.takes and tuple(take.name for take in self.takes) != self.runs:

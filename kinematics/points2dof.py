@@ -206,8 +206,9 @@ def points2dof(
     )
     motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
     notices += phase_notice(motion, mass)
-    if options.reference_noise > 0.0 and not options.reference:
-        motion = motion.with_common_noise(np.array(options.reference_noise))
+    if not options.reference and (options.reference_noise > 0.0 or measurement.common_sd is not None):
+        measured = 0.0 if measurement.common_sd is None else measurement.common_sd
+        motion = motion.with_common_noise(np.hypot(options.reference_noise, measured))
     if options.reference:
         motion = per_reference(motion, options.reference)
         notices += motion.notices

@@ -14,6 +14,7 @@ from kinematics.frequency_grids import join_lines
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
 from kinematics.notices import Notice, unique
 from kinematics.points_csv import Points
+from kinematics.readers.common_noise import with_common_noise
 from kinematics.readers.options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.spread import body_noise
@@ -88,11 +89,15 @@ def assemble(
     notices += matched
     raise_all(KinematicsError, [*_twice(flat, places), *faults])
     order = Counter(one.order for one in flat).most_common(1)[0][0]
+    takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
+    shape = (len(places.takes), len(places.lines))
+    flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
     bodies, said = _bodies(flat, places, points, order)
     notices += said
-    takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
     runs = tuple(take.name for take in places.takes)
-    return Measurement(frame, runs, places.lines, bodies, order, notices=unique(notices), takes=takes)
+    return Measurement(
+        frame, runs, places.lines, bodies, order, notices=unique(notices), takes=takes, common_sd=common
+    )
 
 
 def without_dc(
@@ -115,6 +120,7 @@ def without_dc(
             value=one.value[good],
             sd=None if one.sd is None else one.sd[good],
             coherence=None if one.coherence is None else one.coherence[good],
+            common_sd=None if one.common_sd is None else one.common_sd[good],
         )
         kept.append((file, made))
     if empty and not kept:

@@ -67,6 +67,9 @@ class Recording:
         Which repetition of the same run, empty with a single one.
     level : float
         Level of the excitation, in any unit; NaN when unknown.
+    common_sd : ndarray, (freq,), or None
+        Relative standard deviation of the real (= imaginary) part of an error that all recordings made at
+        the same time share: noise of their reference. It is not in ``sd``.
 
     Raises
     ------
@@ -91,11 +94,12 @@ class Recording:
     per: str = ""
     repeat: str = ""
     level: float = float("nan")
+    common_sd: Array | None = None
 
     def __post_init__(self) -> None:
         faults = []
         count = self.freq_hz.shape
-        for name in ("value", "sd", "coherence"):
+        for name in ("value", "sd", "coherence", "common_sd"):
             column = getattr(self, name)
             if column is not None and column.shape != count:
                 faults.append(

@@ -290,6 +290,7 @@ def _recordings(
             None if frf.coherence is None else frf.coherence[k, kept],
             None if np.isnan(frf.n_avg) else frf.n_avg,
             per="" if reference is None else reference.unit,
+            common_sd=frf.common_sd[kept],
         )
         for k, (one, point) in enumerate(zip(group.channels, group.points, strict=True))
     ]

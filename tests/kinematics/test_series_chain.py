@@ -107,15 +107,20 @@ def test_stepped_sine_with_a_table_of_steps_in_matlab(tmp_path):
     check(run(tmp_path, "scan.mat", "--steps", str(tmp_path / "steps.csv")))
 
 
-def test_scanning_one_point_after_the_other(tmp_path):
-    """Rows of a two-dimensional variable are points; each row has its own record of the reference."""
+@pytest.mark.parametrize("loud", [0.0, 0.1])
+def test_scanning_one_point_after_the_other(tmp_path, loud):
+    """Rows of a two-dimensional variable are points; each row has its own record of the reference.
+
+    The noise of the reference is then each point's own and goes into the sd of its beams; that it moves the
+    beams of one point together is left out, so that the motion's sd is somewhat small where it dominates.
+    """
     from scipy.io import savemat
 
     rng = np.random.default_rng(15)
     lines = {"x": [], "y": [], "z": [], "ref": []}
     for point in range(10):
         _, drive, velocity = series.multisine(rng, 1024, 9, 0.05)
-        lines["ref"].append(drive)
+        lines["ref"].append(drive + loud * np.std(drive) * rng.standard_normal(len(drive)))
         for k, name in enumerate("xyz"):
             lines[name].append(velocity[3 * point + k] * SCALE)
     time = np.arange(9 * 1024) / series.RATE_HZ
@@ -134,7 +139,16 @@ def test_scanning_one_point_after_the_other(tmp_path):
     (tmp_path / "points.csv").write_text("\n".join(points))
     period = repr(1024 / series.RATE_HZ)
     options = ["--period", period, "--points", str(tmp_path / "points.csv")]
-    check(run(tmp_path, "scan.mat", *options, channels=table))
+    motion = run(tmp_path, "scan.mat", *options, channels=table)
+    assert motion.common_sd is None
+    if not loud:
+        check(motion)
+        return
+    chi2 = np.nansum(motion.chi2) / np.sum(motion.n_dof)
+    assert abs(chi2 - 1.0) < 0.15, chi2
+    truth = np.array([series.motions(motion.freq_hz)[body] for body in motion.bodies])
+    scores = np.abs(motion.q[0] - truth) ** 2 / (2.0 * standard_deviation(motion)[0] ** 2)
+    assert 1.0 < np.mean(scores) < 2.0
 
 
 def test_noise_of_the_reference_is_told_and_left_out(tmp_path):
@@ -151,9 +165,14 @@ def test_noise_of_the_reference_is_told_and_left_out(tmp_path):
     order = [motion.bodies.index(name) for name in ("base", "stapes")]
     base, stapes = (motion.q[0, k] for k in order)
     factor = base[:, 1] / truth["base"][:, 1]
-    assert np.std(np.abs(factor)) > 3e-4
+    spread = np.sqrt(np.mean(np.abs(factor - 1.0) ** 2) / 2.0)
+    assert np.median(motion.common_sd) == pytest.approx(spread, rel=0.25)
     ratio = (stapes[:, 1] / base[:, 1]) / (truth["stapes"][:, 1] / truth["base"][:, 1])
-    sd = standard_deviation(motion)
+    error = motion.q[0] - np.array([truth[body] for body in motion.bodies])
+    whole = standard_deviation(motion)[0]
+    assert abs(np.mean(np.abs(error) ** 2 / (2.0 * whole**2)) - 1.0) < 0.3
+    assert motion.common_sd is not None
+    sd = standard_deviation(motion.with_common_noise(np.zeros(1)))
     own = np.hypot(sd[0, order[0], :, 1] / np.abs(base[:, 1]), sd[0, order[1], :, 1] / np.abs(stapes[:, 1]))
     assert abs(np.mean(np.abs(ratio - 1.0) ** 2 / (2.0 * own**2)) - 1.0) < 0.35
 

@@ -1,0 +1,67 @@
+"""Noise of a reference: shared by all channels of a run recorded together, else each record's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.readers.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+def with_common_noise(
+    recordings: Sequence[Recording],
+    take_of: Sequence[int],
+    lines_of: Sequence[NDArray[np.intp]],
+    shape: tuple[int, int],
+    pooled: bool,
+) -> tuple[list[Recording], Array | None]:
+    """Keep noise of the reference apart where a whole run shares it; put it into ``sd`` elsewhere.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    take_of : sequence of int
+        Run of each recording.
+    lines_of : sequence of ndarray
+        Place of its lines among those of the measurement.
+    shape : tuple of int
+        Runs and lines.
+    pooled : bool
+        Whether runs are repeats that will be pooled, which share nothing.
+
+    Returns
+    -------
+    list of Recording
+    ndarray, (run, line), or None
+        Relative standard deviation of the common factor's real (= imaginary) part; None without any.
+    """
+    made = list(recordings)
+    common = np.zeros(shape)
+    for run in range(shape[0]):
+        members = [place for place, take in enumerate(take_of) if take == run]
+        first = made[members[0]] if members else None
+        if first is None:
+            continue
+        together = not pooled and all(_same(made[place], first) for place in members)
+        for place in members:
+            one = made[place]
+            if one.common_sd is None:
+                continue
+            if together:
+                common[run, lines_of[place]] = one.common_sd
+            elif one.sd is not None:
+                spread = np.hypot(one.sd, one.common_sd * np.abs(one.value))
+                made[place] = replace(one, sd=spread, common_sd=None)
+    return made, common if np.any(common > 0.0) else None
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    """Tell whether two recordings have one and the same noise of the reference."""
+    if one.common_sd is None or other.common_sd is None:
+        return False
+    return np.array_equal(one.common_sd, other.common_sd) and np.array_equal(one.freq_hz, other.freq_hz)
