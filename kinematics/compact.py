@@ -31,13 +31,26 @@ _WHOLE = 64
 
 @dataclass(frozen=True)
 class Source:
-    """The lines that were packed: a fit, and the form a_c b_f of its weights."""
+    """The lines that were packed: a fit, the form a_c b_f of its weights, and how missing values are filled.
+
+    ``fill`` (channel, m) times the motion stands for the residual of a missing value: what the channel's
+    other lines
+    show of a change of its row.
+    """
 
     fit: LineFit
     freq_hz: Array
     channel: Array
     line: Array
     even: bool
+    fill: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+
+    def residual(self, lines: slice | NDArray[np.intp]) -> ComplexArray:
+        """Return the residuals (channel, n) of some lines, filled where missing, m."""
+        residual, sd, _ = self.fit.at(lines)
+        if not self.fill.size:
+            return residual
+        return np.where(np.isfinite(sd), residual, self.fill @ self.fit.solution.z[:, lines])
 
     @classmethod
     def of(cls, fit: LineFit, freq_hz: Array, noise_known: bool = True) -> Source:
@@ -57,7 +70,20 @@ class Source:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.sum(np.where(held, variance, 0.0) / own[:, None], axis=0) / np.sum(held, axis=0)
             line = np.where(np.isfinite(mean) & (mean > 0.0), 1.0 / np.sqrt(mean), 0.0)
-        return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False)
+        return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False, _fill(fit, held, line))
+
+
+def _fill(fit: LineFit, held: NDArray[np.bool_], line: Array) -> ComplexArray:
+    """Return the change of each channel's row (channel, m) that its residuals show where it was measured."""
+    good = fit.solution.good
+    z = np.where(good, fit.solution.z, 0.0) * line
+    residual = fit.residual * line
+    made = np.zeros((len(held), len(z)), dtype=complex)
+    for channel in np.flatnonzero(~np.all(held[:, good], axis=1)):
+        used = held[channel] & good
+        if np.sum(used) > 3 * len(z):
+            made[channel] = np.linalg.lstsq(z[:, used].T, residual[channel, used], rcond=1e-6)[0]
+    return made
 
 
 @dataclass(frozen=True)
@@ -86,7 +112,7 @@ class Compact:
     divisor : ndarray, (channel, segment), complex
         What the readings were divided by since they were measured.
     lift : ndarray, (channel,)
-        One over the share of each channel's values that was measured.
+        One over the share of each channel's values that was measured: raises the noise of ``rest``.
     source : Source
     """
 
@@ -181,7 +207,7 @@ def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool 
     -----
     The weights of the packed lines are those of a noise of the form 1 / (a_c b_f). Where the stated sd differ
     from that, or values are missing, a channel's reading in a mixture keeps the share of its motion that was
-    measured, is raised to the whole by that share, and has the noise that its own values have in the mixture.
+    measured, filled up by what these lines show, and has the noise that its own values have in the mixture.
     """
     source = Source.of(fit, freq_hz, noise_known)
     count = len(body.points)
@@ -228,7 +254,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
         lines = slice(start, stop) if whole else good[start:stop]
         b, z = source.line[lines], fit.solution.z[:, lines]
         plain = first and source.even
-        residual = fit.value[:, lines] if plain else fit.at(lines)[0]
+        residual = fit.value[:, lines] if plain else source.residual(lines)
         if not first:
             held = (fit.beams.basis @ z + residual) / data.divisor[:, number][:, None]
             z = back @ held
@@ -260,7 +286,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     freq = source.freq_hz[good]
     return replace(
         data,
-        y=np.hstack([basis @ motion + lift[:, None] * error for motion, error in packed]),
+        y=np.hstack([basis @ motion + error for motion, error in packed]),
         a=channel,
         lift=lift,
         part=np.repeat(np.arange(len(packed)), number_of),

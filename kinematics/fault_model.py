@@ -16,6 +16,7 @@ ComplexArray = NDArray[np.complex128]
 _ROUNDS = 6
 _SMALL = 1e-5
 _UNSEEN = 1e-22
+_MANY = 60
 
 
 @dataclass(frozen=True)
@@ -338,9 +339,8 @@ def _inverse(information: Array) -> Array:
     seen = diagonal > _UNSEEN * np.max(diagonal, initial=0.0)
     scale = np.where(seen, 1.0 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
     even = information * np.outer(scale, scale)
-    found = (
-        np.linalg.inv(even)
-        if len(even) > 60 and np.all(seen)
-        else np.linalg.pinv(even, rcond=1e-9, hermitian=True)
-    )
+    if len(even) > _MANY:
+        found = np.linalg.inv(even + np.diag(np.where(seen, 1e-10, 1.0)))
+    else:
+        found = np.linalg.pinv(even, rcond=1e-9, hermitian=True)
     return np.asarray(found * np.outer(scale, scale))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.diagnose import Diagnosis, Finding
-from kinematics.measurement import BodyChannels
+from kinematics.measurement import BodyChannels, direction_name
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -52,7 +52,21 @@ class ChannelVerdict:
 
 
 def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
-    """Return the verdict of a finding and its estimate in words."""
+    """Return the verdict of a finding and its estimate in words, with what the data hardly tell from it."""
+    verdict, estimate = _described(finding, body)
+    others = []
+    for rival in finding.rivals if verdict != "flexible" else ():
+        name, size = _described(rival, body)
+        where = (
+            ""
+            if sorted(rival.channels) == sorted(finding.channels)
+            else f" of {_channel_list(rival.channels, body)}"
+        )
+        others.append(f"{name}{where} ({size})")
+    return verdict, "; not told apart from ".join([estimate, " or ".join(others)]) if others else estimate
+
+
+def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     fit = finding.fit
     if finding.kind == "noise":
         return "noise", f"noise {finding.size:.3g} times that of its sd"
@@ -96,6 +110,8 @@ def _factor(value: complex) -> str:
 
 def _partner(finding: Finding, body: BodyChannels) -> str:
     points = list(dict.fromkeys(body.points[c] for c in finding.channels))
+    if finding.owner == "lasers":
+        return "two lasers exchanged at all points"
     if len(points) == 1:
         return f"two beams of point {points[0]} exchanged"
     return f"points {points[0]} and {points[1]} exchanged"
@@ -147,7 +163,11 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
     for finding in diagnosis.findings:
         verdict, estimate = describe(finding, body)
         if verdict == "flexible":
-            text = f"body {body.body}{where} does not move as a rigid body: {estimate}."
+            text = (
+                f"body {body.body}{where} does not move as a rigid body: {estimate}{_bent(body, diagnosis)}."
+            )
+        elif finding.owner == "laser":
+            text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
         elif finding.kind == "axes":
             text = f"body {body.body}{where}: beam axes do not agree with the positions: {estimate}."
         else:
@@ -155,6 +175,21 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             text = f"{names}{where}: {verdict}, {estimate}; correct it or leave the channel out."
         notices.append(Notice(f"channel_{verdict}" if verdict != "flexible" else "flexible", text))
     return notices
+
+
+def _bent(body: BodyChannels, diagnosis: Diagnosis) -> str:
+    """Say from where on a body is not rigid, and where it bends most."""
+    structure = diagnosis.structure
+    text = "" if np.isnan(structure.begins_hz) else f", from about {structure.begins_hz:.3g} Hz on"
+    if not np.any(structure.pattern > 0.0):
+        return text
+    return f"{text}, most at channel {body.channel_name(int(np.argmax(structure.pattern)))}"
+
+
+def _laser(finding: Finding, body: BodyChannels) -> str:
+    """Name the beams of one laser."""
+    beam = direction_name(body.reported_directions[finding.channels[0]])
+    return f"all {len(finding.channels)} beams along ({beam}) of body {body.body}"
 
 
 def _channel_list(channels: Sequence[int], body: BodyChannels) -> str:
