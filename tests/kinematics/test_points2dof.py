@@ -198,7 +198,7 @@ def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
         (["--dof", "y,roll"], "--dof must be a list"),
         (["--reference", "base:y"], "--reference must be BODY:DOF"),
         (["--robust", "median"], "invalid choice"),
-        (["--calibrate"], "--calibrate must be a known option"),
+        (["--calibration"], "--calibration must be a known option"),
     ],
 )
 def test_faulty_options_are_told_before_content(tmp_path, options, match):
