@@ -15,6 +15,9 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 64 << 20
 _BEST_PACKING = 1100
 _DEEPEST = 8
+_CLASSES = {"", "double", "single", "logical", "char", "cell", "struct"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 def is_hdf5(path: Path) -> bool:
@@ -116,6 +119,8 @@ def matlab_tree(node: Any, file: Any, where: str, depth: int = 0) -> Any:
         return (
             [] if kind == "cell" else {} if kind == "struct" else "" if kind == "char" else np.empty((0, 0))
         )
+    if kind not in _CLASSES:
+        return {}
     values = array_of(node, where)
     if _is_references(node):
         places = values.T.reshape(-1, order="F")

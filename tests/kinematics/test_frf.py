@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -125,6 +127,7 @@ def test_units_scale_through():
 def test_noise_of_the_reference_is_common_to_channels_and_told_apart():
     made, value, sd, true = replicas(Welch(256), 0.3, 0.05, 80, gains=GAINS)
     assert all("reference_noise" in {notice.code for notice in one.notices} for one in made)
+    assert re.search(r"H1 reads all of them [789](\.\d)? % low for it", made[0].notices[0].text)
     weight = np.abs(GAINS) ** 2 / np.sum(GAINS**2)
     common = np.sum(weight * value / true, axis=1, keepdims=True)
     own = np.mean(np.abs(value - true * common) ** 2, axis=0) / 2.0 / (1.0 - weight)
@@ -178,8 +181,10 @@ def test_records_that_differ_widen_the_sd():
     assert np.median(result.sd) > 2.0 * np.median(straight.sd)
 
 
-def test_few_periods_are_told():
+def test_few_averages_are_told():
     rng = np.random.default_rng(6)
+    result = welch_frf([random_record(rng, 0.0, 0.2)], RATE, Welch(2048))
+    assert [notice.code for notice in result.notices] == ["few_averages"]
     result = periodic_frf([periodic_record(rng, 0.0, 0.2, 3)], RATE, Periodic(512 / RATE))
     assert [notice.code for notice in result.notices] == ["few_averages"]
 
