@@ -152,7 +152,8 @@ def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]
 
 def noise_of(grey: NDArray[np.float32]) -> float:
     """Estimate the noise from differences of neighbours, most of which lie in one material."""
-    layers = np.unique(np.linspace(0, len(grey) - 2, _LAYERS).round().astype(np.int64))
+    wanted = np.linspace(0, len(grey) - 2, _LAYERS).round().astype(np.int64)
+    layers = np.array(sorted(set(wanted.tolist())), dtype=np.int64)
     some = grey[layers]
     steps = [np.abs(part).ravel() for part in (np.diff(some, axis=1), np.diff(some, axis=2))]
     steps.append(np.abs(grey[layers + 1] - some).ravel())

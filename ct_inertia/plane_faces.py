@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from ct_inertia.footplate_search import sphere
 from ct_inertia.surface_field import Mesh
 from kinematics.frames import rotation_from_vector
+
+if TYPE_CHECKING:
+    from ct_inertia.footplate import SurfaceLike
 
 Array = NDArray[np.float64]
 
@@ -116,6 +120,13 @@ def plane_faces(
                 failures += 1
             pieces = pieces.chosen(~members)
     return sorted(found, key=lambda face: -face.area_mm2)
+
+
+def large_faces(surface: SurfaceLike, on_border: NDArray[np.bool_] | None = None) -> list[PlaneFace]:
+    """Return the plane faces of a closed surface that hold more than a hundredth of its area."""
+    mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
+    area = float(np.linalg.norm(mesh.area_vectors, axis=1).sum())
+    return plane_faces(mesh, 0.01 * area, on_border)
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,8 @@ def _columns(
     rows = np.flatnonzero(keep)
     place = (first[keep] - low[axis])[:, None] + np.arange(2 * half + 1)
     shape = (len(ticks[beside[0]]), len(ticks[beside[1]]))
-    grey = stack[(*np.unravel_index(rows, shape),)][np.arange(len(rows))[:, None], place].astype(float)
+    row, column = (k[:, None] for k in np.unravel_index(rows, shape))
+    grey = stack[row, column, place].astype(float)
     height = (first[keep][:, None] + np.arange(2 * half + 1) - crossing[keep, axis][:, None]) * across[axis]
     crossing[:, axis] = 0.0
     beside_others = _left_by(

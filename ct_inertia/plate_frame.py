@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate import SurfaceLike
-from ct_inertia.plane_faces import PlaneFace, plane_faces
+from ct_inertia.plane_faces import PlaneFace, large_faces
 from ct_inertia.plane_fit import fitted_to_grey
-from ct_inertia.surface_field import Mesh
+from ct_inertia.plate_region import PlateSurface
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.frames import RigidTransform, axes_matrix, vector_from_rotation
@@ -90,8 +90,10 @@ def plate_frame(
     CtInertiaError
         The plate has no large plane face that looks towards the stapes.
     """
-    mesh = Mesh(np.asarray(plate.vertices_mm, dtype=float), np.asarray(plate.faces, dtype=np.intp))
-    faces = plane_faces(mesh, 0.01 * float(np.linalg.norm(mesh.area_vectors, axis=1).sum()), on_border)
+    if isinstance(plate, PlateSurface) and on_border is plate.on_border:
+        faces = plate.planes
+    else:
+        faces = large_faces(plate, on_border)
     if volume is not None:
         faces = [_placed_border(face, volume) for face in faces]
     main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))

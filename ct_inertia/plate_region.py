@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ from ct_inertia.isosurface import iso_surface
 from ct_inertia.search import Sight
 from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
+
+if TYPE_CHECKING:
+    from ct_inertia.plane_faces import PlaneFace
 
 Array = NDArray[np.float64]
 _LEAST_MM3 = 0.5
@@ -58,6 +63,21 @@ class PlateSurface(Surface):
     """
 
     on_border: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    @cached_property
+    def planes(self) -> list[PlaneFace]:
+        """Its plane faces of more than a hundredth of its area, the largest first; found on first use."""
+        from ct_inertia.plane_faces import large_faces
+
+        return large_faces(self, self.on_border)
+
+
+def surface_with_planes(volume: Volume, sight: Sight, plate: PlateRegion) -> PlateSurface | None:
+    """Return the closed surface of the plate, its plane faces found already."""
+    surface = plate_surface(volume, sight, plate)
+    if surface is not None:
+        _ = surface.planes
+    return surface
 
 
 def find_plate(sight: Sight) -> PlateRegion | None:
@@ -126,7 +146,7 @@ def _pure(grey: NDArray[np.floating], region: NDArray[np.bool_], rim: int, guess
     return float(deep[(deep >= low) & (deep <= high)].mean())
 
 
-def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> Surface | None:
+def plate_surface(volume: Volume, sight: Sight, plate: PlateRegion) -> PlateSurface | None:
     """Return the closed surface of the plate, cut out of the bone glued to it.
 
     On the grid of the coarse view, at the level half way between air and plastic; None when nothing closed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -19,16 +20,18 @@ from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
 from ct_inertia.measure import Measured, border_notices, measure
 from ct_inertia.partial_volume import with_voxel_size
-from ct_inertia.plate_region import PlateRegion, find_plate, plate_surface
+from ct_inertia.plate_region import PlateRegion, PlateSurface, find_plate, surface_with_planes
 from ct_inertia.progress import Tell, untold
 from ct_inertia.search import SearchOptions, Sight, look
-from ct_inertia.surface import Surface
 from ct_inertia.thresholded import is_thresholded, with_threshold
 from ct_inertia.volume import Volume
 from kinematics.background import Later
 from kinematics.notices import unique
 
 Array = NDArray[np.float64]
+
+# Imported while the stapes is cut out, not when it is waited for.
+_NEEDED_LATER = ("numpy.ma", "numpy.random", "ct_inertia.plane_faces", "ct_inertia.plate_frame")
 
 
 def find_bodies(
@@ -69,23 +72,30 @@ def find_bodies(
         volume, glance = volume.cropped(options.box_mm), None
     glance = glance or Later(take_glance, volume)
     sight = look(volume, options, glance.taken())
+    imports = Later(_import, _NEEDED_LATER)
     progress("cutting the stapes out")
     finding = Later(find_plate, sight)
     cut = cut_out(volume, sight, finding.result)
     plate = finding.result()
-    plate_mesh = None if plate is None else Later(plate_surface, volume, sight, plate)
+    plate_mesh = None if plate is None else Later(surface_with_planes, volume, sight, plate)
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
     progress("measuring the stapes")
     bodies = _assembled(volume, sight, plate, plate_mesh, cut, options)
+    imports.result()
     return bodies
+
+
+def _import(names: Sequence[str]) -> None:
+    for name in names:
+        import_module(name)
 
 
 def _assembled(
     volume: Volume,
     sight: Sight,
     plate: PlateRegion | None,
-    plate_mesh: Later[Surface | None] | None,
+    plate_mesh: Later[PlateSurface | None] | None,
     cut: Cut,
     options: SearchOptions,
 ) -> Bodies:

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +57,7 @@ class Hashes:
         self._sha256 = sha256
         self._wanted = [Path(path) for path in paths if path is not None]
         self._done: dict[Path, str | OSError] = {}
+        self._versions: dict[str, str] = {}
         # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for large files.
         self._thread = threading.Thread(target=self._work, name="hashes", daemon=True)
         self._thread.start()
@@ -69,6 +69,12 @@ class Hashes:
                 self._done[path] = content_hash(path, self._sha256)
             except OSError as fault:
                 self._done[path] = fault
+        self._versions = versions()
+
+    def versions(self) -> dict[str, str]:
+        """Return the versions of what computes, looked up after the files were hashed."""
+        self._thread.join()
+        return self._versions or versions()
 
     def of(self, path: Path) -> str:
         """Return the hash of a file, waiting for it when it is not ready yet.
@@ -107,6 +113,8 @@ def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None)
 
 def versions() -> dict[str, str]:
     """Return the versions of Python, of stapeskit and of the packages its numbers come from."""
+    from importlib import metadata
+
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -143,7 +151,7 @@ def record(
         "inputs": {
             role: input_record(path, sha256, hashes) for role, path in inputs.items() if path is not None
         },
-        "versions": versions(),
+        "versions": versions() if hashes is None else hashes.versions(),
         "parameters": dict(parameters),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(line),

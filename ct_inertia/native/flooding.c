@@ -23,7 +23,7 @@ static uint64_t key_of(float height, uint64_t from, uint32_t arrival)
 static int push(Queue *q, uint64_t key, int64_t place)
 {
     if (q->count == q->room) {
-        const int64_t room = q->room ? 2 * q->room : 1 << 16;
+        const int64_t room = q->room + q->room / 4 + (1 << 16);
         Drop *more = realloc(q->drop, (size_t)room * sizeof *more);
         if (!more)
             return -1;

@@ -299,55 +299,69 @@ static int add_face(Contour *c, const int64_t *corner)
 
 static double crossing(float a, float b, double level) { return (level - (double)a) / ((double)b - (double)a); }
 
-/* Points on the edges that begin in the corners of one layer: along x, y and z (towards the next layer). */
-static int layer_points(const float *field, const int64_t *shape, int64_t z, double level, int64_t *ids, Contour *c)
+/* Which corners of a layer are not below the level. */
+static void layer_signs(const float *at, int64_t count, float level, uint8_t *in)
+{
+    for (int64_t i = 0; i < count; i++)
+        in[i] = at[i] >= level;
+}
+
+/* Points on the edges that begin in the corners of one layer: along x, y and z (towards the next layer, if any). */
+static int layer_points(const float *at, const int64_t *shape, int64_t z, double level, const uint8_t *in,
+                        const uint8_t *next, uint8_t *differ, int64_t *ids, Contour *c)
 {
     const int64_t ny = shape[1], nx = shape[2], layer = ny * nx;
-    const float *at = field + z * layer;
-    const int up = z + 1 < shape[0];
-    for (int64_t y = 0; y < ny; y++)
-        for (int64_t x = 0; x < nx; x++, at++) {
-            const int in = (double)at[0] >= level;
+    for (int64_t y = 0; y < ny; y++, at += nx, in += nx, next += next ? nx : 0) {
+        const uint8_t *below = y + 1 < ny ? in + nx : in, *above = next ? next : in;
+        for (int64_t x = 0; x + 1 < nx; x++)
+            differ[x] = (in[x] ^ in[x + 1]) | (in[x] ^ below[x]) << 1 | (in[x] ^ above[x]) << 2;
+        differ[nx - 1] = (in[nx - 1] ^ below[nx - 1]) << 1 | (in[nx - 1] ^ above[nx - 1]) << 2;
+        for (int64_t x = 0; x < nx; x++) {
+            uint64_t word;
+            if (x + 8 <= nx && (memcpy(&word, differ + x, 8), word == 0)) {
+                x += 7;
+                continue;
+            }
+            const int which = differ[x];
             const int64_t k = y * nx + x;
-            if (x + 1 < nx && in != ((double)at[1] >= level) &&
-                (ids[k] = add_point(c, (double)x + crossing(at[0], at[1], level), (double)y, (double)z)) < 0)
+            if (which & 1 &&
+                (ids[k] = add_point(c, (double)x + crossing(at[x], at[x + 1], level), (double)y, (double)z)) < 0)
                 return -1;
-            if (y + 1 < ny && in != ((double)at[nx] >= level) &&
-                (ids[layer + k] = add_point(c, (double)x, (double)y + crossing(at[0], at[nx], level), (double)z)) < 0)
+            if (which & 2 && (ids[layer + k] = add_point(c, (double)x, (double)y + crossing(at[x], at[x + nx], level),
+                                                         (double)z)) < 0)
                 return -1;
-            if (up && in != ((double)at[layer] >= level) &&
-                (ids[2 * layer + k] = add_point(c, (double)x, (double)y, (double)z + crossing(at[0], at[layer], level))) < 0)
+            if (which & 4 && (ids[2 * layer + k] = add_point(c, (double)x, (double)y,
+                                                             (double)z + crossing(at[x], at[x + layer], level))) < 0)
                 return -1;
         }
+    }
     return 0;
 }
 
-static int layer_faces(const float *field, const int64_t *shape, int64_t z, double level, int64_t *const ids[2],
-                       Contour *c)
+/* Triangles of the cubes between two layers, from the signs of their corners. */
+static int layer_faces(const int64_t *shape, const uint8_t *in, const uint8_t *next, uint8_t *which,
+                       int64_t *const ids[2], Contour *c)
 {
     const int64_t ny = shape[1], nx = shape[2], layer = ny * nx;
-    for (int64_t y = 0; y + 1 < ny; y++) {
-        const float *at = field + z * layer + y * nx;
+    for (int64_t y = 0; y + 1 < ny; y++, in += nx, next += nx) {
         const int64_t row = y * nx;
-        int which = 0;
-        for (int64_t x = 0; x < nx; x++) {
-            /* the four corners at x become those on the low side of the next cube */
-            which = ((which >> 1) & 0x55) | ((double)at[x] >= level) << 1 | ((double)at[x + nx] >= level) << 3 |
-                    ((double)at[x + layer] >= level) << 5 | ((double)at[x + layer + nx] >= level) << 7;
-            if (x == 0 || which == 0 || which == 255)
-                continue;
-            const int8_t *how = CASES[which];
+        for (int64_t x = 0; x + 1 < nx; x++) {
+            const int low = in[x] | in[x + 1] << 1 | in[x + nx] << 2 | in[x + nx + 1] << 3;
+            const int high = next[x] | next[x + 1] << 1 | next[x + nx] << 2 | next[x + nx + 1] << 3;
+            which[x] = (uint8_t)(low | high << 4);
+        }
+        for (int64_t x = 0; x + 1 < nx; x++) {
+            const int8_t *how = CASES[which[x]];
             for (int t = 0; t < how[0]; t++) {
                 int64_t corner[3];
                 for (int k = 0; k < 3; k++) {
                     const int edge = how[1 + 3 * t + k], first = edge & 1, second = edge >> 1 & 1;
-                    const int64_t cell = row + x - 1;
                     if (edge < 4)
-                        corner[k] = ids[second][cell + first * nx];
+                        corner[k] = ids[second][row + x + first * nx];
                     else if (edge < 8)
-                        corner[k] = ids[second][layer + cell + first];
+                        corner[k] = ids[second][layer + row + x + first];
                     else
-                        corner[k] = ids[0][2 * layer + cell + first + second * nx];
+                        corner[k] = ids[0][2 * layer + row + x + first + second * nx];
                 }
                 if (add_face(c, corner))
                     return -1;
@@ -362,18 +376,36 @@ static int layer_faces(const float *field, const int64_t *shape, int64_t z, doub
 API int64_t contoured(const float *field, const int64_t *shape, double level, double **points, int64_t *n_points,
                       int64_t **faces, int64_t *n_faces)
 {
-    const int64_t layer = shape[1] * shape[2];
+    const int64_t nz = shape[0], layer = shape[1] * shape[2];
     Contour c = {NULL, NULL, 0, 0, 0, 0};
     int64_t *memory = malloc((size_t)(6 * layer) * sizeof *memory);
     int64_t *ids[2] = {memory, memory ? memory + 3 * layer : NULL};
-    int bad = !memory || layer_points(field, shape, 0, level, ids[0], &c);
-    for (int64_t z = 0; !bad && z + 1 < shape[0]; z++) {
-        bad = layer_points(field, shape, z + 1, level, ids[1], &c) || layer_faces(field, shape, z, level, ids, &c);
+    uint8_t *bytes = malloc((size_t)(3 * layer + shape[2]));
+    uint8_t *in[3] = {bytes, bytes ? bytes + layer : NULL, bytes ? bytes + 2 * layer : NULL};
+    float limit = (float)level; /* the least single number that is not below the level */
+    if ((double)limit < level)
+        limit = nextafterf(limit, INFINITY);
+    int bad = !memory || !bytes;
+    if (!bad) {
+        layer_signs(field, layer, limit, in[0]);
+        if (nz > 1)
+            layer_signs(field + layer, layer, limit, in[1]);
+        bad = layer_points(field, shape, 0, level, in[0], nz > 1 ? in[1] : NULL, bytes + 3 * layer, ids[0], &c);
+    }
+    for (int64_t z = 0; !bad && z + 1 < nz; z++) {
+        const float *at = field + (z + 1) * layer;
+        if (z + 2 < nz)
+            layer_signs(at + layer, layer, limit, in[2]);
+        bad = layer_points(at, shape, z + 1, level, in[1], z + 2 < nz ? in[2] : NULL, bytes + 3 * layer, ids[1], &c) ||
+              layer_faces(shape, in[0], in[1], bytes + 3 * layer, ids, &c);
         int64_t *next = ids[1];
         ids[1] = ids[0];
         ids[0] = next;
+        uint8_t *first = in[0];
+        in[0] = in[1], in[1] = in[2], in[2] = first;
     }
     free(memory);
+    free(bytes);
     if (bad) {
         free(c.points);
         free(c.faces);

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from ct_inertia import native
-from kinematics.native import SWITCH, library_name
 from ct_inertia.contours import contoured
 from ct_inertia.distance import capped_distance
 from ct_inertia.graphs import graph_pieces, in_hull, solver
@@ -44,6 +43,7 @@ from ct_inertia.partial_volume import Share, partial_volume_moments
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
 from ct_inertia.working import working_box
+from kinematics.native import SWITCH, library_name
 
 ROOT = Path(__file__).resolve().parents[2]
 
