@@ -5,7 +5,8 @@
     python benchmarks/points_speed.py --points 40 --lines 2000
 
 Times are processor seconds of one thread (OPENBLAS_NUM_THREADS=1), the least of some repetitions of ours and
-one run of the peers, each in a process of its own on the same file; reading the file is not counted.
+one run of the peers, each in a process of its own on the same file; reading the file is not counted. pyFBS
+runs again with as many threads as its libraries take by themselves, for which its small products wait.
 "Passes" are multiples of one sum over the data in memory (values, and sd where each value has its own), in
 the same process. "Memory" is the peak of all that is allocated, data included, over the size of the data;
 for peers the resident size of the process. The peers are installed by hand, in an environment of their own:
@@ -34,6 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 PEERS = Path(__file__).parent / "peers"
 SEED = 20
+PARTS = ("setup", "fit", "consistency", "residuals")
 DOF = ("x", "y", "z", "alpha", "beta", "gamma")
 
 
@@ -125,10 +127,12 @@ def ours(data: dict[str, Any], repeat: int) -> tuple[list[dict[str, Any]], np.nd
     return rows, q
 
 
-def peer(python: str, script: str, folder: Path) -> dict[str, float] | None:
-    """Run a peer and return what it printed; None when it cannot run there."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "QT_QPA_PLATFORM": "offscreen"}
+def peer(python: str, script: str, folder: Path, threads: bool = False) -> dict[str, float] | None:
+    """Run a peer with one thread or its own choice; return what it printed, None when it cannot run."""
+    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
     environment.pop("PYTHONPATH", None)
+    if threads:
+        environment.pop("OPENBLAS_NUM_THREADS", None)
     done = subprocess.run(
         [python, str(PEERS / script), str(folder)],
         capture_output=True,
@@ -143,29 +147,46 @@ def peer(python: str, script: str, folder: Path) -> dict[str, float] | None:
     return {key: value for line in lines for key, value in line.items()}
 
 
+def total(found: dict[str, float]) -> float:
+    """Return the seconds of all parts of a peer."""
+    return sum(value for key, value in found.items() if key in PARTS)
+
+
 def table(
     rows: list[dict[str, Any]], found: dict[str, dict[str, float] | None], size: int, difference: float | None
 ) -> str:
     """Write the markdown table."""
-    fbs, sdy = found.get("pyFBS"), found.get("sdynpy")
-    slow = None if fbs is None else fbs["setup"] + fbs["fit"] + fbs["consistency"]
-    head = "| | processor time | passes over the data | memory / data | pyFBS over this |\n|-|-|-|-|-|"
-    lines = [head]
-    for row in rows:
-        ratio = "" if slow is None or row["passes"] == 1.0 else f"{slow / row['seconds']:.0f}"
-        cells = [row["name"], f"{1e3 * row['seconds']:.0f} ms", f"{row['passes']:.1f}"]
-        lines.append("| " + " | ".join([*cells, format(row["memory"], ".2f"), ratio]) + " |")
+    names = ("pyFBS", "pyFBS, threads as installed")
+    slow = {name: total(one) for name in names if (one := found.get(name)) is not None}
+    columns = "".join(f" {name} over this |" for name in slow)
+    lines = [f"| | processor time | passes over the data | memory / data |{columns}"]
+    lines.append("|-|-|-|-|" + "-|" * len(slow))
     once = rows[0]["seconds"]
-    if fbs is not None and slow is not None:
-        parts = f"set up {fbs['setup']:.2f} s, fit {fbs['fit']:.3f} s, consistency {fbs['consistency']:.1f} s"
-        memory = fbs["peak_bytes"] / size
-        lines.append(f"| pyFBS: {parts} | {slow:.1f} s | {slow / once:.0f} | {memory:.1f} | 1 |")
-    if sdy is not None:
-        seconds = sdy["setup"] + sdy["residuals"]
-        memory = sdy["peak_bytes"] / size
-        ratio = "" if slow is None else f"{slow / seconds:.0f}"
-        name = "sdynpy: rigid_body_error (residuals alone)"
-        lines.append(f"| {name} | {seconds:.1f} s | {seconds / once:.0f} | {memory:.1f} | {ratio} |")
+    for row in rows:
+        cells = [
+            row["name"],
+            f"{1e3 * row['seconds']:.0f} ms",
+            f"{row['passes']:.1f}",
+            f"{row['memory']:.2f}",
+        ]
+        ratios = [
+            f"{seconds / row['seconds']:.0f}" if row is not rows[0] else "" for seconds in slow.values()
+        ]
+        lines.append("| " + " | ".join([*cells, *ratios]) + " |")
+    for name, one in found.items():
+        if one is None:
+            continue
+        seconds, times = total(one), {key: value for key, value in one.items() if key in PARTS}
+        parts = ", ".join(f"{key} {value:.2f} s" for key, value in times.items())
+        cells = [
+            f"{name}: {parts}",
+            f"{seconds:.1f} s",
+            f"{seconds / once:.0f}",
+            f"{one['peak_bytes'] / size:.1f}",
+        ]
+        lines.append(
+            "| " + " | ".join([*cells, *[f"{other / seconds:.1f}" for other in slow.values()]]) + " |"
+        )
     if difference is not None:
         lines.append(
             f"\nLargest difference of the motion from pyFBS, relative to its largest: {difference:.1e}."
@@ -201,7 +222,10 @@ def main() -> None:
                 difference = float(
                     np.max(np.max(np.abs(q - theirs), axis=0) / np.max(np.abs(theirs), axis=0))
                 )
-            found["sdynpy"] = peer(options.peers, "points_sdynpy.py", folder)
+            found["pyFBS, threads as installed"] = peer(
+                options.peers, "points_pyfbs.py", folder, threads=True
+            )
+            found["sdynpy, residuals alone"] = peer(options.peers, "points_sdynpy.py", folder)
     else:
         print("pyFBS and sdynpy: not run (name an interpreter that has them with --peers).\n")
     print(table(rows, found, size, difference))
