@@ -194,6 +194,11 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
             "plate_points": options.plate_points,
             "bone_points": options.bone_points,
             "mapping": options.mapping,
+            **{
+                one.name: one
+                for path in options.ldv
+                if (one := path.with_name(path.name + ".toml")).is_file()
+            },
             "channels": options.channels,
             "steps": options.steps,
         },

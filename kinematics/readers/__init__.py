@@ -56,6 +56,7 @@ def read_measurement(
         _refuse_options(options, paths[0])
         measurement = read_ldv(paths[0], points, frame)
         return replace(measurement, inputs=inputs_of(paths, points))
+    raise_all(KinematicsError, _unused(options, kinds))
     files, faults = [], []
     for path, kind in zip(paths, kinds, strict=True):
         try:
@@ -90,6 +91,18 @@ def _check_names(paths: Sequence[Path]) -> None:
         raise KinematicsError(
             sentence("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
         )
+
+
+def _unused(options: InputOptions, kinds: Sequence[str]) -> list[str]:
+    """List options on time series and variables that no file is for."""
+    faults = []
+    if options.series is not None and not {"time", "matlab", "hdf5"} & set(kinds):
+        want = "left out: no file holds time series"
+        faults.append(sentence("--channels", want, options.series.channels.name))
+    if options.mapping is not None and (options.series is not None or not {"matlab", "hdf5"} & set(kinds)):
+        want = "left out: no MATLAB or HDF5 file with spectra is read"
+        faults.append(sentence("--mapping", want, options.mapping.name))
+    return faults
 
 
 def _refuse_options(options: InputOptions, path: Path) -> None:

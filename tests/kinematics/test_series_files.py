@@ -289,3 +289,17 @@ def test_the_channel_table_of_the_page_is_read(tmp_path):
     assert (vib.order, vib.scale) == (1, pytest.approx(5e-3))
     assert (acc.order, acc.scale) == (2, pytest.approx(98.0665))
     assert (mic.role, mic.unit, mic.scale) == ("reference", "Pa", pytest.approx(20.0))
+
+
+def test_options_that_no_file_is_for_are_refused(tmp_path):
+    from kinematics.readers import InputOptions, read_measurement
+
+    (tmp_path / "channels.csv").write_text(TABLE)
+    (tmp_path / "map.toml").write_text("")
+    (tmp_path / "scan.uff").write_text("    -1\n    58\n    -1\n")
+    said = InputOptions(series=SeriesOptions(tmp_path / "channels.csv"), mapping=tmp_path / "map.toml")
+    with pytest.raises(
+        KinematicsError, match="--channels must be left out: no file holds time series"
+    ) as told:
+        read_measurement([tmp_path / "scan.uff"], options=said)
+    assert "--mapping must be left out" in str(told.value)
