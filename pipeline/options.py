@@ -106,7 +106,14 @@ def motion_options(ldv: Ldv) -> Options:
     from kinematics.points2dof import Options
 
     geometry = priors(ldv.calibrate, ldv.axes_sd_deg, ldv.beam_sd_deg, ldv.gain_sd_percent)
-    return Options(ldv.dof, ldv.reference, ldv.robust, calibrate=geometry, repeats=ldv.repeats)
+    return Options(
+        ldv.dof,
+        ldv.reference,
+        ldv.robust,
+        calibrate=geometry,
+        reference_noise=ldv.reference_noise,
+        repeats=ldv.repeats,
+    )
 
 
 def input_options(ldv: Ldv) -> InputOptions:

@@ -79,6 +79,7 @@ class Ldv(_Table):
     frame: fields.Frame | None = None
     dof: fields.Dof = ("x", "y", "z", "alpha", "beta", "gamma")
     reference: fields.Text = ""
+    reference_noise: fields.Number = 0.0
     robust: fields.RobustPoints = "none"
     repeats: fields.Repeats = "pool"
     mirror: fields.Axis | None = None

@@ -83,6 +83,8 @@ fiducials = "fiducials.csv"
 # dof = "all"
 # Responses per unit of one motion, e.g. of the base along y.
 # reference = "base:y"
+# Relative noise of the signal that all readings refer to.
+# reference_noise = 0.002
 # Against outliers: none, huber or t4.
 # robust = "none"
 # Columns repeat and level of the table: pool them after comparing them, or keep them separate as runs.

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from kinematics.errors import KinematicsError
 from kinematics.ldv_csv import read_ldv
 from pipeline.errors import PipelineError
-from pipeline.options import input_options
+from pipeline.options import input_options, motion_options
 from pipeline.scan2kd import run_study
 from pipeline.stages import Motion
 from pipeline.study import parse_study
@@ -41,6 +42,16 @@ def test_keys_of_the_study_are_the_options_of_the_command(tmp_path):
     one = parsed('file = "s.uff"\nbeam = "-z"\nbody = ["stapes=1-3"]\n', tmp_path)
     assert [path.name for path in one.ldv.files] == ["s.uff"]
     np.testing.assert_allclose(input_options(one.ldv).direction, [0.0, 0.0, -1.0])
+
+
+def test_noise_of_the_reference_is_a_key(tmp_path):
+    assert (
+        motion_options(parsed('file = "s.uff"\nreference_noise = 0.01\n', tmp_path).ldv).reference_noise
+        == 0.01
+    )
+    wrong = parsed('file = "s.uff"\nreference_noise = 2\n', tmp_path).ldv
+    with pytest.raises(KinematicsError, match=r"--reference-noise must be from 0 to below 1; got 2"):
+        motion_options(wrong)
 
 
 def test_keys_of_time_series_go_together(tmp_path):
