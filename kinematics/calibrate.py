@@ -66,10 +66,8 @@ class Calibration:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters as shared errors."""
-        return tuple(
-            name if name.startswith("position.") else f"calibration.{name}" for name in self.model.names
-        )
+        """Names of the parameters as shared errors: one source, as the data tie them together."""
+        return tuple(f"calibration.{name}" for name in self.model.names)
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def test_common_shifts_and_turns_leave_no_residual():
     moved = calibrate(replace(measurement, bodies=bodies), [DOF_NAMES] * 2, priors, stated(measurement))
     assert moved.fall == pytest.approx(base.fall, rel=1e-6)
     assert moved.chi2 == pytest.approx(base.chi2, rel=1e-4)
-    places = [k for k, name in enumerate(base.names) if name.startswith("position.stapes")]
+    places = [k for k, name in enumerate(base.model.names) if name.startswith("position.stapes")]
     together = np.zeros((len(base.names), 3))
     for axis in range(3):
         together[places[axis::3], axis] = 1.0

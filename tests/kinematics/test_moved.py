@@ -15,7 +15,9 @@ from kinematics.icp_refine import Cloud
 from kinematics.mass_record import read_mass_record
 from kinematics.measurement import from_arrays
 from kinematics.moved import check_surfaces
-from kinematics.placement import place
+from kinematics.placement import place, place_on_surface
+from kinematics.points2dof import points2dof
+from kinematics.registration import fit_rigid
 from kinematics.scan_surfaces import OTHER_BONE, ScanSurfaces, label_surface, read_labels, read_mesh
 from kinematics.tie import tie
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
@@ -179,6 +181,46 @@ def test_plate_points_tie_the_vibrometer(scan):
         KinematicsError, match=r"--plate-points must be given with a mass.json that has a plate"
     ):
         tie(measurement, None, "footplate", mass, ScanSurfaces.beside(scan[0] / "x" / "mass.json"), plate)
+
+
+def test_a_surface_registration_moves_the_motion_as_its_derivatives_say(scan):
+    """Displace the vibrometer and the footplate frame by a little and fit the motion again."""
+    measurement, _ = setting(5)
+    beams = np.array([[0.3, 0, 1], [-0.2, 0.3, 1], [-0.2, -0.3, 1]])
+    beams = VIBROMETER.inverse().vectors(beams / np.linalg.norm(beams, axis=1)[:, None])
+    one = measurement.bodies[0]
+    rng = np.random.default_rng(4)
+    three = {
+        "points": tuple(np.repeat(one.points, 3)),
+        "positions_mm": np.repeat(one.positions_mm, 3, axis=0),
+        "directions": np.tile(beams, (len(one.points), 1)),
+        "value": rng.normal(size=(3 * len(one.points), 4, 2)) @ [1.0, 1j],
+        "sd": 0.1,
+    }
+    data = from_arrays({"stapes": three}, np.arange(1.0, 5.0), frame="vibrometer", order=0)
+    mass = read_mass_record(scan[0] / "mass.json")
+    fit = fit_rigid(VIBROMETER.inverse().points(MARKS), MARKS, 0.01, to="scan", source="vibrometer")
+    placement = place_on_surface(fit, mass)
+    motion = points2dof(data, placement).motion
+    shared, size = motion.shared, np.max(np.abs(motion.q), axis=(0, 1, 2))
+    assert np.allclose(shared.covariance[:6, :6], fit.covariance_si)
+    assert np.allclose(shared.covariance[6:, 6:], mass.footplate_covariance)
+    for start, moved in enumerate(
+        (
+            lambda e: place_on_surface(replace(fit, transform=fit.transform.perturbed(e)), mass),
+            lambda e: place_on_surface(
+                fit, replace(mass, scan_from_footplate=mass.scan_from_footplate.perturbed(e))
+            ),
+        )
+    ):
+        for axis in range(6):
+            step = np.zeros(6)
+            step[axis] = 1e-6
+            ends = [points2dof(data, moved(sign * step)).motion.q for sign in (1.0, -1.0)]
+            numeric = (ends[0] - ends[1]) / 2e-6
+            wanted = shared.derivatives[6 * start + axis]
+            scale = np.maximum(np.max(np.abs(wanted), axis=(0, 1, 2)), size)
+            assert np.allclose(wanted / scale, numeric / scale, atol=2e-3)
 
 
 def test_label_surfaces_meet_a_plane_within_a_tenth_of_a_voxel(tmp_path):
