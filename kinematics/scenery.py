@@ -116,8 +116,8 @@ def coarse(vertices_mm: Array, faces: Faces, most: int) -> tuple[Array, Faces]:
     if len(faces) <= most:
         return vertices_mm, faces
     low = vertices_mm.min(axis=0)
-    span = float(np.max(np.ptp(vertices_mm, axis=0))) or 1.0
-    cell = span / np.sqrt(most) / 1.5
+    edges = vertices_mm[faces[:, 1]] - vertices_mm[faces[:, 0]]
+    cell = max(0.8 * float(np.mean(np.linalg.norm(edges, axis=1))) * np.sqrt(len(faces) / most), 1e-9)
     while True:
         index = np.floor((vertices_mm - low) / cell).astype(np.int64)
         size = index.max(axis=0) + 1
