@@ -25,6 +25,9 @@ _TESTED = {"channel": 2, "point": 1, "laser": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1}
 _SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
+_ALARM_SHARE = {"channel": 0.5, "point": 0.2, "laser": 0.1, "body": 0.1}
+_ALARM_NOISE = 0.05
+_SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
 
 
@@ -105,7 +108,6 @@ class Search:
         self.by_point = groups
         self.structure: Structure = structure_of(self.state, self.rest, self.scale)
         self.tested: list[Tested] = []
-        self.number = 1
 
     def _ratios(self) -> Array:
         """Return the mean leverage-corrected energy of each channel on the lines without motion."""
@@ -148,9 +150,12 @@ class Search:
             return None
         self._test()
         noisy = self._noisy()
-        lowest = min((float(np.min(self._p(found))) for found in self.tested), default=1.0)
-        unsure = self.structure.p_value > 0.1 * self.alarm
-        if lowest > self.alarm / self.number and unsure and not noisy:
+        lowest = min(
+            (float(np.min(self._p(found))) * self._number(found.batch.owner) for found in self.tested),
+            default=1.0,
+        )
+        unsure = self.structure.p_value > _ALARM_NOISE * self.alarm
+        if lowest > self.alarm and unsure and not noisy:
             return None
         scored = list(noisy)
         for fit in self._suspects():
@@ -175,6 +180,11 @@ class Search:
         share = float(np.sqrt(max(excess, 0.0) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)))
         return Finding("flexible", list(self.live), self.structure.p_value, None, share)
 
+    def _number(self, owner: str) -> float:
+        """Return by how much p-values of one sort of culprit are multiplied: Bonferroni with unequal shares."""
+        count = sum(len(found.statistic) for found in self.tested if found.batch.owner == owner)
+        return max(count, 1) / _ALARM_SHARE[owner]
+
     def _p(self, found: Tested) -> Array:
         return self.chance(found.statistic, np.maximum(found.freedom, 1))
 
@@ -188,7 +198,6 @@ class Search:
         if len(self.live) == len(self.data.points):
             made.append(axes_batch(tests))
         self.tested = [tests.run(batch) for batch in made]
-        self.number = sum(len(found.statistic) for found in self.tested) + len(self.live) + 1
 
     def _lasers(self) -> list[list[int]]:
         """Return the channels of beams that are parallel at several points, when there are other beams."""
@@ -309,7 +318,10 @@ class Search:
 
     def _finding(self, fit: FaultFit) -> Finding:
         size = max(fit.fault.size, 1)
-        p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self.number)
+        owner = {"points": "point", "beams": "channel", "lasers": "laser"}.get(
+            fit.fault.owner, fit.fault.owner
+        )
+        p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self._number(owner))
         return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
 
     def _noisy(self) -> list[tuple[float, Finding]]:
@@ -326,7 +338,8 @@ class Search:
             ratio, h = self.ratios[channel] / self.scale, self.h[channel]
             if ratio < _QUIET or h > 0.98 or energy[channel] - h < limit**2 * (1.0 - h):
                 continue
-            p = min(1.0, float(chdtrc(2.0 * count, 2.0 * count * ratio / margin)) * self.number)
+            number = len(self.live) / _ALARM_NOISE
+            p = min(1.0, float(chdtrc(2.0 * count, 2.0 * count * ratio / margin)) * number)
             if p > self.alarm:
                 continue
             score = whole * (energy[channel] - 1.0 - float(np.log(energy[channel])))
