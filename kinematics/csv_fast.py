@@ -20,6 +20,7 @@ Piece = tuple[dict[str, Array], dict[str, tuple[NDArray[np.intp], list[str]]]]
 _PIECE = 4 << 20
 _STRETCH = 1 << 18
 _MOST_THREADS = 4
+_MARKS = (b"#", b"\x00", b'"')
 
 
 def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | None:
@@ -99,26 +100,26 @@ class _Parse:
         """Return numbers and coded texts of the rows between two offsets; None when they are not regular."""
         sheet = self.sheet
         body = sheet.data[piece[0] : piece[1]]
-        if b"#" in body or b"\x00" in body:
+        newlines, marks = _scanned(body)
+        rows = newlines + (not body.endswith(b"\n"))
+        quoted = b'"' in marks
+        if b"#" in marks or b"\x00" in marks or not self._wide_enough(body, rows, quoted):
             return None
-        rows = _count(body, b"\n") + (not body.endswith(b"\n"))
-        if not self._wide_enough(body, rows):
-            return None
-        frame = None if self.careful else self._frame(body, False)
+        frame = None if self.careful else self._frame(body, quoted, False)
         if frame is None:
-            frame = self._frame(body, True)
+            frame = self._frame(body, quoted, True)
             self.careful = frame is not None
-        if frame is None or len(frame) != rows or not _every_row_complete(sheet, body, frame):
+        if frame is None or len(frame) != rows or not _every_row_complete(sheet, body, frame, quoted):
             return None
         values = {column: np.ascontiguousarray(frame[column].to_numpy()) for column in self.numbers}
         if any(self._is_word(body, name, values[name]) for name in self.numbers):
             return None
         return values, {column: _coded(frame[column]) for column in self.texts}
 
-    def _wide_enough(self, body: bytes, rows: int) -> bool:
+    def _wide_enough(self, body: bytes, rows: int, quoted: bool) -> bool:
         """Tell whether no row has too many cells, which pandas notices itself when it reads all columns."""
         mark, width = self.sheet.separator.encode(), len(self.sheet.header)
-        if self.all_columns and b'"' not in body:
+        if self.all_columns and not quoted:
             return body.count(mark, 0, body.find(b"\n") % (len(body) + 1)) == width - 1
         return _count(body, mark) == rows * (width - 1)
 
@@ -135,12 +136,11 @@ class _Parse:
         cells = next(csv.reader([line], delimiter=self.sheet.separator, skipinitialspace=True))
         return cells[self.sheet.header.index(name)].strip().lower() in ("true", "false")
 
-    def _frame(self, body: bytes, careful: bool) -> Any:
+    def _frame(self, body: bytes, quoted: bool, careful: bool) -> Any:
         import pandas as pd
 
         kinds: dict[str, Any] = dict.fromkeys(self.numbers, np.float64)
         kinds |= dict.fromkeys(self.texts, "category")
-        quoted = b'"' in body
         try:
             return pd.read_csv(
                 io.BytesIO(body),
@@ -163,6 +163,17 @@ class _Parse:
             return None
 
 
+def _scanned(body: bytes) -> tuple[int, set[bytes]]:
+    """Count the line ends, and tell which of the marks that need care stand in the text."""
+    text = np.frombuffer(body, np.uint8)
+    newlines, marks = 0, set()
+    for start in range(0, len(body), _STRETCH):
+        stop = start + _STRETCH
+        newlines += int(np.count_nonzero(text[start:stop] == 10))
+        marks |= {mark for mark in _MARKS if body.find(mark, start, stop) >= 0}
+    return newlines, marks
+
+
 def _count(body: bytes, mark: bytes) -> int:
     """Count a character, a stretch at a time so that it stays in the processor's cache."""
     text, wanted = np.frombuffer(body, np.uint8), mark[0]
@@ -170,13 +181,13 @@ def _count(body: bytes, mark: bytes) -> int:
     return sum(int(np.count_nonzero(text[start : start + _STRETCH] == wanted)) for start in starts)
 
 
-def _every_row_complete(sheet: Sheet, body: bytes, frame: Any) -> bool:
+def _every_row_complete(sheet: Sheet, body: bytes, frame: Any, quoted: bool) -> bool:
     """Tell whether each row has the header's number of cells, knowing that none or all together have more.
 
     A row that ends too early then shows by its last cell, which reads empty.
     """
     last = sheet.header[-1]
-    if last in frame.columns and not frame[last].isna().any() and b'"' not in body:
+    if last in frame.columns and not frame[last].isna().any() and not quoted:
         return True
     text = np.frombuffer(body, np.uint8)
     ends = np.flatnonzero((text == sheet.separator.encode()[0]) | (text == 10))
