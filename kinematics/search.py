@@ -181,7 +181,7 @@ class Search:
         return Finding("flexible", list(self.live), self.structure.p_value, None, share)
 
     def _number(self, owner: str) -> float:
-        """Return by how much p-values of one sort of culprit are multiplied: Bonferroni with unequal shares."""
+        """Return what p-values of one sort of culprit are multiplied with: Bonferroni, unequal shares."""
         count = sum(len(found.statistic) for found in self.tested if found.batch.owner == owner)
         return max(count, 1) / _ALARM_SHARE[owner]
 
