@@ -82,6 +82,8 @@ def read(path: Path) -> Recordings:
     lines.sort(key=lambda line: line.freq_hz)
     _check_once(lines)
     notices += _treated(lines, path.name)
+    if any(len(line.signals) > 1 for line in lines):
+        notices.append(axes_notice(path.name))
     made = _recordings(lines, path.name)
     stated = all(line.stated for line in lines)
     units = "positions as their columns say" if stated else "positions without unit, as metres"
@@ -211,6 +213,16 @@ def _recordings(lines: Sequence[_Line], name: str) -> tuple[Recording, ...]:
         )
         for (point, axis), value in sorted(values.items(), key=lambda entry: rank[entry[0][0]])
     )
+
+
+def axes_notice(name: str) -> Notice:
+    """Tell that x, y, z of a point are mixtures of what its beams read."""
+    text = (
+        f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
+        "beams than along them, so that sd and verdicts, which take channels as independent, are approximate. "
+        "Export the single heads with their directions where possible."
+    )
+    return Notice("axes_from_beams", text)
 
 
 def axis_vector(axis: str) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
-from kinematics.readers.psv_fastscan import axis_vector
+from kinematics.readers.psv_fastscan import axes_notice, axis_vector
 from kinematics.readers.psv_text import Block, blocks, fields_of, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
@@ -76,6 +76,9 @@ def read(path: Path) -> Recordings:
         step = "Give the folder of the exported text files"
         raise KinematicsError(sentence("the folder", "one with text exports", "none", path.name, step))
     kept, notices = _one_quantity(made, path.name)
+    axes = {(one.point, one.direction.tobytes()) for one, _ in kept}
+    if len(axes) > len({point for point, _ in axes}):
+        notices.append(axes_notice(path.name))
     units = "positions in stated units" if stated else "positions without unit, as metres"
     return Recordings(
         _by_source(kept), tuple(notices), f"coordinates of the scan, {units}", length_stated=stated

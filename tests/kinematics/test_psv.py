@@ -33,6 +33,7 @@ def test_a_folder_of_frequencies(tmp_path):
     folder = scanned(tmp_path)
     assert kind_of(folder) == "fastscan"
     made = read_recordings(folder)
+    assert [notice.code for notice in made.notices] == ["axes_from_beams"]
     assert (len(made.recordings), made.file, made.length_stated) == (6, "scan", False)
     for number, name in enumerate(("1", "2")):
         for axis in range(3):
@@ -100,7 +101,7 @@ def test_velocity_before_displacement(tmp_path):
         (folder / f"displacement_{freq:g}.txt").write_bytes(text)
     made = read_recordings(folder)
     assert {one.order for one in made.recordings} == {1}
-    assert [notice.code for notice in made.notices] == ["quantity_chosen"]
+    assert [notice.code for notice in made.notices] == ["quantity_chosen", "axes_from_beams"]
 
 
 def spoiled(tmp_path, old, new):
