@@ -219,7 +219,7 @@ def axes_notice(name: str) -> Notice:
     """Tell that x, y, z of a point are mixtures of what its beams read."""
     text = (
         f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
-        "beams than along them, so that sd and verdicts, which take channels as independent, are approximate. "
+        "beams than along them; sd and verdicts, which take channels as independent, are approximate. "
         "Export the single heads with their directions where possible."
     )
     return Notice("axes_from_beams", text)
