@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
 _FEWEST = 3
-_STEADY = 20
+_STEADY = 100
 _FEW = 5.0
 
 
@@ -149,8 +149,8 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     (Bendat and Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real
     part has half of it. For all three, with u = |Gxy| / |H| the power of the true reference, e = Gxx - u
     and v = Gyy - |H|^2 u: E|dH|^2 = (v + |H|^2 e + e v / u) / ((n - 1) u) (Fuller 1987, eq. 1.3.12), for
-    the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)). Below twenty averages the noise power in it
-    is averaged over neighbouring lines, so that weights made of it are steady.
+    the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)). Below a hundred averages the noise power in
+    it is averaged over neighbouring lines, so that weights and chi2 made of it are steady.
     """
     records = checked_records(records, sample_rate_hz, where)
     taper = how.taper()
@@ -181,21 +181,22 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     if np.any(gxx == 0.0):
         step = "Restrict the band to where the reference has power"
         raise KinematicsError(sentence("the reference", "of some power at every line", 0, where, step))
+    tiny = np.finfo(float).tiny
     value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
-    if averages < _STEADY:
-        true = np.abs(gxy) / np.maximum(np.abs(value), np.finfo(float).tiny)
-        noise = smoothed(variance * true, int(np.ceil(1.5 * _STEADY / averages)))
-        variance = noise / np.maximum(true, np.finfo(float).tiny)
     left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
     own, common = split_noise(
         lambda: (y - value * x for x, y in segments()), np.maximum(left, 0.0), value, float(total)
     )
     share = np.where(left > 0.0, own / np.where(left > 0.0, left, 1.0), 1.0)
+    variance = variance * np.minimum(share, 1.0)
+    if averages < _STEADY:
+        true = np.maximum(np.abs(gxy) / np.maximum(np.abs(value), tiny), tiny)
+        variance = smoothed(variance * true, int(np.ceil(1.5 * _STEADY / averages))) / true
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
     return Frf(
         freq,
         value,
-        np.sqrt(0.5 * variance * np.minimum(share, 1.0)),
+        np.sqrt(0.5 * variance),
         coherence,
         averages,
         common_sd,

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _ROUNDS = 4
 _SEEN = 1.5
+_TREND_FROM = 16
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def split_noise(
 
 
 def smoothed(spectrum: Array, width: int) -> Array:
-    """Average a noise spectrum over neighbouring lines.
+    """Average a noise spectrum over neighbouring lines, about its trend (a cubic of its logarithm).
 
     Parameters
     ----------
@@ -121,14 +122,21 @@ def smoothed(spectrum: Array, width: int) -> Array:
     width : int
         Lines; fewer towards the ends, evenly to both sides.
     """
-    width = min(width, spectrum.shape[1])
+    lines = spectrum.shape[1]
+    width = min(width, lines)
     if width <= 1:
         return spectrum
-    total = np.cumsum(np.pad(spectrum, ((0, 0), (1, 0))), axis=1)
-    place = np.arange(spectrum.shape[1])
+    trend = np.ones_like(spectrum)
+    if lines >= _TREND_FROM:
+        floor = np.maximum(1e-12 * np.max(spectrum, axis=1, keepdims=True), np.finfo(float).tiny)
+        base = np.vander(np.linspace(-1.0, 1.0, lines), 4)
+        logs = np.log(np.maximum(spectrum, floor))
+        trend = np.exp((base @ np.linalg.lstsq(base, logs.T, rcond=None)[0]).T)
+    total = np.cumsum(np.pad(spectrum / trend, ((0, 0), (1, 0))), axis=1)
+    place = np.arange(lines)
     half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
-    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
-    return np.asarray((total[:, stop] - total[:, start]) / (stop - start))
+    start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, lines)
+    return np.asarray((total[:, stop] - total[:, start]) / (stop - start)) * trend
 
 
 def common_notice(common_sd: Array, what: str, more: str = "") -> list[Notice]:

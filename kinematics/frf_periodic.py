@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _WHOLE = 1e-3
 _MOST_PERIODS_A_BLOCK = 50
-_STEADY_DOF = 20
+_STEADY_DOF = 60
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-OFFSETS = 16
+OFFSETS = 32
 _GAP = 3
-_NEAR = 0.25
+_NEAR = 0.35
 _SEEN = 1e-3
 _FEWEST_CYCLES = 4.0
 
