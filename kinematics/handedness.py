@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _MISFIT = 4.0
 _CURED = 0.1
 _CURED_UNKNOWN = 0.02
-_MOST_LINES = 200
+_MOST_LINES = 60
 
 
 def check_axes(
@@ -44,9 +44,12 @@ def check_axes(
     When positions and beams are both mirrored, v = v0 + omega x r keeps its form with -omega, and no residual
     shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
     """
+    whole = float(sum(np.nansum(fit.chi2) for fit in fits.values()))
+    loud = whole > _MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
+    if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
+        return
     given, freedom = _misfit(placed, fits, np.eye(3))
-    loud = given > _MISFIT * freedom
-    if freedom < 20 or not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
+    if freedom < 20:
         return
     turn = footplate_from_source.rotation
     cured = {}
@@ -76,7 +79,7 @@ def _misfit(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change
         centre = body.positions_mm.mean(axis=0)
         arms = (body.positions_mm - centre) @ change.T * 1e-3
         lines = slice(None, None, max(1, len(placed.freq_hz) // _MOST_LINES))
-        sd = fit.sd[:, lines]
+        _, sd, _ = fit.at(lines)
         used = np.isfinite(sd)
         if len(fit.beams.dof) < 6 or not np.any(used):
             continue
