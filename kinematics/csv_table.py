@@ -59,11 +59,6 @@ class Table:
     def __len__(self) -> int:
         return len(self.lines)
 
-    @property
-    def told(self) -> set[str]:
-        """Places (file and line) of the rows with a cell that is no number."""
-        return {fault.rsplit("(", 1)[-1].split(")")[0] for fault in self.faults}
-
     def told_rows(self, column: str = "") -> NDArray[np.bool_]:
         """Return which rows (rows,) have a cell, of one column or of any, that was told to be no number."""
         if not self.faults:

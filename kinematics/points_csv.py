@@ -60,7 +60,8 @@ def read_points(path: Path) -> Points:
             continue
         key = (body.names[body.codes[row]], point.names[point.codes[row]])
         if key in positions:
-            what = "the same point again" if np.array_equal(positions[key], xyz[row]) else "a second position"
+            old, new = positions[key].tolist(), xyz[row].tolist()
+            what = "the same point again" if old == new else f"a second position, {new} after {old}"
             faults.append(
                 sentence(
                     f"point {key[1]} of body {key[0]}", "listed once", what, table.where(row), "Keep one row"
@@ -95,12 +96,10 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
 def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
     """List the cells of number columns that are empty or infinite."""
     faults = []
-    bad_text = table.told
     for name in columns:
-        for row in np.flatnonzero(~np.isfinite(table.numbers[name])):
+        told = table.told_rows(name)
+        for row in np.flatnonzero(~np.isfinite(table.numbers[name]) & ~told):
             value = table.numbers[name][row]
-            if table.where(int(row)) in bad_text:
-                continue
             got = "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
             step = "Give the number, or leave the row out"
             faults.append(sentence(name, "a finite number", got, table.where(int(row)), step))
