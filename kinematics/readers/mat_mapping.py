@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 
@@ -71,6 +72,7 @@ _POINTS = (
     "point_index",
     "pointindex",
 )
+_UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _COHERENCES = ("coh", "coherence", "gamma2")
 _COUNTS = ("n_avg", "navg", "averages", "n_averages")
 _BEAM = re.compile(r"^(?P<stem>.+?)_?(?P<axis>[xyzXYZ])$")
@@ -292,3 +294,19 @@ def _companion(names: tuple[str, ...], axis: str, space: Mapping[str, Any]) -> s
         if any(plain in (name + (f"_{axis}" if axis else ""), name + axis) for name in names):
             return key
     return ""
+
+
+def usd_direction(usd: Any) -> NDArray[np.float64] | None:
+    """Return the direction of the first response DOF of a signal description: +-1, 2, 3 or its name."""
+    dofs = usd.get("ResponseDOFs") if isinstance(usd, dict) else None
+    first = dofs[0] if isinstance(dofs, list) and dofs else dofs
+    code = first.get("Direction") if isinstance(first, dict) else None
+    if isinstance(code, str):
+        match = re.fullmatch(r"ptc(Plus|Minus)([XYZ])Translation", code)
+        if match is None:
+            return None
+        return np.array(_UNIT[match[2].lower()]) * (1.0 if match[1] == "Plus" else -1.0)
+    number = np.asarray(code).reshape(-1) if code is not None else np.empty(0)
+    if number.size == 1 and number.dtype.kind in "fiu" and abs(float(number[0])) in (1.0, 2.0, 3.0):
+        return np.sign(float(number[0])) * np.array(_UNIT["xyz"[int(abs(number[0])) - 1]])
+    return None

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, sentence
 from kinematics.notices import Notice
-from kinematics.readers.mat_mapping import Layout, Signal, layout_of, read_mapping, stacked
+from kinematics.readers.mat_mapping import Layout, Signal, layout_of, read_mapping, stacked, usd_direction
 from kinematics.readers.mat_tree import describe, read_mat
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
@@ -381,21 +381,5 @@ def _directions(
         if len(given) != 3 or not all(isinstance(one, (int, float)) for one in given):
             raise KinematicsError(sentence("direction", "x, -x, ..., or three numbers", given, where))
         return [np.array(given, dtype=float)] * count
-    axis = _usd_direction(space.get(signal.usd)) if signal.usd else None
+    axis = usd_direction(space.get(signal.usd)) if signal.usd else None
     return [unknown_vector() if axis is None else axis] * count
-
-
-def _usd_direction(usd: Any) -> Array | None:
-    """Return the direction of the first response DOF of a signal description: +-1, 2, 3 or its name."""
-    dofs = usd.get("ResponseDOFs") if isinstance(usd, dict) else None
-    first = dofs[0] if isinstance(dofs, list) and dofs else dofs
-    code = first.get("Direction") if isinstance(first, dict) else None
-    if isinstance(code, str):
-        match = re.fullmatch(r"ptc(Plus|Minus)([XYZ])Translation", code)
-        if match is None:
-            return None
-        return np.array(_AXES[match[2].lower()]) * (1.0 if match[1] == "Plus" else -1.0)
-    number = np.asarray(code).reshape(-1) if code is not None else np.empty(0)
-    if number.size == 1 and number.dtype.kind in "fiu" and abs(float(number[0])) in (1.0, 2.0, 3.0):
-        return np.sign(float(number[0])) * np.array(_AXES["xyz"[int(abs(number[0])) - 1]])
-    return None
