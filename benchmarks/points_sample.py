@@ -101,6 +101,7 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--body", default="", help="only this body")
+    parser.add_argument("--kind", default="", help="only this kind of fault")
     parser.add_argument("--show", action="store_true", help="tell every case that went wrong")
     arguments = parser.parse_args()
     start = time.process_time()
@@ -108,6 +109,8 @@ def main() -> None:
     print("| body | fault | cases | found | culprit named | right kind |\n|-|-|-|-|-|-|")
     for number, body in enumerate(data.bodies):
         for kind in KINDS if arguments.body in ("", body.body) else ():
+            if arguments.kind not in ("", kind):
+                continue
             step = 3 if kind in ("position", "label_swap") else 1
             cases = range(0, len(body.points), step)
             told = [judged(data, number, kind, channel, arguments.seed) for channel in cases]

@@ -27,6 +27,7 @@ _SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
 _ALARM_SHARE = {"channel": 0.5, "point": 0.2, "laser": 0.1, "body": 0.1}
 _ALARM_NOISE = 0.05
+_SAME_LASER = float(np.cos(np.radians(8.0)))
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
 
@@ -200,12 +201,21 @@ class Search:
         self.tested = [tests.run(batch) for batch in made]
 
     def _lasers(self) -> list[list[int]]:
-        """Return the channels of beams that are parallel at several points, when there are other beams."""
-        keys = np.round(self.data.directions, 5) + 0.0
-        groups: dict[tuple[float, ...], list[int]] = {}
+        """Return the channels of beams that are nearly parallel at several points, when there are others.
+
+        A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
+        else is no explanation.
+        """
+        groups: list[list[int]] = []
         for channel in self.live:
-            groups.setdefault(tuple(keys[channel]), []).append(channel)
-        many = [own for own in groups.values() if len({self.data.points[c] for c in own}) > 2]
+            beam = self.data.directions[channel]
+            near = (own for own in groups if float(beam @ self.data.directions[own[0]]) > _SAME_LASER)
+            own = next(near, None)
+            if own is None:
+                groups.append([channel])
+            else:
+                own.append(channel)
+        many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
         return many if len(groups) > 1 and len(many) <= 8 else []
 
     def _suspects(self) -> list[FaultFit]:
