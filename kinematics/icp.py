@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 _LEAST_SHARE = 0.6
 _APART = 8.0
 _EVIDENCE = 18.0
+_SAMPLES = 2_000
+_HIDDEN = -0.2
+_HIDDEN_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,34 @@ def fit_to_surface(
         refined(cloud, surface, start, None)
         for start in candidates(cloud.points_mm, surface, towards, 0.02 * surface.diagonal_mm)[:8]
     ]
+    for found in sorted(fits, key=lambda one: one.energy)[:2]:
+        fits += [refined(cloud, surface, start, None) for start in _half_turned(found.pose, surface)]
+    fits = _facing(fits, towards)
     chosen, notices = _chosen(fits, cloud, witnesses, surface)
     fit = _finished(chosen, cloud, surface, None, axes, source, notices)
     _check_mirror(fit, cloud, surface, source)
     return fit
+
+
+def _half_turned(pose: Candidate, surface: TriangleSurface) -> list[Candidate]:
+    """Return a pose turned by half about each principal axis of the surface, where a box fits as well."""
+    samples, _ = surface.samples(_SAMPLES)
+    centre = samples.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((samples - centre).T))
+    made = []
+    for axis in axes.T:
+        turn = 2.0 * np.outer(axis, axis) - np.eye(3)
+        made.append(Candidate(turn @ pose.rotation, turn @ (pose.shift - centre) + centre, pose.miss_mm))
+    return made
+
+
+def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:
+    """Leave out placements that put many points on faces which no laser reaches, unless all do."""
+    if towards is None:
+        return fits
+    hidden = [np.mean(fit.normal @ (fit.pose.rotation @ towards) < _HIDDEN) for fit in fits]
+    seen = [fit for fit, share in zip(fits, hidden, strict=True) if share < _HIDDEN_SHARE]
+    return seen or fits
 
 
 def _from_guess(cloud: Cloud, surface: TriangleSurface, guess: Guess, towards: Array | None) -> Refined:
