@@ -29,8 +29,8 @@ def one_study(seed: int) -> dict[str, Any]:
     from ct_inertia.ct2mass import ct2mass
     from ct_inertia.mass_json import mass_json
     from fitting.kd import fit_kd
+    from kinematics.geometry.placement import place
     from kinematics.mass_record import read_mass_record
-    from kinematics.placement import place
     from kinematics.points2dof import points2dof
     from pipeline.options import fit_options, mass_options, motion_options
     from pipeline.stages import read_measurement

@@ -11,10 +11,10 @@ import time
 import numpy as np
 from scipy.signal import csd, lfilter, welch
 
-from kinematics.frf import Welch, welch_frf
-from kinematics.frf_periodic import Periodic, periodic_frf
-from kinematics.lock_in import SteppedSine
-from kinematics.stepped_sine import Step, stepped_frf
+from kinematics.signals.frf import Welch, welch_frf
+from kinematics.signals.frf_periodic import Periodic, periodic_frf
+from kinematics.signals.lock_in import SteppedSine
+from kinematics.signals.stepped_sine import Step, stepped_frf
 
 RATE = 8192.0
 LINES = np.arange(10, 200, 3)

@@ -22,11 +22,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from kinematics.errors import KinematicsError
 from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry_model import GeometryPriors
-from kinematics.icp import fit_to_surface
-from kinematics.icp_refine import Cloud
+from kinematics.geometry.geometry_model import GeometryPriors
+from kinematics.geometry.icp import fit_to_surface
+from kinematics.geometry.icp_refine import Cloud
+from kinematics.geometry.registration import displacement, fit_rigid
 from kinematics.points2dof import Options, points2dof
-from kinematics.registration import displacement, fit_rigid
 from tests.kinematics.surfaces import box, on_faces, wedge
 from tests.kinematics.test_calibrate import COUNT, ear, nees
 from tests.kinematics.test_registration import fitzpatrick_west

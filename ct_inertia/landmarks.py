@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ct_inertia.anatomy import LANDMARK_NAMES
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import mm_per_unit
-from kinematics.csv_table import read_table
 from kinematics.errors import raise_all, sentence
+from kinematics.tables.csv_table import read_table
 
 Array = NDArray[np.float64]
 Named = list[tuple[str, Array]]

@@ -213,7 +213,7 @@ def _compose(scene: Scene, centres: list[Array], half: float, rasters: Sequence[
     from matplotlib.patches import Patch
 
     from ct_inertia.painter import paint_bodies
-    from kinematics.page import new_figure
+    from kinematics.pages.page import new_figure
 
     drawing = new_figure(12.6, 4.75)
     FigureCanvasAgg(drawing)

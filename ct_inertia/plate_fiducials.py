@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.plate_frame import PlateFrame, positive_sense
-from kinematics.csv_table import read_table
 from kinematics.errors import raise_all, sentence
 from kinematics.frames import RigidTransform, axes_matrix
+from kinematics.geometry.registration import fit_rigid
 from kinematics.notices import Notice
-from kinematics.registration import fit_rigid
+from kinematics.tables.csv_table import read_table
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from ct_inertia.budget import described
 from ct_inertia.report_evidence import evidence_rows
 from ct_inertia.report_masses import cross_check_section, files_blocks, masses_section
 from ct_inertia.surface import Surface
-from kinematics import page
 from kinematics.frames import RigidTransform
 from kinematics.notices import Notice, from_json
+from kinematics.pages import page
 from kinematics.spatial import DOF_NAMES
 
 if TYPE_CHECKING:

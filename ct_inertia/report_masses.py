@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.masses import WORDS
-from kinematics import page
+from kinematics.pages import page
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -35,7 +35,7 @@ def slices_figure(labelled: LabelledVolume, footplate: RigidTransform) -> Figure
     """
     from matplotlib.lines import Line2D
 
-    from kinematics.page import new_figure
+    from kinematics.pages.page import new_figure
 
     crop = _Crop(labelled)
     drawing = new_figure(11.6, 8.2)

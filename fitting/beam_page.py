@@ -22,9 +22,9 @@ from fitting.estimators import ESTIMATORS
 from fitting.figures import residual_figure, response_figure
 from fitting.paper import TABLE_1_DEVIATION_PERCENT
 from fitting.responses import responses
-from kinematics import page
 from kinematics.output import staged
-from kinematics.page import Page, Section
+from kinematics.pages import page
+from kinematics.pages.page import Page, Section
 
 SHIFT_M = 100e-6
 MODEL_WORDS = {"massless": "cube alone (the paper's)", "condensed": "cube + M_tt, M_tb of the beam"}

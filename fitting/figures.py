@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitting.bands import FrequencyDependence
 from fitting.responses import Responses
-from kinematics.page import new_figure
+from kinematics.pages.page import new_figure
 from kinematics.spatial import DOF_UNITS
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from fitting.model import modes
 from fitting.problem import Problem
 from fitting.symmetric import entry_names, split
 from fitting.uncertainty import ATTENUATION, JOINED_FRAME
-from kinematics import page
-from kinematics.page import Section
+from kinematics.pages import page
+from kinematics.pages.page import Section
 from kinematics.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]

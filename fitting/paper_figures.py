@@ -9,7 +9,7 @@ import numpy as np
 from fitting import paper
 from fitting.figures import MEASURED, SIMULATED, SYMBOLS
 from fitting.model import Modes, simulate
-from kinematics.page import new_figure
+from kinematics.pages.page import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,9 +18,9 @@ from fitting.model import NORMALISATION, Modes, modes, passive
 from fitting.paper_figures import shape_figure, simulated_figure
 from fitting.principal_axes import principal_axes
 from fitting.symmetric import entry_units
-from kinematics import page
 from kinematics.output import staged
-from kinematics.page import Page, Section
+from kinematics.pages import page
+from kinematics.pages.page import Page, Section
 
 _HEADER = ("quantity", "printed", "recomputed", "finding")
 _AGREES = "agrees"

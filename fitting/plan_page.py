@@ -9,8 +9,8 @@ import numpy as np
 
 from fitting.plan import Expectation, Option, summary_rows
 from fitting.symmetric import entry_units
-from kinematics import page
-from kinematics.page import Page, Section, new_figure
+from kinematics.pages import page
+from kinematics.pages.page import Page, Section, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

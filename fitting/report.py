@@ -16,8 +16,8 @@ from fitting.model import NORMALISATION
 from fitting.responses import responses
 from fitting.symmetric import entry_units, join
 from fitting.uncertainty import ATTENUATION, NOISE
-from kinematics import page
-from kinematics.page import Page, Section
+from kinematics.pages import page
+from kinematics.pages.page import Page, Section
 from kinematics.spatial import DOF_UNITS
 
 Array = NDArray[np.float64]

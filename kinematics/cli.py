@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from kinematics import geometry_options
 from kinematics.command import Outcome, Parser, run
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.geometry_options import add_options
-from kinematics.series_options import add_series_arguments, series_options
+from kinematics.geometry import geometry_options
+from kinematics.geometry.geometry_options import add_options
+from kinematics.signals.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
@@ -140,15 +140,15 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     """Run the command on its arguments."""
     options = parser().parse(arguments)
     _check(options)
-    from kinematics.fiducials import read_fiducials
+    from kinematics.geometry.fiducials import read_fiducials
+    from kinematics.geometry.scan_surfaces import ScanSurfaces
+    from kinematics.geometry.surface_points import mirrored, read_surface_points
+    from kinematics.geometry.tie import tie
     from kinematics.mass_record import read_mass_record
     from kinematics.points2dof import Options, points2dof
     from kinematics.provenance import record
     from kinematics.readers import InputOptions, inputs_of, read_measurement
-    from kinematics.scan_surfaces import ScanSurfaces
     from kinematics.spatial import parse_dof
-    from kinematics.surface_points import mirrored, read_surface_points
-    from kinematics.tie import tie
 
     said = InputOptions(
         tuple(options.body),
@@ -258,11 +258,11 @@ def _check(options: argparse.Namespace) -> None:
 
 def _write(options: argparse.Namespace, result: Points2Dof) -> list[Path]:
     """Write all outputs at once and return their paths."""
+    from kinematics.faults.verdicts import write_channels
     from kinematics.motion_files import write_motion
     from kinematics.output import staged
-    from kinematics.report import write_report
-    from kinematics.scenery import read_scenery
-    from kinematics.verdicts import write_channels
+    from kinematics.pages.report import write_report
+    from kinematics.pages.scenery import read_scenery
 
     folder, stem = options.out.parent, options.out.stem
     scenery = None if options.mass is None else read_scenery(options.mass)
@@ -279,8 +279,8 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
 
     import numpy as np
 
-    from kinematics import geometry_report
     from kinematics.motion_files import standard_deviation
+    from kinematics.pages import geometry_report
 
     motion = result.motion
     rows = [

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.csv_table import Table, read_table
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.motion import RigidMotion, SharedErrors
 from kinematics.notices import Notice, from_json
 from kinematics.provenance import content_hash
 from kinematics.spatial import DOF_NAMES, DOF_UNITS
+from kinematics.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"

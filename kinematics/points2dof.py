@@ -9,30 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.beams import BeamSet, beam_set, unseen_motions
-from kinematics.calibrate import Calibration
-from kinematics.calibrated_fit import calibrated, calibration_errors
-from kinematics.compact import compact
-from kinematics.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.geometry_model import GeometryPriors
-from kinematics.handedness import check_axes
+from kinematics.faults.compact import compact
+from kinematics.faults.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
+from kinematics.faults.neglected import extended_beams, neglected_notice
+from kinematics.faults.phase import phase_notice
+from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
+from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
+from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
+from kinematics.fit.noise import with_noise
+from kinematics.fit.ratio import parse_reference, per_reference
+from kinematics.fit.rigid_fit import LineFit, refitted
+from kinematics.fit.shared_errors import pose_derivatives, position_errors
+from kinematics.geometry.calibrate import Calibration
+from kinematics.geometry.calibrated_fit import calibrated, calibration_errors
+from kinematics.geometry.geometry_model import GeometryPriors
+from kinematics.geometry.handedness import check_axes
+from kinematics.geometry.placement import Placement, place
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion import RigidMotion, SharedErrors
-from kinematics.neglected import extended_beams, neglected_notice
-from kinematics.noise import with_noise
 from kinematics.notices import Notice, unique
-from kinematics.phase import phase_notice
-from kinematics.placement import Placement, place
-from kinematics.pooling import pooled, separate, with_gain_errors
-from kinematics.ratio import parse_reference, per_reference
-from kinematics.repeats import RunRepeats
-from kinematics.rigid_fit import LineFit, refitted
-from kinematics.screening import Screened, empty_faults, is_whole, screened
-from kinematics.shared_errors import pose_derivatives, position_errors
 from kinematics.spatial import DOF_NAMES
-from kinematics.verdicts import ChannelVerdict, channel_verdicts, fault_notices
+from kinematics.takes.pooling import pooled, separate, with_gain_errors
+from kinematics.takes.repeats import RunRepeats
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
@@ -142,7 +142,7 @@ def points2dof(
     measurement : Measurement
         Positions and directions in the source frame of ``placement``.
     placement : Placement, optional
-        From kinematics.placement.place; without it the measurement is in the footplate frame.
+        From kinematics.geometry.placement.place; without it the measurement is in the footplate frame.
     options : Options, optional
     mass : MassRecord, optional
         Only used to recognise the phase convention.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from kinematics import page
-from kinematics.page import Page
+from kinematics.pages import page
+from kinematics.pages.page import Page
 from pipeline.cohort import Ear, Quantity, quantities
 from pipeline.report import plus_minus
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
-    from kinematics.series_options import SeriesOptions
+    from kinematics.signals.series_options import SeriesOptions
 
 _OTHER_NAMES = {
     "spacing": "spacing_mm",
@@ -102,7 +102,7 @@ def mass_options(scan: Scan) -> MassOptions:
 
 def motion_options(ldv: Ldv) -> Options:
     """Return the options of `points2dof`."""
-    from kinematics.geometry_options import priors
+    from kinematics.geometry.geometry_options import priors
     from kinematics.points2dof import Options
 
     geometry = priors(ldv.calibrate, ldv.axes_sd_deg, ldv.beam_sd_deg, ldv.gain_sd_percent)
@@ -135,7 +135,7 @@ def input_options(ldv: Ldv) -> InputOptions:
 def _series_options(ldv: Ldv) -> SeriesOptions | None:
     """Return how time series are turned into responses; None without the table of their channels."""
     from kinematics.errors import raise_all, sentence
-    from kinematics.series_options import SeriesOptions
+    from kinematics.signals.series_options import SeriesOptions
     from pipeline.errors import PipelineError
 
     values = {name: value for key, name in _SERIES.items() if (value := getattr(ldv, key)) is not None}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.notices import Notice, from_json
-from kinematics.page import Section
+from kinematics.pages.page import Section
 from kinematics.provenance import content_hash, versions
 
 FOLDER = ".stapeskit"

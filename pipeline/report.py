@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from kinematics import page
 from kinematics.motion_files import read_motion
 from kinematics.notices import unique
-from kinematics.page import Page, Section
+from kinematics.pages import page
+from kinematics.pages.page import Page, Section
 from kinematics.provenance import input_record, versions
 from pipeline.records import Told
 from pipeline.stages import Workspace, results

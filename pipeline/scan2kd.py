@@ -30,7 +30,7 @@ from pipeline.stages import STAGES, Workspace, check_inputs, results
 from pipeline.study import Study, read_study
 
 REPORT = "report"
-_REPORT_CODE = ("pipeline", "kinematics/page.py")
+_REPORT_CODE = ("pipeline", "kinematics/pages/page.py")
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from pipeline.records import Told
 from pipeline.study import Ldv, Study
 
 if TYPE_CHECKING:
-    from kinematics.fiducials import Fiducials
-    from kinematics.icp_refine import Cloud
+    from kinematics.geometry.fiducials import Fiducials
+    from kinematics.geometry.icp_refine import Cloud
+    from kinematics.geometry.placement import Placement
     from kinematics.mass_record import MassRecord
     from kinematics.measurement import Measurement
-    from kinematics.placement import Placement
-    from kinematics.scenery import Scenery
+    from kinematics.pages.scenery import Scenery
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
 
@@ -126,12 +126,12 @@ class Motion:
     @staticmethod
     def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
         """Write dof.csv, dof.h5 and dof.channels.csv; return their names and what there is to tell."""
+        from kinematics.faults.verdicts import write_channels
         from kinematics.mass_record import read_mass_record
         from kinematics.motion_files import write_motion
+        from kinematics.pages.report import sections
         from kinematics.points2dof import points2dof
         from kinematics.provenance import record
-        from kinematics.report import sections
-        from kinematics.verdicts import write_channels
 
         mass = read_mass_record(work.find("mass.json"))
         measurement, fiducials = read_measurement(study)
@@ -217,7 +217,7 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
     KinematicsError
         What is wrong with them, row by row.
     """
-    from kinematics.fiducials import read_fiducials
+    from kinematics.geometry.fiducials import read_fiducials
     from kinematics.readers import read_measurement as read_files
 
     ldv = study.ldv
@@ -234,7 +234,7 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
 
 def _clouds(ldv: Ldv) -> dict[str, Cloud]:
     """Read the points on surfaces that a study names."""
-    from kinematics.surface_points import mirrored, read_surface_points
+    from kinematics.geometry.surface_points import mirrored, read_surface_points
 
     named = {"plate": ldv.plate_points, "bone": ldv.bone_points}
     clouds = {kind: read_surface_points(path, kind) for kind, path in named.items() if path is not None}
@@ -247,8 +247,8 @@ def _clouds(ldv: Ldv) -> dict[str, Cloud]:
 def _placement(
     study: Study, work: Workspace, measurement: Measurement, fiducials: Fiducials | None, mass: MassRecord
 ) -> Placement:
-    from kinematics.scan_surfaces import ScanSurfaces
-    from kinematics.tie import tie
+    from kinematics.geometry.scan_surfaces import ScanSurfaces
+    from kinematics.geometry.tie import tie
 
     clouds = _clouds(study.ldv)
     frame = study.ldv.frame or "footplate"
@@ -307,7 +307,7 @@ def _check_measurement(study: Study) -> None:
 def _scenery(work: Workspace, mass: MassRecord) -> Scenery:
     """Return the stapes in footplate axes, to be drawn behind the points."""
     from ct_inertia.surface import read_surface
-    from kinematics.scenery import scenery_of
+    from kinematics.pages.scenery import scenery_of
 
     surface = read_surface(work.find("stapes.ply"))
     return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), surface.vertices_mm, surface.faces)

@@ -3,7 +3,7 @@
 Notes
 -----
 `read_measurement` chooses the reader by what a file holds. A tidy table alone takes the short way through
-`kinematics.ldv_csv`; beside other files it is turned into recordings like them.
+`kinematics.tables.ldv_csv`; beside other files it is turned into recordings like them.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ def read_measurement(
     KinematicsError
         What is wrong with the files; the faults of all of them together.
     """
-    from kinematics.ldv_csv import read_ldv
     from kinematics.readers.assemble import assemble
     from kinematics.readers.kinds import TIDY, kind_of, read_recordings
+    from kinematics.tables.ldv_csv import read_ldv
 
     paths, options = [Path(path) for path in paths], options or InputOptions()
     _check_names(paths)
@@ -71,7 +71,7 @@ def read_measurement(
     raise_all(KinematicsError, faults)
     listed = None
     if points is not None:
-        from kinematics.points_csv import read_points
+        from kinematics.tables.points_csv import read_points
 
         listed = read_points(points)
     return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points))

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.csv_table import Table, read_table
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
+from kinematics.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
 ROLES = ("response", "reference", "ignore")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.series_options import SeriesOptions
+from kinematics.signals.series_options import SeriesOptions
 
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")

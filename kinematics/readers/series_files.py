@@ -93,7 +93,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
 
 
 def _csv(path: Path, names: Sequence[str]) -> Series:
-    from kinematics.csv_table import read_table
+    from kinematics.tables.csv_table import read_table
 
     found: dict[str, str] = {}
 

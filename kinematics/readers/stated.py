@@ -10,10 +10,10 @@ import numpy as np
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
-from kinematics.points_csv import Points
 from kinematics.readers.options import InputOptions, is_file
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.unit_labels import LENGTHS
+from kinematics.tables.points_csv import Points
 
 DEFAULT_RUN = "1"
 Entry = tuple[str, Recording]

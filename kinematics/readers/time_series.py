@@ -1,8 +1,8 @@
 """From time series to recordings: frequency responses by the excitation, channels by the channel table.
 
 The excitation is told by what is given: a table of steps or a column ``freq_hz`` means a stepped sine
-(kinematics.stepped_sine), a period means periodic excitation (kinematics.frf_periodic), and everything else
-is averaged over segments (kinematics.frf).
+(kinematics.signals.stepped_sine), a period means periodic excitation (kinematics.signals.frf_periodic), and
+everything else is averaged over segments (kinematics.signals.frf).
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.frf import Welch, segment_for, welch_frf
-from kinematics.frf_noise import Frf
-from kinematics.frf_periodic import Periodic, periodic_frf
-from kinematics.lock_in import SteppedSine
 from kinematics.notices import Notice, unique
 from kinematics.readers.channel_table import Channel, read_channels
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series_files import Series, read_series
-from kinematics.series_options import SeriesOptions
-from kinematics.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from kinematics.signals.frf import Welch, segment_for, welch_frf
+from kinematics.signals.frf_noise import Frf
+from kinematics.signals.frf_periodic import Periodic, periodic_frf
+from kinematics.signals.lock_in import SteppedSine
+from kinematics.signals.series_options import SeriesOptions
+from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 
 Array = NDArray[np.float64]
 
@@ -247,8 +247,8 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
         A column is missing or a cell is no finite number, a step ends before it starts, or a frequency is
         not positive; all faults are listed.
     """
-    from kinematics.csv_table import read_table
-    from kinematics.points_csv import finite_faults, require
+    from kinematics.tables.csv_table import read_table
+    from kinematics.tables.points_csv import finite_faults, require
 
     columns = ("start_s", "stop_s", "freq_hz")
 

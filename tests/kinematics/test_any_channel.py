@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from kinematics.frames import RigidTransform
-from kinematics.ldv_csv import read_ldv
+from kinematics.pages.report_faults import groups_of, verdict_section
 from kinematics.points2dof import points2dof
-from kinematics.report_faults import groups_of, verdict_section
+from kinematics.tables.ldv_csv import read_ldv
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_volumes"
 

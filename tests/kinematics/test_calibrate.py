@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.calibrate import calibrate
-from kinematics.calibrated_fit import calibration_errors
 from kinematics.errors import KinematicsError
 from kinematics.frames import rotation_from_vector
-from kinematics.geometry_model import GeometryModel, GeometryPriors
+from kinematics.geometry.calibrate import calibrate
+from kinematics.geometry.calibrated_fit import calibration_errors
+from kinematics.geometry.geometry_model import GeometryModel, GeometryPriors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, points2dof
 from kinematics.spatial import DOF_NAMES, point_rows
@@ -182,7 +182,7 @@ def test_changes_are_the_derivatives_of_the_rows():
 def test_many_parameters_are_kept_as_combinations(monkeypatch):
     measurement, _, _ = ear(1)
     whole = points2dof(measurement, options=Options(calibrate=GeometryPriors()))
-    monkeypatch.setattr("kinematics.calibrated_fit._NAMED_BYTES", 0)
+    monkeypatch.setattr("kinematics.geometry.calibrated_fit._NAMED_BYTES", 0)
     names, covariance, slopes = calibration_errors(whole.calibration, whole.fits, whole.motion.q.shape)
     assert len(names) == 40
     full = whole.motion.shared

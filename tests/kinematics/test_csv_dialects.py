@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kinematics import csv_fast
 from kinematics.errors import KinematicsError
-from kinematics.ldv_csv import read_ldv
+from kinematics.tables import csv_fast
+from kinematics.tables.ldv_csv import read_ldv
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 ROWS = [
@@ -258,7 +258,7 @@ def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_fast, "_PIECE", 2000)
     same(read_ldv(path), whole)
     monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
-    import kinematics.csv_table as csv_table
+    import kinematics.tables.csv_table as csv_table
 
     monkeypatch.setattr(csv_table, "read_fast", lambda *_: None)
     same(read_ldv(path), whole)
@@ -333,7 +333,7 @@ def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
 
 
 def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
-    from kinematics import csv_text
+    from kinematics.tables import csv_text
 
     monkeypatch.setattr(csv_text, "_LARGE", 10)
     for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncx2
 
-from kinematics.beams import beam_set
-from kinematics.detectable import POWER, detectable
-from kinematics.draw_motion import full_motion
+from kinematics.faults.detectable import POWER, detectable
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
+from kinematics.pages.draw_motion import full_motion
+from kinematics.pages.report_faults import verdict_section
 from kinematics.points2dof import points2dof
-from kinematics.report_faults import verdict_section
-from kinematics.rigid_fit import fit_lines
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 ALARM = 1e-4

@@ -5,13 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.draw_geometry import placement_figure
-from kinematics.draw_motion import SHARE, displacement_of, full_motion, moment, shown_points, surface_body
-from kinematics.draw_residuals import channel_labels, residual_figure, residual_map
-from kinematics.drawings import distinct, kept_lines, log_spaced, shortened, unit
+from kinematics.pages.draw_geometry import placement_figure
+from kinematics.pages.draw_motion import (
+    SHARE,
+    displacement_of,
+    full_motion,
+    moment,
+    shown_points,
+    surface_body,
+)
+from kinematics.pages.draw_residuals import channel_labels, residual_figure, residual_map
+from kinematics.pages.drawings import distinct, kept_lines, log_spaced, shortened, unit
+from kinematics.pages.scenery import Scenery, coarse, scenery_of
+from kinematics.pages.shading import View, shade, silhouette, views
 from kinematics.points2dof import points2dof
-from kinematics.scenery import Scenery, coarse, scenery_of
-from kinematics.shading import View, shade, silhouette, views
 from tests.kinematics.simulated import body, measurement, scene
 
 
@@ -177,7 +184,7 @@ def test_the_level_of_noise_in_a_thinned_map_is_what_noise_gives():
 
 
 def residual_map_of_noise(lines):
-    from kinematics.draw_residuals import ResidualMap
+    from kinematics.pages.draw_residuals import ResidualMap
 
     return ResidualMap(np.zeros((1, 1)), np.zeros(2), lines, np.zeros(1)).noise
 

@@ -10,13 +10,13 @@ import pytest
 from benchmarks.fault_scenes import bound, measured
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.beams import beam_set
-from kinematics.compact import compact
-from kinematics.fault_kinds import gain
-from kinematics.fault_model import Places, fit_fault, solve, static
+from kinematics.faults.compact import compact
+from kinematics.faults.fault_kinds import gain
+from kinematics.faults.fault_model import Places, fit_fault, solve, static
+from kinematics.faults.score_tests import ScoreTests, batches
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
-from kinematics.rigid_fit import fit_lines
-from kinematics.score_tests import ScoreTests, batches
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 from tests.kinematics.test_diagnose import driven

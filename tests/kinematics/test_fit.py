@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinematics.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
 from kinematics.errors import KinematicsError
+from kinematics.fit.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.frames import rotation_from_vector
 from kinematics.measurement import BodyChannels, Measurement, from_arrays
 from kinematics.motion_files import standard_deviation
 from kinematics.points2dof import Options, points2dof
-from kinematics.rigid_fit import fit_lines
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.frequency_grids import join_lines
-from kinematics.ldv_csv import read_ldv
+from kinematics.tables.frequency_grids import join_lines
+from kinematics.tables.ldv_csv import read_ldv
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 GRID = np.linspace(400.0, 5000.0, 47)

@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from kinematics.errors import KinematicsError
-from kinematics.frf import Welch, effective_averages, segment_for, welch_frf
-from kinematics.frf_periodic import Periodic, periodic_frf
+from kinematics.signals.frf import Welch, effective_averages, segment_for, welch_frf
+from kinematics.signals.frf_periodic import Periodic, periodic_frf
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ct_inertia.cli import parser as ct_parser
 from kinematics.cli import work
-from kinematics.ldv_csv import read_ldv
+from kinematics.tables.ldv_csv import read_ldv
 from tests.kinematics.records import write_record
 from tests.kinematics.rewritten import write_three_ways
 

@@ -9,8 +9,8 @@ import pytest
 
 from kinematics.errors import KinematicsError
 from kinematics.frames import RigidTransform, rotation_from_vector
+from kinematics.geometry.placement import Placement
 from kinematics.measurement import Measurement
-from kinematics.placement import Placement
 from kinematics.points2dof import points2dof
 from tests.kinematics.simulated import FAULTS, body, scene
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from kinematics.errors import KinematicsError
 from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.icp import fit_to_surface
-from kinematics.icp_refine import Cloud
-from kinematics.mesh_distance import TriangleSurface, nearest_on_triangles
-from kinematics.registration import displacement
-from kinematics.surface_points import mirrored, read_surface_points
+from kinematics.geometry.icp import fit_to_surface
+from kinematics.geometry.icp_refine import Cloud
+from kinematics.geometry.mesh_distance import TriangleSurface, nearest_on_triangles
+from kinematics.geometry.registration import displacement
+from kinematics.geometry.surface_points import mirrored, read_surface_points
 from tests.kinematics.surfaces import box, on_faces, wedge
 
 WEDGE = wedge()

@@ -12,10 +12,10 @@ import pytest
 
 from kinematics.cli import parser, work
 from kinematics.errors import KinematicsError, StapeskitError
-from kinematics.ldv_csv import read_ldv
 from kinematics.motion_files import write_motion
 from kinematics.points2dof import points2dof
 from kinematics.readers import InputOptions, read_measurement
+from kinematics.tables.ldv_csv import read_ldv
 from tests.kinematics import written_uff as uff
 from tests.kinematics.rewritten import write_three_ways
 from tests.kinematics.test_inputs import PLACES, F, codes, value

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.points_csv import read_points
 from kinematics.readers import InputOptions
 from kinematics.readers.assemble import assemble
 from kinematics.readers.recording import Recording, Recordings
+from kinematics.tables.points_csv import read_points
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_volumes"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.ldv_csv import read_ldv
+from kinematics.tables.ldv_csv import read_ldv
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 ROWS = ["stapes,1,0,0,0,y,100,1,2", "stapes,1,0,0,0,y,200,3,4", "stapes,2,1,0,0,-z,100,5,6"]

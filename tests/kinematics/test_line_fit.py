@@ -8,14 +8,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from kinematics import packed
-from kinematics.beams import beam_set
-from kinematics.line_noise import LineNoise
+from kinematics.fit import packed
+from kinematics.fit.beams import beam_set
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.noise import largest_rate
+from kinematics.fit.rigid_fit import fit_lines, refitted
+from kinematics.fit.robust_fit import TOLERANCE, robust_weight
 from kinematics.measurement import from_arrays
-from kinematics.noise import largest_rate
 from kinematics.points2dof import Options, points2dof
-from kinematics.rigid_fit import fit_lines, refitted
-from kinematics.robust_fit import TOLERANCE, robust_weight
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,
@@ -208,7 +208,7 @@ def test_robust_fits_settle_where_their_equations_hold(robust):
 
 
 def test_contradicting_channels_are_told_when_a_robust_fit_does_not_settle(monkeypatch):
-    monkeypatch.setattr("kinematics.robust_fit._MOST", 1)
+    monkeypatch.setattr("kinematics.fit.robust_fit._MOST", 1)
     made = scene(11, lines=20)
     result = points2dof(
         measurement(body("stapes", made), freq_hz=made.freq_hz), options=Options(robust="huber")

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from kinematics.errors import KinematicsError
-from kinematics.lock_in import SteppedSine, fit_sine
-from kinematics.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from kinematics.signals.lock_in import SteppedSine, fit_sine
+from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 
 RATE = 8192.0
 COUNT = 1600

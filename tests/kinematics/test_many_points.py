@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.beams import beam_set, observability
 from kinematics.cli import work
 from kinematics.errors import KinematicsError
+from kinematics.fit.beams import beam_set, observability
+from kinematics.fit.ratio import per_reference
+from kinematics.fit.rigid_fit import fit_lines
+from kinematics.fit.shared_errors import position_errors, position_patterns
 from kinematics.measurement import from_arrays
 from kinematics.motion_files import read_motion, standard_deviation, write_motion
 from kinematics.points2dof import Options, points2dof
-from kinematics.ratio import per_reference
-from kinematics.rigid_fit import fit_lines
-from kinematics.shared_errors import position_errors, position_patterns
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import HEADER, body, csv_rows, measurement, readings, scene, smooth_motion
 
@@ -41,7 +41,7 @@ def test_patterns_of_many_points_carry_their_covariance(uneven, monkeypatch):
     fit = fit_lines(beam_set("s", made.positions_mm, made.directions, DOF_NAMES), value, sd)
     single = position_errors({(0, 0): fit}, [data])
     assert len(single.names) == 27
-    monkeypatch.setattr("kinematics.shared_errors._NAMED_BYTES", 0)
+    monkeypatch.setattr("kinematics.fit.shared_errors._NAMED_BYTES", 0)
     few = position_errors({(0, 0): fit}, [data])
     assert few.names[0] == "position.stapes.pattern_1"
     assert np.all(few.variances == 1.0)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
+from kinematics.fit.ratio import per_reference
 from kinematics.motion import RigidMotion, SharedErrors
 from kinematics.motion_files import column_names, read_motion, standard_deviation, write_motion
 from kinematics.notices import Notice
 from kinematics.points2dof import Options, points2dof
-from kinematics.ratio import per_reference
 from tests.kinematics.simulated import body, measurement, scene
 
 DOF = ("y", "alpha", "gamma")

@@ -9,17 +9,17 @@ import pytest
 import trimesh
 
 from kinematics.errors import KinematicsError
-from kinematics.fiducials import Fiducials
 from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.icp_refine import Cloud
+from kinematics.geometry.fiducials import Fiducials
+from kinematics.geometry.icp_refine import Cloud
+from kinematics.geometry.moved import check_surfaces
+from kinematics.geometry.placement import place, place_on_surface
+from kinematics.geometry.registration import fit_rigid
+from kinematics.geometry.scan_surfaces import OTHER_BONE, ScanSurfaces, label_surface, read_labels, read_mesh
+from kinematics.geometry.tie import tie
 from kinematics.mass_record import read_mass_record
 from kinematics.measurement import from_arrays
-from kinematics.moved import check_surfaces
-from kinematics.placement import place, place_on_surface
 from kinematics.points2dof import points2dof
-from kinematics.registration import fit_rigid
-from kinematics.scan_surfaces import OTHER_BONE, ScanSurfaces, label_surface, read_labels, read_mesh
-from kinematics.tie import tie
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.surfaces import box, on_faces, wedge, write_labels
 

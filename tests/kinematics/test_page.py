@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics import page
 from kinematics.notices import Notice
+from kinematics.pages import page
 
 EVIL = '<script>alert("x")</script> & more'
 

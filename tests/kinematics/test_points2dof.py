@@ -14,13 +14,13 @@ import pytest
 
 from kinematics.cli import work
 from kinematics.errors import KinematicsError, StapeskitError
-from kinematics.fiducials import read_fiducials
-from kinematics.ldv_csv import read_ldv
+from kinematics.geometry.fiducials import read_fiducials
+from kinematics.geometry.placement import place
 from kinematics.mass_record import read_mass_record
 from kinematics.motion_files import read_motion, standard_deviation
-from kinematics.placement import place
 from kinematics.points2dof import points2dof
 from kinematics.spatial import matrix_from_parameters
+from kinematics.tables.ldv_csv import read_ldv
 from sample_volumes.faults import Fault, faulty
 from sample_volumes.make_sample import write_recording
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion

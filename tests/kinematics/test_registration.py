@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinematics.errors import KinematicsError
-from kinematics.fiducials import Fiducials, read_fiducials
 from kinematics.frames import RigidTransform, rotation_from_vector
+from kinematics.geometry.fiducials import Fiducials, read_fiducials
+from kinematics.geometry.placement import place
+from kinematics.geometry.registration import displacement, fit_rigid
 from kinematics.mass_record import read_mass_record
-from kinematics.placement import place
-from kinematics.registration import displacement, fit_rigid
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, mass_record, write_record
 
 MARKS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8], [0, 3, 0], [4, 5, -3]])

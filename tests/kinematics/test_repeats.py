@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
-from kinematics.ldv_csv import read_ldv
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.points2dof import Options, points2dof
-from kinematics.pooling import pooled
-from kinematics.repeats import code_of
+from kinematics.tables.ldv_csv import read_ldv
+from kinematics.takes.pooling import pooled
+from kinematics.takes.repeats import code_of
 from tests.kinematics.simulated import HEADER, readings, scene
 
 

@@ -14,11 +14,11 @@ import pytest
 
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
+from kinematics.pages.report import grouped_notices, write_report
+from kinematics.pages.report_faults import groups_of, residual_section, verdict_section
+from kinematics.pages.report_motion import motion_section, moving_section
+from kinematics.pages.scenery import Scenery
 from kinematics.points2dof import Options, points2dof
-from kinematics.report import grouped_notices, write_report
-from kinematics.report_faults import groups_of, residual_section, verdict_section
-from kinematics.report_motion import motion_section, moving_section
-from kinematics.scenery import Scenery
 from tests.kinematics.simulated import (
     body,
     measurement,

@@ -10,7 +10,7 @@ from kinematics.errors import KinematicsError
 from kinematics.motion_files import read_motion, standard_deviation
 from kinematics.points2dof import points2dof
 from kinematics.readers import InputOptions, read_measurement
-from kinematics.series_options import series_options
+from kinematics.signals.series_options import series_options
 from tests.kinematics import series
 
 SCALE = 1e3  # mm/s

@@ -14,7 +14,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.channel_table import read_channels, sensitivity
 from kinematics.readers.series_files import read_series
 from kinematics.readers.time_series import read, read_steps
-from kinematics.series_options import SeriesOptions
+from kinematics.signals.series_options import SeriesOptions
 from tests.kinematics.written_mat import write_v73
 
 RATE, COUNT = 2000.0, 4000

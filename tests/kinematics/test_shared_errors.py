@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.beams import beam_set
 from kinematics.errors import KinematicsError
-from kinematics.fiducials import Fiducials
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
 from kinematics.frames import RigidTransform, rotation_from_vector
+from kinematics.geometry.fiducials import Fiducials
+from kinematics.geometry.placement import Placement, place
 from kinematics.measurement import Measurement
 from kinematics.motion_files import line_covariance
-from kinematics.placement import Placement, place
 from kinematics.points2dof import Options, points2dof
-from kinematics.rigid_fit import fit_lines
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 

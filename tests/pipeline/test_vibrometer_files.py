@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.ldv_csv import read_ldv
+from kinematics.tables.ldv_csv import read_ldv
 from pipeline.errors import PipelineError
 from pipeline.options import input_options, motion_options
 from pipeline.scan2kd import run_study

@@ -1,0 +1,1 @@
+"""What does not fit a rigid motion: which channel, what kind of fault, how sure."""

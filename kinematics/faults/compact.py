@@ -1,0 +1,331 @@
+"""Many lines packed into few that hold all there is to know about static faults, and a sample of the rest.
+
+A fault that is the same at all lines changes the observation rows B of y = B z + noise. Within a segment of
+lines any unitary mixture of them leaves that model as it is; the mixture that gathers the motion z into as
+many
+lines as it has degrees of freedom leaves nothing but noise on the others. These lines and their motion
+are kept; of the others, which tell the size of the noise and motion that is not rigid, up to some hundred.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.beams import BeamSet
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels
+from kinematics.spatial import dof_indices, point_rows
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_SEGMENTS = 12
+_REST = 512
+_HELD = 60_000
+_WHOLE = 64
+
+
+@dataclass(frozen=True)
+class Source:
+    """The lines that were packed: a fit, the form a_c b_f of its weights, and how missing values are filled.
+
+    ``fill`` (channel, m) times the motion stands for the residual of a missing value: what the channel's
+    other lines
+    show of a change of its row.
+    """
+
+    fit: LineFit
+    freq_hz: Array
+    channel: Array
+    line: Array
+    even: bool
+    fill: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+
+    def residual(self, lines: slice | NDArray[np.intp]) -> ComplexArray:
+        """Return the residuals (channel, n) of some lines, filled where missing, m."""
+        residual, sd, _ = self.fit.at(lines)
+        if not self.fill.size:
+            return residual
+        return np.where(np.isfinite(sd), residual, self.fill @ self.fit.solution.z[:, lines])
+
+    @classmethod
+    def of(cls, fit: LineFit, freq_hz: Array, noise_known: bool = True) -> Source:
+        """Find the weights of a fit; of noise that is not known only what was stated of its proportions."""
+        noise = fit.noise if noise_known else LineNoise(fit.noise.stated)
+        common = noise.common()
+        if common is not None and np.all(fit.solution.used == fit.value.shape[1]):
+            share, line = common
+            size = float(np.mean(line))
+            return cls(fit, freq_hz, 1.0 / (np.sqrt(2.0) * share * size), size / line, True)
+        sd = np.where(np.isfinite(fit.value), noise.at(slice(None)), np.nan)
+        variance = np.where(np.isfinite(sd), sd, np.nan) ** 2
+        some = np.any(np.isfinite(variance), axis=1)
+        own = np.full(len(sd), np.inf)
+        own[some] = np.nanmean(variance[some], axis=1)
+        held = np.isfinite(variance)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.sum(np.where(held, variance, 0.0) / own[:, None], axis=0) / np.sum(held, axis=0)
+            line = np.where(np.isfinite(mean) & (mean > 0.0), 1.0 / np.sqrt(mean), 0.0)
+        return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False, _fill(fit, held, line))
+
+
+def _fill(fit: LineFit, held: NDArray[np.bool_], line: Array) -> ComplexArray:
+    """Return the change of each channel's row (channel, m) that its residuals show where it was measured."""
+    good = fit.solution.good
+    z = np.where(good, fit.solution.z, 0.0) * line
+    residual = fit.residual * line
+    made = np.zeros((len(held), len(z)), dtype=complex)
+    for channel in np.flatnonzero(~np.all(held[:, good], axis=1)):
+        used = held[channel] & good
+        if np.sum(used) > 3 * len(z):
+            made[channel] = np.linalg.lstsq(z[:, used].T, residual[channel, used], rcond=1e-6)[0]
+    return made
+
+
+@dataclass(frozen=True)
+class Compact:
+    """One body in one run, packed.
+
+    Attributes
+    ----------
+    beams : BeamSet
+        For all degrees of freedom that the beams observe.
+    arms_m, directions : ndarray, (channel, 3)
+    points : tuple of str, (channel,)
+    y : ndarray, (channel, line), complex
+        Packed readings, m.
+    a : ndarray, (channel,)
+        1 / (sd sqrt 2) of the packed readings, so that a times noise has unit complex variance; zero where
+        not used.
+    part : ndarray, (line,), int
+        Segment of each packed line.
+    tau, freq_hz : ndarray, (line,)
+        Mean place in the measurement, -1 to 1, and mean frequency of what each line was mixed from.
+    rest : ndarray, (channel, sample), complex
+        Residuals at lines that hold no motion, m.
+    rest_part : ndarray, (sample,), int
+        Segment of each of them.
+    divisor : ndarray, (channel, segment), complex
+        What the readings were divided by since they were measured.
+    lift : ndarray, (channel,)
+        One over the share of each channel's values that was measured: raises the noise of ``rest``.
+    source : Source
+    """
+
+    beams: BeamSet
+    arms_m: Array
+    directions: Array
+    points: tuple[str, ...]
+    y: ComplexArray
+    a: Array
+    part: NDArray[np.int64]
+    tau: Array
+    freq_hz: Array
+    rest: ComplexArray
+    rest_part: NDArray[np.int64]
+    divisor: ComplexArray
+    lift: Array
+    source: Source = field(repr=False)
+
+    @property
+    def live(self) -> list[int]:
+        """Channels in use."""
+        return np.flatnonzero(self.a > 0.0).tolist()
+
+    def row(self, arms_m: Array, directions: Array) -> Array:
+        """Return rows (n, m) in the orthonormal basis for other positions or directions."""
+        places = dof_indices(self.beams.dof)
+        return np.asarray(point_rows(arms_m, directions)[:, places] @ self.beams.to_dof)
+
+    def moved(self, arms_m: Array | None = None, directions: Array | None = None) -> Compact:
+        """Return the data with other positions (m) or directions, and the rows that belong to them."""
+        arms = self.arms_m if arms_m is None else arms_m
+        beams = self.directions if directions is None else directions
+        basis = replace(self.beams, basis=self.row(arms, beams))
+        return replace(self, beams=basis, arms_m=arms, directions=beams)
+
+    def without(self, channels: list[int]) -> Compact:
+        """Return the data with some channels left out."""
+        a = self.a.copy()
+        a[channels] = 0.0
+        return replace(self, a=a)
+
+    def weighted(self, channels: list[int], factor: float) -> Compact:
+        """Return the data with the noise of some channels larger by a factor."""
+        a = self.a.copy()
+        a[channels] /= factor
+        return replace(self, a=a)
+
+    def scaled(self, channels: list[int], factor: ComplexArray) -> Compact:
+        """Return the data with the readings of some channels divided by a factor (line,)."""
+        y, rest, a, divisor = self.y.copy(), self.rest.copy(), self.a.copy(), self.divisor.copy()
+        y[channels] /= factor
+        number = divisor.shape[1]
+        mean = np.array([np.mean(factor[self.part == k]) for k in range(number)])
+        rest[channels] /= mean[self.rest_part]
+        a[channels] *= abs(complex(np.mean(mean)))
+        divisor[channels] *= mean
+        return replace(self, y=y, rest=rest, a=a, divisor=divisor)
+
+    def levelled(self, variance: Array) -> Compact:
+        """Return the data packed anew with noise whose variance differs from segment to segment."""
+        good = np.flatnonzero(self.source.fit.solution.good)
+        place = np.interp(
+            np.arange(len(good)), np.linspace(0, len(good) - 1, 2 * len(variance) + 1)[1::2], variance
+        )
+        line = self.source.line.copy()
+        line[good] /= np.sqrt(place)
+        return replace(self, source=replace(self.source, line=line)).repacked()
+
+    def repacked(self) -> Compact:
+        """Return the same data packed anew for their present rows and weights.
+
+        The noise of the motion is packed with the motion. Once rows or weights are others, what was noise of
+        the motion
+        is residual, and would stand in the few packed lines alone.
+        """
+        return _packed(self.source, self)
+
+
+def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool = True) -> Compact:
+    """Pack the fit of a body in one run.
+
+    Parameters
+    ----------
+    fit : LineFit
+        Of all degrees of freedom that the beams observe.
+    body : BodyChannels
+    freq_hz : ndarray, (freq,)
+    noise_known : bool
+        The sd are absolute.
+
+    Notes
+    -----
+    The weights of the packed lines are those of a noise of the form 1 / (a_c b_f). Where the stated sd differ
+    from that, or values are missing, a channel's reading in a mixture keeps the share of its motion that was
+    measured, filled up by what these lines show, and has the noise that its own values have in the mixture.
+    """
+    source = Source.of(fit, freq_hz, noise_known)
+    count = len(body.points)
+    parts = len(_segments(source)) - 1
+    nothing, none = np.zeros((count, 0), dtype=complex), np.zeros(0, dtype=np.int64)
+    empty = Compact(
+        fit.beams,
+        body.positions_mm * 1e-3,
+        body.directions,
+        body.points,
+        nothing,
+        source.channel,
+        none,
+        np.zeros(0),
+        np.zeros(0),
+        nothing,
+        none,
+        np.ones((count, parts), dtype=complex),
+        np.ones(count),
+        source,
+    )
+    return _packed(source, empty, first=True)
+
+
+def _segments(source: Source) -> NDArray[np.int64]:
+    """Return the places among the determined lines at which segments begin and end."""
+    lines = int(np.sum(source.fit.solution.good))
+    parts = int(np.clip(lines // (2 * len(source.fit.beams.dof)), 1, _SEGMENTS))
+    return np.asarray(np.linspace(0, lines, parts + 1).round().astype(int))
+
+
+def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
+    fit, basis = source.fit, data.beams.basis
+    good = np.flatnonzero(fit.solution.good)
+    whole = len(good) == fit.value.shape[1]
+    count, size = basis.shape
+    edges = _segments(source)
+    share = max(1, min(_REST, _HELD // max(count, 1)) // (len(edges) - 1))
+    span, upper = np.linalg.qr(data.a[:, None] * basis)
+    back = np.linalg.pinv(upper, rcond=1e-9) @ span.T * data.a
+    packed, rest, mixed = [], [], []
+    seen, variance = np.zeros(count), np.zeros(count)
+    for number, (start, stop) in enumerate(pairwise(edges)):
+        lines = slice(start, stop) if whole else good[start:stop]
+        b, z = source.line[lines], fit.solution.z[:, lines]
+        plain = first and source.even
+        residual = fit.value[:, lines] if plain else source.residual(lines)
+        if not first:
+            held = (fit.beams.basis @ z + residual) / data.divisor[:, number][:, None]
+            z = back @ held
+            residual = held - basis @ z
+        moving = z * b
+        vectors = np.linalg.svd(moving, full_matrices=stop - start <= _WHOLE)[2]
+        into = vectors[: min(size, stop - start)].conj().T
+        error = residual @ (b[:, None] * into)
+        if plain:
+            error -= basis @ (moving @ into)
+        packed.append((moving @ into, error))
+        mixed.append(np.abs(into) ** 2)
+        rest.append(_rest(residual, z if plain else None, basis, (b, vectors, into, error), share))
+        if first and not source.even:
+            mix = np.sum(np.abs(into) ** 2, axis=1)
+            sd = fit.at(lines)[1]
+            used = np.isfinite(sd)
+            seen += used @ mix
+            variance += (2.0 * np.where(used, sd, 0.0) ** 2) @ (mix * b**2)
+    number_of = [motion.shape[1] for motion, _ in packed]
+    channel, lift = data.a, data.lift
+    if first and not source.even:
+        total = float(sum(number_of))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lift = np.where(seen > 0.0, total / seen, 1.0)
+            channel = np.where(seen > 0.0, np.sqrt(total / variance) / lift, 0.0)
+    middle = [slice(start, stop) for start, stop in pairwise(edges)]
+    tau = np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.zeros(1)
+    freq = source.freq_hz[good]
+    return replace(
+        data,
+        y=np.hstack([basis @ motion + error for motion, error in packed]),
+        a=channel,
+        lift=lift,
+        part=np.repeat(np.arange(len(packed)), number_of),
+        tau=np.concatenate([tau[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
+        freq_hz=np.concatenate([freq[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
+        rest=np.hstack(rest) * lift[:, None],
+        rest_part=np.repeat(np.arange(len(rest)), [part.shape[1] for part in rest]),
+    )
+
+
+def _rest(
+    held: ComplexArray,
+    z: ComplexArray | None,
+    basis: Array,
+    mixing: tuple[Array, ComplexArray, ComplexArray, ComplexArray],
+    share: int,
+) -> ComplexArray:
+    """Return mixtures (channel, n) of equal noise of the residuals that the packed lines leave.
+
+    Parameters
+    ----------
+    held : ndarray, (channel, n), complex
+        Residuals, or readings whose motion ``z`` is still to be taken off.
+    z : ndarray, (m, n), complex, or None
+    basis : ndarray, (channel, m)
+    mixing : tuple
+        Weights of the lines, all mixing vectors, those of the packed lines, and the packed residuals.
+    share : int
+        How many to return at most.
+    """
+    b, vectors, into, error = mixing
+    lines, rank = into.shape
+    if lines == rank:
+        return np.zeros((len(held), 0), dtype=complex)
+    if len(vectors) == lines:
+        others = (b[:, None] * vectors[rank:].conj().T)[:, :share]
+        return np.asarray(held @ others if z is None else held @ others - basis @ (z @ others))
+    pick = np.unique(np.linspace(0, lines - 1, min(share, lines)).round().astype(int))
+    left = 1.0 - np.sum(np.abs(into[pick]) ** 2, axis=1)
+    pick, left = pick[left > 0.1], left[left > 0.1]
+    own = held[:, pick] if z is None else held[:, pick] - basis @ z[:, pick]
+    return np.asarray((own * b[pick] - error @ into[pick].conj().T) / np.sqrt(left))

@@ -1,0 +1,257 @@
+"""Score tests of all faults at once, from a few cross-products of residuals and motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.fault_kinds import across
+from kinematics.faults.fault_model import Places, State
+from kinematics.spatial import dof_indices, point_rows
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Faults of one kind at many places: B sets of n channels whose rows change together by k parameters.
+
+    Attributes
+    ----------
+    kind, owner : str
+        As of a Fault.
+    channels : ndarray, (B, n), int
+    slopes : ndarray, (B, k, n, m)
+        Derivatives of the whitened rows.
+    lines : str
+        What the change is multiplied with from line to line: nothing, ``tau`` (drift: constant and slope) or
+        ``freq`` (delay).
+    """
+
+    kind: str
+    owner: str
+    channels: NDArray[np.int64]
+    slopes: ComplexArray | Array
+    lines: str = ""
+
+
+@dataclass(frozen=True)
+class Tested:
+    """The score tests of a batch: statistics (B,), chi-squared with ``freedom`` (B,) degrees of freedom."""
+
+    batch: Batch
+    statistic: Array
+    freedom: NDArray[np.int64]
+    information: Array
+
+    def p_values(self, scale: float = 1.0) -> Array:
+        """Return the probability (B,) of such statistics when the noise variance is ``scale``."""
+        from scipy.special import chdtrc
+
+        return np.asarray(chdtrc(np.maximum(self.freedom, 1), np.maximum(self.statistic, 0.0) / scale))
+
+
+class ScoreTests:
+    """The cross-products of one fit, and the tests they give.
+
+    Notes
+    -----
+    For a change D of the whitened rows the score is Re tr(D^H G) with G = e z^H, and the information of two
+    of them Re tr(D^H P D' T) with P the projector on the residual space and T = z z^H (Rao 1948,
+    doi:10.1017/S0305004100023987,
+    for complex noise; faults as changes of rows). Position errors of a stated size are marginalised:
+    I - X (N + 1 / (2 sd^2))^-1 X^T, N their own information and X that in common. ``settled``: the points
+    stand at their most probable positions; otherwise the score of their shifts is marginalised too.
+    """
+
+    def __init__(self, state: State, places: Places, settled: bool = True) -> None:
+        self.state, self.places = state, places
+        data = state.data
+        ratio = data.freq_hz / np.mean(data.freq_hz)
+        weights = {"": None, "tau": data.tau, "freq": ratio}
+        self.g = {name: state.score(weight) for name, weight in weights.items()}
+        self.t = {name: state.motion(weight) for name, weight in weights.items()}
+        for name in ("tau", "freq"):
+            weight = weights[name]
+            self.t[name + name] = state.motion(None if weight is None else weight**2)
+        self.a = data.a
+        self.rows = data.a[:, None] * data.beams.basis
+        self.turns = self._turns()
+        if places.owners:
+            self._marginal(settled)
+
+    def _turns(self) -> Array:
+        """Return the whitened derivatives (channel, 3, m) of all rows by a shift of their points."""
+        data = self.state.data
+        turned = np.cross(np.eye(3)[None], data.directions[:, None])
+        change = np.concatenate([np.zeros_like(turned), turned], axis=2)
+        rows = change[..., dof_indices(data.beams.dof)] @ data.beams.to_dof
+        return np.asarray(self.a[:, None, None] * rows)
+
+    def _marginal(self, settled: bool) -> None:
+        """Prepare the information of the positions with their prior."""
+        places, count = self.places, len(self.places.owners)
+        channels = [c for owner in places.owners for c in owner]
+        owner = np.repeat(np.arange(count), [len(own) for own in places.owners])
+        d = self.turns[channels]
+        half = np.linalg.cholesky(self.t[""] + 1e-12 * np.trace(self.t[""]) * np.eye(len(self.t[""])))
+        own = np.einsum("cim,mn->cin", d, half)
+        blocks = np.zeros((count, 3, 3))
+        np.add.at(blocks, owner, np.einsum("cin,cjn->cij", own, own))
+        span = np.einsum("cin,cm->cinm", own, self.state.span[channels]).reshape(len(channels), 3, -1)
+        seen = np.zeros((count, 3, span.shape[2]))
+        np.add.at(seen, owner, span)
+        flat = seen.reshape(3 * count, -1)
+        information = -flat @ flat.T
+        for number in range(count):
+            part = slice(3 * number, 3 * number + 3)
+            information[part, part] += blocks[number]
+        information[np.diag_indices(3 * count)] += 0.5 / np.repeat(places.sd_m, 3) ** 2
+        self.inner = np.linalg.inv(information)
+        self.half, self.flat, self.blocks = half, flat, blocks
+        self.number_of = np.full(len(self.a), -1)
+        self.number_of[channels] = owner
+        self.shift_score = np.zeros((count, 3))
+        if not settled:
+            own_score = np.real(np.einsum("cim,cm->ci", d, self.g[""][channels]))
+            np.add.at(self.shift_score, owner, own_score)
+
+    def run(self, batch: Batch) -> Tested:
+        """Run the score tests of a batch."""
+        score, information = self.parts(batch)
+        size = score.shape[1]
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("bkk->bk", information), 1e-300))
+        values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
+        good = (values > 1e-6) & (np.max(1.0 / scale, axis=1, keepdims=True) > 1e-140)
+        along = np.einsum("bkj,bk->bj", vectors, score * scale)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            statistic = 2.0 * np.sum(np.where(good, along**2 / values, 0.0), axis=1)
+        return Tested(batch, statistic, np.minimum(np.sum(good, axis=1), size), 2.0 * information)
+
+    def parts(self, batch: Batch) -> tuple[Array, Array]:
+        """Return score (B, k) and information (B, k, k) for residuals of unit complex variance."""
+        d, channels = batch.slopes, batch.channels
+        names = ["", "tau"] if batch.kind == "drift" else [batch.lines]
+        span = self.state.span[channels]
+        score = np.concatenate(
+            [np.real(np.einsum("bknm,bnm->bk", d.conj(), self.g[name][channels])) for name in names], axis=1
+        )
+        blocks = [[_information(d, span, self._motion(one, two)) for two in names] for one in names]
+        information = np.concatenate([np.concatenate(row, axis=2) for row in blocks], axis=1)
+        if self.places.owners:
+            crossed = np.concatenate([self._crossed(d, channels, span, name) for name in names], axis=1)
+            held = crossed @ self.inner
+            score = score - held @ self.shift_score.ravel()
+            information = information - np.einsum("bkp,bjp->bkj", held, crossed)
+        return score, information
+
+    def _motion(self, one: str, two: str) -> Array:
+        return self.t[one + two] if one and two else self.t[one or two]
+
+    def _crossed(self, d: ComplexArray | Array, channels: NDArray[np.int64], span: Array, name: str) -> Array:
+        """Return the information (B, k, 3 point) that changes have in common with the positions."""
+        moved = d.real @ self.t[name]
+        own = np.linalg.solve(self.half, moved[..., None])[..., 0]
+        seen = np.einsum("bknq,bnr->bkqr", own, span)
+        made = -seen.reshape(*d.shape[:2], -1) @ self.flat.T
+        for place in range(channels.shape[1]):
+            number = self.number_of[channels[:, place]]
+            some = np.flatnonzero(number >= 0)
+            common = np.einsum("bkm,bim->bki", moved[some, :, place], self.turns[channels[some, place]])
+            for axis in range(3):
+                made[some[:, None], np.arange(d.shape[1])[None], 3 * number[some][:, None] + axis] += common[
+                    ..., axis
+                ]
+        return np.asarray(made)
+
+
+def _information(d: ComplexArray | Array, span: Array, t: Array) -> Array:
+    left = d @ t
+    whole = np.einsum("bknm,bjnm->bkj", left, d.conj())
+    seen = np.einsum("bknm,bnr->bkmr", left, span)
+    other = np.einsum("bjnm,bnr->bjmr", d.conj(), span)
+    return np.asarray(np.real(whole - np.einsum("bkmr,bjmr->bkj", seen, other)))
+
+
+def batches(
+    tests: ScoreTests, channels: list[int], points: list[list[int]], lasers: list[list[int]]
+) -> list[Batch]:
+    """Return the faults of single channels, of points and of lasers.
+
+    Parameters
+    ----------
+    tests : ScoreTests
+    channels : list of int
+        Channels to test by themselves.
+    points, lasers : list of list of int
+        Channels of each point, of each laser.
+    """
+    made: list[Batch] = []
+    if channels:
+        made += _common(tests, np.array(channels)[:, None], "channel")
+    for size in sorted({len(own) for own in points}):
+        same = np.array([own for own in points if len(own) == size])
+        made.append(Batch("position", "point", same, tests.turns[same].transpose(0, 2, 1, 3)))
+        if size > 1:
+            made += _common(tests, same, "point")
+    for own in lasers:
+        made += _common(tests, np.array(own)[None], "laser")
+    return made
+
+
+def _common(tests: ScoreTests, channels: NDArray[np.int64], owner: str) -> list[Batch]:
+    """Return the factors that sets of channels can have, and the turn of parallel beams."""
+    own = tests.rows[channels][:, None]
+    both = np.asarray(np.concatenate([own, 1j * own], axis=1), dtype=complex)
+    made = [Batch("gain", owner, channels, own), Batch("phase", owner, channels, both)]
+    if len(np.unique(tests.state.data.part)) >= 4:
+        made.append(Batch("delay", owner, channels, np.asarray(-1j * own, dtype=complex), "freq"))
+        made.append(Batch("drift", owner, channels, both, "tau"))
+    if owner != "point":
+        made.append(Batch("direction", owner, channels, _turned(tests, channels)))
+    return made
+
+
+def _turned(tests: ScoreTests, channels: NDArray[np.int64]) -> Array:
+    """Return the whitened derivatives (B, 2, n, m) by the two angles across parallel beams."""
+    data = tests.state.data
+    places = dof_indices(data.beams.dof)
+    sides = np.stack(across(data.directions[channels[:, 0]]), axis=1)
+    made = []
+    for k in range(2):
+        turned = np.repeat(sides[:, k][:, None], channels.shape[1], axis=1)
+        rows = point_rows(data.arms_m[channels].reshape(-1, 3), turned.reshape(-1, 3))
+        rows = rows[:, places] @ data.beams.to_dof
+        made.append(tests.a[channels][..., None] * rows.reshape(*channels.shape, -1))
+    return np.stack(made, axis=1)
+
+
+def any_batches(tests: ScoreTests, channels: list[int], points: list[list[int]]) -> list[Batch]:
+    """Return any change at all of the rows of single channels, and of all channels of single points."""
+    size = tests.rows.shape[1]
+    free = np.concatenate([np.eye(size), 1j * np.eye(size)])
+    made = []
+    for owner, sets in (("channel", [[c] for c in channels]), ("point", points)):
+        for number in sorted({len(own) for own in sets}):
+            same = np.array([own for own in sets if len(own) == number])
+            slopes = np.zeros((len(same), number, 2 * size, number, size), dtype=complex)
+            for place in range(number):
+                slopes[:, place, :, place] = tests.a[same[:, place]][:, None, None] * free
+            flat = slopes.reshape(len(same), 2 * size * number, number, size)
+            made.append(Batch("any", owner, same, flat))
+    return made
+
+
+def axes_batch(tests: ScoreTests) -> Batch:
+    """Return the turn of all beams against the positions."""
+    data = tests.state.data
+    channels = np.array(data.live)
+    places = dof_indices(data.beams.dof)
+    made = []
+    for axis in np.eye(3):
+        rows = point_rows(data.arms_m[channels], np.cross(axis, data.directions[channels]))
+        made.append(tests.a[channels][:, None] * (rows[:, places] @ data.beams.to_dof))
+    return Batch("axes", "body", channels[None], np.stack(made)[None])

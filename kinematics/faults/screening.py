@@ -1,0 +1,165 @@
+"""Find channels that hold nothing: rows of zeros where the body moves, and channels without any value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import sentence
+from kinematics.fit.beams import observability
+from kinematics.fit.line_noise import blocks
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.notices import Notice
+from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
+
+Array = NDArray[np.float64]
+_FLOOR = 1e-12
+_LEAST = 1e-100
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A body with the values that are not to be used set to NaN, and why.
+
+    Attributes
+    ----------
+    body : BodyChannels
+    unused : tuple of dict, (run,)
+        ``zeros`` or ``unused`` by channel.
+    notices : tuple of Notice
+    """
+
+    body: BodyChannels
+    unused: tuple[dict[int, str], ...]
+    notices: tuple[Notice, ...]
+
+
+def is_whole(body: BodyChannels) -> bool:
+    """Tell, in one pass without a copy, whether all values and sd are finite and no value is exactly zero.
+
+    Such a body has nothing to be screened for.
+    """
+    for run, value in enumerate(body.displacement):
+        sd = None if body.sd is None else body.sd[run]
+        if sd is not None and 0 in sd.strides:
+            if not np.all(np.isfinite(sd[tuple(slice(0, 1) if k == 0 else slice(None) for k in sd.strides)])):
+                return False
+            sd = None
+        for part in blocks(*value.shape):
+            block = value[:, part]
+            if sd is not None and not np.isfinite(np.sum(sd[:, part])):
+                return False
+            if block.strides[-1] == block.itemsize:
+                flat = block.view(float)
+                if not np.isfinite(np.sum(flat)) or (
+                    np.any(flat == 0.0) and np.any((block.real == 0.0) & (block.imag == 0.0))
+                ):
+                    return False
+            elif not np.isfinite(np.sum(block)) or np.any(block == 0.0):
+                return False
+    return True
+
+
+def empty_faults(measurement: Measurement) -> list[str]:
+    """List the bodies that hold nothing to fit: no usable value, or zeros throughout and no sd."""
+    faults = []
+    for body in measurement.bodies:
+        usable = np.isfinite(body.displacement)
+        if body.sd is not None:
+            usable &= np.isfinite(body.sd)
+        thing = f"the values of body {body.body}"
+        if not np.any(usable):
+            step = "Check the export, or leave the rows of this body out"
+            got = "empty or NaN cells throughout"
+            faults.append(sentence(thing, "numbers in some rows at least", got, next_step=step))
+            continue
+        if body.sd is not None and not body.relative:
+            continue
+        for run, name in enumerate(measurement.runs):
+            if np.any(usable[run]) and not np.any(np.abs(body.displacement[run][usable[run]])):
+                where = f"run {name}" if len(measurement.runs) > 1 else ""
+                step = "Give an sd column if the body stood still, or leave its rows out"
+                expected = "other than zero in some rows, or given with their sd"
+                faults.append(sentence(thing, expected, "zeros throughout", where, step))
+    return faults
+
+
+def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
+    """Set aside values that are exactly zero although the body moves there.
+
+    A channel of zeros is believed when the other channels say that nothing moves along its beam, or when
+    they cannot tell without it.
+    """
+    value = body.displacement
+    zero = (value.real == 0.0) & (value.imag == 0.0)
+    unused: list[dict[int, str]] = []
+    texts: list[str] = []
+    drop = np.zeros(value.shape, dtype=bool)
+    for run, name in enumerate(runs):
+        marks: dict[int, str] = {}
+        where = f" in run {name}" if len(runs) > 1 else ""
+        dead = [c for c in range(value.shape[1]) if np.all(zero[run, c] | np.isnan(value[run, c].real))]
+        silent = [c for c in dead if not np.any(zero[run, c])]
+        dead = [c for c in dead if c not in silent]
+        if dead and _moves(body, run, dead, dof):
+            drop[run, dead] = True
+            marks |= dict.fromkeys(dead, "zeros")
+            texts.append(f"{_names(body, dead)}{where} read zero throughout while the body moves")
+        elif len(dead) == value.shape[1]:
+            texts.append(f"all channels of body {body.body}{where} read zero throughout")
+        marks |= dict.fromkeys(silent, "unused")
+        some = zero[run] & ~drop[run]
+        some[dead] = False
+        if np.any(some) and not np.any(np.all(some, axis=1)):
+            drop[run] |= some
+            texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
+        if body.sd is not None:
+            for c in range(value.shape[1]):
+                if c not in marks and not np.any(
+                    np.isfinite(body.sd[run, c]) & np.isfinite(value[run, c].real)
+                ):
+                    marks[c] = "unused"
+        unused.append(marks)
+    if np.any(drop):
+        body = replace(body, displacement=np.where(drop, np.nan, value))
+    notices = []
+    if texts:
+        kept = "" if np.any(drop) else "; they were kept"
+        text = "; ".join(texts) + (
+            kept or "; these values were not used (missing points are often exported as zero)"
+        )
+        notices.append(Notice("zero_rows", text + "."))
+    return Screened(body, tuple(unused), tuple(notices))
+
+
+def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) -> bool:
+    """Tell whether the other channels predict motion along the beams that read zero."""
+    live = [c for c in range(len(body.points)) if c not in dead]
+    names = tuple(name for name in DOF_NAMES if name in dof)
+    arms, directions = body.positions_mm * 1e-3, body.directions
+    if len(live) < len(names) or observability(arms[live], directions[live], names)[-1] < 1e-3:
+        return False
+    rows = point_rows(arms, directions)[:, dof_indices(names)]
+    value = np.where(np.isnan(body.displacement[run, live].real), 0.0, body.displacement[run, live])
+    scale = np.linalg.norm(rows[live], axis=0)
+    q = np.linalg.lstsq(rows[live] / scale, value, rcond=None)[0] / scale[:, None]
+    left = np.sqrt(np.mean(np.abs(value - rows[live] @ q) ** 2))
+    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q) ** 2, axis=1))
+    size = np.sqrt(np.mean(np.abs(value) ** 2))
+    return bool(np.all(expected > max(3.0 * left, 1e-6 * size)))
+
+
+def _names(body: BodyChannels, channels: list[int]) -> str:
+    listed = [body.channel_name(c) for c in channels[:4]]
+    more = f" and {len(channels) - 4} more" if len(channels) > 4 else ""
+    return f"channel{'s' if len(channels) > 1 else ''} {', '.join(listed)}{more}"
+
+
+def with_floor(sd: Array, value: NDArray[np.complex128], freq_hz: Array, order: int) -> Array:
+    """Return sd not smaller than 1e-12 of the largest measured amplitude, in the measured quantity."""
+    rate = (2.0 * np.pi * freq_hz) ** order
+    measured = np.abs(value) * rate
+    largest = float(np.nanmax(measured)) if np.any(np.isfinite(measured)) else 0.0
+    return np.maximum(sd, (_FLOOR * largest or _LEAST) / rate)

@@ -1,0 +1,381 @@
+"""One round of the search for faults: all tests on the channels that are left, and the best suspect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults import fault_kinds as kinds
+from kinematics.faults.compact import Compact
+from kinematics.faults.evidence import log_evidence
+from kinematics.faults.fault_kinds import Fault
+from kinematics.faults.fault_model import FaultFit, Places, State, fit_fault, objective, solve, static
+from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
+from kinematics.faults.structure import Structure, structure_of
+
+Array = NDArray[np.float64]
+FALSE_ALARM = 0.01
+NOISY_KNOWN, NOISY_UNKNOWN = 1.5, 2.0
+_QUIET = 1.3
+_BLAMED = {"channel": 3, "point": 3, "laser": 3}
+_TESTED = {"channel": 2, "point": 1, "laser": 1}
+_VARIED = {"channel": 3, "point": 2, "laser": 1}
+_SUSPECTS, _EXCHANGES = 10, 5
+_NEAR = 3.0
+_ALARM_SHARE = {"channel": 0.5, "point": 0.2, "laser": 0.1, "body": 0.1}
+_ALARM_NOISE = 0.05
+_SAME_LASER = float(np.cos(np.radians(8.0)))
+_SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
+_VARYING = ("delay", "drift")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes
+    ----------
+    kind : str
+        ``gain``, ``phase``, ``delay``, ``drift``, ``direction``, ``position``, ``label_swap``, ``noise``,
+        ``axes``, ``flexible``.
+    channels : list of int
+    p_value : float
+        Corrected for the number of tests.
+    fit : FaultFit or None
+    size : float
+        Of a noise or flexible finding: factor of the noise, share of the motion.
+    rivals : tuple of Finding
+        Other explanations that the data hardly tell from this one.
+    """
+
+    kind: str
+    channels: list[int]
+    p_value: float
+    fit: FaultFit | None = None
+    size: float = 0.0
+    rivals: tuple[Finding, ...] = ()
+
+    @property
+    def owner(self) -> str:
+        """What is at fault, as of a Fault."""
+        if self.fit is not None:
+            return self.fit.fault.owner
+        return "body" if self.kind == "flexible" else "channel"
+
+
+def can_lose(data: Compact, channels: list[int]) -> bool:
+    """Tell whether the other channels still determine the motion with some redundancy."""
+    basis = data.beams.basis[data.without(channels).live]
+    if len(basis) <= basis.shape[1] + 1:
+        return False
+    values = np.linalg.svd(basis, compute_uv=False)
+    return bool(values[-1] > 1e-3 * values[0])
+
+
+class Search:
+    """The fit with the channels that are left, and everything that is tested on it.
+
+    Attributes
+    ----------
+    raw, data : Compact
+        As given, and with the points moved within their stated position errors.
+    """
+
+    def __init__(self, data: Compact, prior_m: Array, noise_known: bool, alarm: float = FALSE_ALARM) -> None:
+        self.raw, self.known, self.alarm = data, noise_known, alarm
+        self.places = Places.of(data, prior_m)
+        self.flat = static(data)
+        shift = np.zeros((0, 3))
+        if self.places.owners:
+            shift = fit_fault(self.flat, self.places, None)[1]
+        self.shift = shift
+        self.data = self.places.moved(data, shift)
+        self.state = solve(self.data)
+        self.before = float(np.sum(np.abs(self.state.e) ** 2)) + self.places.penalty(shift)
+        self.given = solve(data) if self.places.owners else self.state
+        self.live = data.live
+        self.h = self.state.h
+        self.rest = self.state.rest()
+        self.samples = self.rest.shape[1]
+        self.ratios = self._ratios()
+        self.level = float(np.median(self.ratios[self.live])) if self.live else 1.0
+        self.scale = max(1.0, self.level) if noise_known else self.level
+        groups: dict[str, list[int]] = {}
+        for channel in self.live:
+            groups.setdefault(data.points[channel], []).append(channel)
+        self.by_point = groups
+        self.structure: Structure = structure_of(self.state, self.rest, self.scale)
+        self.tested: list[Tested] = []
+
+    def _ratios(self) -> Array:
+        """Return the mean leverage-corrected energy of each channel on the lines without motion."""
+        held = self.rest if self.samples >= 8 else np.hstack([self.state.e, self.rest])
+        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
+        return np.asarray(np.sum(np.abs(held) ** 2, axis=1) / left / max(held.shape[1], 1))
+
+    def energy(self) -> Array:
+        """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
+        both = np.sum(np.abs(self.state.e) ** 2, axis=1) + np.sum(np.abs(self.rest) ** 2, axis=1)
+        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
+        return np.asarray(both / left / (self.state.e.shape[1] + self.samples))
+
+    def level_p(self) -> float:
+        """Return the probability of so large a total residual by chance."""
+        from scipy.special import chdtrc
+
+        columns = self.state.e.shape[1] + self.samples
+        freedom = 2.0 * columns * (len(self.live) - self.state.span.shape[1])
+        total = 2.0 * float(np.sum(np.abs(self.state.e) ** 2) + np.sum(np.abs(self.rest) ** 2))
+        return float(chdtrc(freedom, total)) if freedom > 0.0 else 1.0
+
+    def _freedom(self) -> float:
+        """Return the degrees of freedom that an estimated noise rests on."""
+        columns = self.samples if self.samples >= 8 else self.state.e.shape[1] + self.samples
+        return max(2.0 * columns * max(len(self.live) - self.state.span.shape[1], 1), 1.0)
+
+    def chance(self, statistic: float | Array, size: int | Array) -> Array:
+        """Return the probability of statistics by chance: chi-squared, or F when the noise is estimated."""
+        from scipy.special import chdtrc, fdtrc
+
+        value = np.maximum(statistic, 0.0) / self.scale
+        if self.known:
+            return np.asarray(chdtrc(size, value))
+        return np.asarray(fdtrc(size, self._freedom(), value / size))
+
+    def best(self) -> Finding | None:
+        """Return the suspect that explains most, or None when nothing is significant."""
+        if len(self.live) <= self.state.span.shape[1] or not self.scale > 0.0:
+            return None
+        self._test()
+        noisy = self._noisy()
+        lowest = min(
+            (float(np.min(self._p(found))) * self._number(found.batch.owner) for found in self.tested),
+            default=1.0,
+        )
+        unsure = self.structure.p_value > _ALARM_NOISE * self.alarm
+        if lowest > self.alarm and unsure and not noisy:
+            return None
+        scored = list(noisy)
+        for fit in self._suspects():
+            finding = self._finding(fit)
+            if finding.p_value < self.alarm:
+                scored.append((log_evidence(fit, self.scale, self._alike(fit.fault)), finding))
+        if not unsure and not self.structure.concentrated:
+            scored.append((self.structure.gain / self.scale, self.flexible()))
+        if not scored:
+            return None
+        scored.sort(key=lambda entry: -entry[0])
+        top, finding = scored[0]
+        near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
+        rivals = tuple(other for value, other in scored[1:] if value > near and _differ(finding, other))
+        return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
+
+    def flexible(self) -> Finding:
+        """Return the finding that the body is not rigid, with its share of the motion (rms)."""
+        moved = self.data.a[:, None] * (self.data.beams.basis @ self.state.z)
+        left = len(self.live) - self.state.span.shape[1]
+        excess = float(np.sum(np.abs(self.state.e) ** 2)) - self.scale * left * self.state.e.shape[1]
+        share = float(np.sqrt(max(excess, 0.0) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)))
+        return Finding("flexible", list(self.live), self.structure.p_value, None, share)
+
+    def _number(self, owner: str) -> float:
+        """Return what p-values of one sort of culprit are multiplied with: Bonferroni, unequal shares."""
+        count = sum(len(found.statistic) for found in self.tested if found.batch.owner == owner)
+        return max(count, 1) / _ALARM_SHARE[owner]
+
+    def _p(self, found: Tested) -> Array:
+        return self.chance(found.statistic, np.maximum(found.freedom, 1))
+
+    def _test(self) -> None:
+        tests = ScoreTests(self.state, self.places)
+        free = [c for c in self.live if self.given.h[c] < 0.98]
+        points = [
+            own for own in self.by_point.values() if len(self.live) - len(own) >= self.state.span.shape[1]
+        ]
+        made = batches(tests, free, points, self._lasers())
+        if len(self.live) == len(self.data.points):
+            made.append(axes_batch(tests))
+        self.tested = [tests.run(batch) for batch in made]
+
+    def _lasers(self) -> list[list[int]]:
+        """Return the channels of beams that are nearly parallel at several points, when there are others.
+
+        A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
+        else is no explanation.
+        """
+        groups: list[list[int]] = []
+        for channel in self.live:
+            beam = self.data.directions[channel]
+            near = (own for own in groups if float(beam @ self.data.directions[own[0]]) > _SAME_LASER)
+            own = next(near, None)
+            if own is None:
+                groups.append([channel])
+            else:
+                own.append(channel)
+        many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
+        return many if len(groups) > 1 and len(many) <= 8 else []
+
+    def _suspects(self) -> list[FaultFit]:
+        """Fit every kind of fault where it is most significant, and where leaving out helps most."""
+        faults = []
+        given = self.given
+        freely = self._freely() if self.places.owners else {}
+        for owner, groups in self._owners().items():
+            tested = [found for found in self.tested if found.batch.owner == owner]
+            orders = [sorted(groups, key=lambda own: -_blame(given, list(own)))]
+            if freely:
+                orders.append(sorted(groups, key=lambda own: -freely.get(own, 0.0)))
+            chosen = dict.fromkeys(
+                own
+                for first in zip(*(order[: _BLAMED[owner]] for order in orders), strict=True)
+                for own in first
+            )
+            for found in tested:
+                best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
+                chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
+            for number, own in enumerate(chosen):
+                some = number < _VARIED[owner]
+                names = dict.fromkeys(found.batch.kind for found in tested if own in _sets(found))
+                faults += [
+                    self._fault(kind, owner, list(own)) for kind in names if some or kind not in _VARYING
+                ]
+        if any(found.batch.kind == "axes" for found in self.tested):
+            faults.append(kinds.axes(self.raw))
+        return [self.fitted(fault) for fault in [*faults, *self._swaps()]]
+
+    def _freely(self) -> dict[tuple[int, ...], float]:
+        """Return, per channel and point, what any change of its rows would explain beside the positions."""
+        tests = ScoreTests(self.given, self.places, settled=False)
+        free = [c for c in self.live if self.given.h[c] < 0.98]
+        size = self.state.span.shape[1]
+        points = [own for own in self.by_point.values() if len(self.live) - len(own) >= size]
+        made: dict[tuple[int, ...], float] = {}
+        for batch in any_batches(tests, free, points):
+            found = tests.run(batch)
+            made |= dict(zip(_sets(found), found.statistic.tolist(), strict=True))
+        return made
+
+    def _owners(self) -> dict[str, list[tuple[int, ...]]]:
+        """Return the sets of channels that were tested, by what they are."""
+        made: dict[str, dict[tuple[int, ...], None]] = {}
+        for found in self.tested:
+            if found.batch.owner != "body":
+                made.setdefault(found.batch.owner, {}).update(dict.fromkeys(_sets(found)))
+        return {owner: list(groups) for owner, groups in made.items()}
+
+    def _fault(self, kind: str, owner: str, channels: list[int]) -> Fault:
+        if kind == "gain":
+            return kinds.gain(channels, owner)
+        if kind == "phase":
+            return kinds.phase(channels, owner)
+        if kind == "delay":
+            return kinds.delay(self.raw, channels, owner)
+        if kind == "drift":
+            return kinds.drift(channels, owner)
+        if kind == "direction":
+            return kinds.direction(self.raw, channels, owner)
+        return kinds.position(self.raw, channels)
+
+    def fitted(self, fault: Fault) -> FaultFit:
+        """Fit a fault, jointly with the positions where these are uncertain."""
+        if fault.kind in _VARYING:
+            return fit_fault(self.raw, self.places, fault, self.before)[0]
+        fit, shift = fit_fault(self.flat, self.places, fault)
+        return replace(fit, drop=self.before - objective(self.raw, self.places, fit, shift))
+
+    def _alike(self, fault: Fault) -> int:
+        points = len(self.by_point)
+        if fault.kind == "label_swap":
+            return {"points": points * (points - 1) // 2, "beams": len(self.live)}.get(fault.owner, 3)
+        return {"channel": len(self.live), "point": points, "laser": 3}.get(fault.owner, 1)
+
+    def _swaps(self) -> list[Fault]:
+        """Return the exchanges of names that are most likely at first sight."""
+        stand = dict.fromkeys(self.by_point, 0.0)
+        for found in self.tested:
+            if found.batch.kind in ("position", "gain", "direction"):
+                for own, value in zip(found.batch.channels, found.statistic, strict=True):
+                    if found.batch.owner in ("channel", "point"):
+                        name = self.data.points[own[0]]
+                        stand[name] = max(stand[name], float(value))
+        order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
+        made = [
+            kinds.swap(self.raw, self.by_point[one], self.by_point[two], "points")
+            for one, two in combinations(order, 2)
+        ]
+        for name in order[:4]:
+            own = self.by_point[name]
+            made += [kinds.swap(self.raw, [one], [two], "beams") for one, two in combinations(own, 2)]
+        for one, two in combinations(self._lasers(), 2):
+            same = {self.data.points[c]: c for c in two}
+            both = [(c, same[self.data.points[c]]) for c in one if self.data.points[c] in same]
+            if len(both) > 2:
+                made.append(kinds.swap(self.raw, [c for c, _ in both], [d for _, d in both], "lasers"))
+        chosen: dict[int, Fault] = {}
+        shifts = [self.shift, np.zeros_like(self.shift)] if self.places.owners else [self.shift]
+        for shift in shifts:
+            left = [self._at_sight(fault, shift) for fault in made]
+            chosen |= {k: made[k] for k in sorted(range(len(made)), key=lambda k: left[k])[:_EXCHANGES]}
+        return list(chosen.values())
+
+    def _at_sight(self, fault: Fault, shift: Array) -> float:
+        """Return the objective after an exchange of names, the positions as they are."""
+        fit = FaultFit(fault, np.zeros(0), np.zeros((0, 0)), 0.0)
+        return objective(self.flat, self.places, fit, shift)
+
+    def _finding(self, fit: FaultFit) -> Finding:
+        size = max(fit.fault.size, 1)
+        owner = {"points": "point", "beams": "channel", "lasers": "laser"}.get(
+            fit.fault.owner, fit.fault.owner
+        )
+        p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self._number(owner))
+        return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
+
+    def _noisy(self) -> list[tuple[float, Finding]]:
+        """Return channels whose noise is larger than stated, with their log evidence."""
+        from scipy.special import chdtrc
+
+        made = []
+        limit = NOISY_KNOWN if self.known else NOISY_UNKNOWN
+        margin = 1.0 if self.known else 1.2**2
+        count = self.samples if self.samples >= 8 else self.samples + self.state.e.shape[1]
+        whole = self.samples + self.state.e.shape[1]
+        energy = self.energy() / self.scale
+        for channel in sorted(self.live, key=lambda c: -self.ratios[c])[:3]:
+            ratio, h = self.ratios[channel] / self.scale, self.h[channel]
+            if ratio < _QUIET or h > 0.98 or energy[channel] - h < limit**2 * (1.0 - h):
+                continue
+            number = len(self.live) / _ALARM_NOISE
+            p = min(1.0, float(chdtrc(2.0 * count, 2.0 * count * ratio / margin)) * number)
+            if p > self.alarm:
+                continue
+            score = whole * (energy[channel] - 1.0 - float(np.log(energy[channel])))
+            score -= float(np.log(len(self.live))) + 0.5 * float(np.log(whole))
+            size = float(np.sqrt((energy[channel] - h) / (1.0 - h)))
+            made.append((score, Finding("noise", [channel], p, None, size)))
+        return made
+
+
+def _blame(state: State, channels: list[int]) -> float:
+    """Return by how much the residual energy falls when some channels are left out."""
+    span, e = state.span[channels], state.e[channels]
+    values, vectors = np.linalg.eigh(np.eye(len(channels)) - span @ span.T)
+    good = values > 1e-6
+    seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
+    return float(np.sum(seen / values[good]))
+
+
+def _sets(found: Tested) -> list[tuple[int, ...]]:
+    return [tuple(int(c) for c in own) for own in found.batch.channels]
+
+
+def _differ(one: Finding, two: Finding) -> bool:
+    """Tell whether two findings are different statements: a phase includes a gain."""
+    same = {"phase": "gain", "delay": "gain"}
+    return (same.get(one.kind, one.kind), sorted(one.channels)) != (
+        same.get(two.kind, two.kind),
+        sorted(two.channels),
+    )

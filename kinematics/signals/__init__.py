@@ -1,0 +1,1 @@
+"""Frequency responses from time series, and stepped sines by lock-in."""

@@ -1,0 +1,273 @@
+"""Frequency responses from time series: H1, H2, Hv, coherence and the variance of each.
+
+Random or transient excitation: averages over windowed, overlapping segments. Periodic excitation
+(multisine, pseudo-random, periodic chirp): whole periods without a window, the noise from what differs
+between periods. One reference; any number of channels recorded with it; any number of records.
+
+Sources: Bendat and Piersol, Random Data, 4th ed. 2010, ch. 7 and 9 (H1, H2, coherence, random errors);
+Welch 1967, IEEE Trans. Audio Electroacoust. 15:70, doi:10.1109/TAU.1967.1161901 (overlapping segments);
+Fuller, Measurement Error Models, 1987, sec. 1.3 (total least squares with a known ratio of the noises);
+Pintelon and Schoukens, System Identification, 2nd ed. 2012, ch. 2 (periodic excitation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.notices import Notice
+from kinematics.signals.frf_noise import Frf, check_signals, common_notice, smoothed, split_noise
+from kinematics.signals.series_options import ESTIMATORS, WINDOWS
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Records = Sequence[tuple[Array, Array]]
+_FEWEST = 3
+_STEADY = 100
+_FEW = 5.0
+
+
+@dataclass(frozen=True)
+class Welch:
+    """How records of random excitation are averaged.
+
+    Attributes
+    ----------
+    segment : int
+        Samples of a segment: the resolution is the sampling rate over it.
+    window : str
+        ``hann`` (default), ``hamming``, ``blackman``, ``flattop``, or ``none``.
+    overlap : float
+        Share of a segment that it has in common with the next, 0 to 0.95.
+    estimator : str
+        ``h1`` (noise in the responses only), ``h2`` (noise in the reference only), ``hv`` (both: total
+        least squares).
+    noise_ratio : float or None
+        For ``hv``: noise power of the response over that of the reference, in their units squared. None:
+        in the ratio of the powers of the two signals themselves, for which Hv is the geometric mean of H1
+        and H2 and does not depend on units.
+
+    Raises
+    ------
+    KinematicsError
+        A value out of its range.
+    """
+
+    segment: int
+    window: str = "hann"
+    overlap: float = 0.5
+    estimator: str = "h1"
+    noise_ratio: float | None = None
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.estimator not in ESTIMATORS:
+            faults.append(sentence("the estimator", ", ".join(ESTIMATORS), self.estimator))
+        if self.window not in WINDOWS:
+            faults.append(sentence("the window", ", ".join(WINDOWS), self.window))
+        if not 0.0 <= self.overlap <= 0.95:
+            faults.append(sentence("the overlap", "between 0 and 0.95", self.overlap))
+        if self.segment < 8:
+            faults.append(sentence("a segment", "of 8 samples at least", self.segment))
+        if self.noise_ratio is not None and not (np.isfinite(self.noise_ratio) and self.noise_ratio > 0.0):
+            faults.append(sentence("the noise ratio", "positive", self.noise_ratio))
+        raise_all(KinematicsError, faults)
+
+    @property
+    def hop(self) -> int:
+        """Samples from the start of a segment to that of the next."""
+        return max(1, round(self.segment * (1.0 - self.overlap)))
+
+    def taper(self) -> Array:
+        """Return the window, (segment,), periodic."""
+        if self.window == "none":
+            return np.ones(self.segment)
+        from scipy.signal import get_window
+
+        return np.asarray(get_window(self.window, self.segment), dtype=float)
+
+
+def effective_averages(taper: Array, hop: int, segments: int) -> float:
+    """Return how many independent averages overlapping segments are worth.
+
+    Parameters
+    ----------
+    taper : ndarray, (segment,)
+    hop, segments : int
+
+    Notes
+    -----
+    n / (1 + 2 sum_m (1 - m/n) rho_m) with rho_m = (sum_t w_t w_{t + m hop} / sum_t w_t^2)^2; Welch 1967.
+    """
+    total = 1.0
+    power = float(np.sum(taper**2))
+    for step in range(1, segments):
+        shift = step * hop
+        if shift >= len(taper):
+            break
+        rho = (float(taper[:-shift] @ taper[shift:]) / power) ** 2
+        total += 2.0 * (1.0 - step / segments) * rho
+    return segments / total
+
+
+def segment_for(samples: int, averages: int, overlap: float) -> int:
+    """Return the longest even segment of which so many fit into a record."""
+    length = int(samples / (1.0 + (averages - 1) * (1.0 - overlap)))
+    return length - length % 2
+
+
+def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = "") -> Frf:
+    """Estimate frequency responses to random or transient excitation.
+
+    Parameters
+    ----------
+    records : sequence of (ndarray (sample,), ndarray (channel, sample))
+        Reference and responses of every record; each record is cut into segments by itself.
+    sample_rate_hz : float
+    how : Welch
+    where : str
+        Place for messages.
+
+    Returns
+    -------
+    Frf
+
+    Raises
+    ------
+    KinematicsError
+        Signals that are not finite, a reference without signal, or fewer than three segments.
+
+    Notes
+    -----
+    With G the averaged spectra and n the effective averages: H1 = Gxy / Gxx is low by 1 / (1 + noise over
+    signal in the reference), H2 = Gyy / Gyx is high by 1 + noise over signal in the response, and Hv lies
+    between. Conditional on the reference, E|dH1|^2 = Gyy (1 - g2) / ((n - 1) Gxx), g2 the coherence
+    (Bendat and Piersol, Table 9.6, with n - 1 so that it is right in the mean for few averages); the real
+    part has half of it. For all three, with u = |Gxy| / |H| the power of the true reference, e = Gxx - u
+    and v = Gyy - |H|^2 u: E|dH|^2 = (v + |H|^2 e + e v / u) / ((n - 1) u) (Fuller 1987, eq. 1.3.12), for
+    the geometric mean |H|^2 (1 - g2)(1 + 1 / g2) / (2 (n - 1)). Below a hundred averages the noise power in
+    it is averaged over neighbouring lines, so that weights and chi2 made of it are steady.
+    """
+    records = checked_records(records, sample_rate_hz, where)
+    taper = how.taper()
+    counts = [1 + (len(x) - how.segment) // how.hop if len(x) >= how.segment else 0 for x, _ in records]
+    averages = sum(effective_averages(taper, how.hop, count) for count in counts if count)
+    if sum(counts) < _FEWEST:
+        step = "Take shorter segments (a coarser resolution) or record longer"
+        got = f"{sum(counts)} of {how.segment} samples"
+        raise KinematicsError(sentence("the records", f"{_FEWEST} segments long at least", got, where, step))
+    first = 1 if how.window == "none" else 2
+    lines = slice(first, (how.segment + 1) // 2)
+    freq = np.arange(how.segment)[lines] * sample_rate_hz / how.segment
+
+    def segments() -> Iterator[tuple[ComplexArray, ComplexArray]]:
+        for (x, y), count in zip(records, counts, strict=True):
+            for start in range(0, count * how.hop, how.hop):
+                part = slice(start, start + how.segment)
+                yield _spectrum(x[part], taper, lines), _spectrum(y[:, part], taper, lines)
+
+    total = sum(counts)
+    gxx = np.zeros(len(freq))
+    gyy = np.zeros((len(records[0][1]), len(freq)))
+    gxy = np.zeros(gyy.shape, dtype=complex)
+    for x, y in segments():
+        gxx += np.abs(x) ** 2 / total
+        gyy += np.abs(y) ** 2 / total
+        gxy += x.conj() * y / total
+    if np.any(gxx == 0.0):
+        step = "Restrict the band to where the reference has power"
+        raise KinematicsError(sentence("the reference", "of some power at every line", 0, where, step))
+    tiny = np.finfo(float).tiny
+    value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
+    left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
+    own, common = split_noise(
+        lambda: (y - value * x for x, y in segments()), np.maximum(left, 0.0), value, float(total)
+    )
+    share = np.where(left > 0.0, own / np.where(left > 0.0, left, 1.0), 1.0)
+    variance = variance * np.minimum(share, 1.0)
+    if averages < _STEADY:
+        true = np.maximum(np.abs(gxy) / np.maximum(np.abs(value), tiny), tiny)
+        variance = smoothed(variance * true, int(np.ceil(1.5 * _STEADY / averages))) / true
+    common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
+    return Frf(
+        freq,
+        value,
+        np.sqrt(0.5 * variance),
+        coherence,
+        averages,
+        common_sd,
+        np.sqrt(gxx) * np.sqrt(2.0) / np.sqrt(how.segment * np.sum(taper**2)),
+        tuple(_notices(common_sd, common / gxx, averages, how)),
+    )
+
+
+def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> list[Notice]:
+    """Say what the noise of the reference does to the estimate, and when averages are few."""
+    more = ""
+    if how.estimator == "h1":
+        low = 100.0 * float(np.median(share))
+        more = f" H1 reads all of them {low:.2g} % low for it; H2 and Hv with the ratio of noises do not."
+    notices = common_notice(common_sd, "the reference", more)
+    if averages < _FEW:
+        text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
+        notices.append(Notice("few_averages", text))
+    return notices
+
+
+def _spectrum(signal: Array, taper: Array, lines: slice) -> ComplexArray:
+    """Return the lines of windowed samples (..., sample), their mean taken out."""
+    level = np.mean(signal, axis=-1, keepdims=True)
+    return np.asarray(np.fft.rfft((signal - level) * taper, axis=-1)[..., lines])
+
+
+def _estimated(
+    gxx: Array, gyy: Array, gxy: ComplexArray, averages: float, how: Welch
+) -> tuple[ComplexArray, Array, Array]:
+    """Return H (channel, freq), E|dH|^2 and the coherence from averaged spectra."""
+    tiny = np.finfo(float).tiny
+    size = np.maximum(np.abs(gxy), tiny)
+    coherence = np.clip(size**2 / np.maximum(gxx * gyy, tiny), 0.0, 1.0)
+    count = max(averages - 1.0, 1e-3)
+    if how.estimator == "h1":
+        gain = size / gxx
+    elif how.estimator == "h2":
+        gain = gyy / size
+    elif how.noise_ratio is None:
+        gain = np.sqrt(gyy / gxx)
+    else:
+        apart = gyy - how.noise_ratio * gxx
+        root = np.sqrt(apart**2 + 4.0 * how.noise_ratio * size**2)
+        gain = np.where(apart > 0.0, apart + root, 4.0 * how.noise_ratio * size**2 / (root - apart + tiny))
+        gain = gain / (2.0 * size)
+    value = gain * gxy / size
+    true = size / np.maximum(gain, tiny)
+    if how.estimator == "hv" and how.noise_ratio is None:
+        variance = gain**2 * (1.0 - coherence) * (1.0 + 1.0 / np.maximum(coherence, tiny)) / (2.0 * count)
+    else:
+        below, above = np.maximum(gxx - true, 0.0), np.maximum(gyy - gain**2 * true, 0.0)
+        variance = (above + gain**2 * below + above * below / true) / (count * true)
+    return value, variance, coherence
+
+
+def checked_records(records: Records, sample_rate_hz: float, where: str) -> list[tuple[Array, Array]]:
+    """Return the records as arrays.
+
+    Raises
+    ------
+    KinematicsError
+        No record, records of different channels, or what check_signals says.
+    """
+    if not records:
+        raise KinematicsError(sentence("the records", "one at least", "none", where))
+    made = []
+    for reference, responses in records:
+        x, y = np.asarray(reference, dtype=float), np.asarray(responses, dtype=float)
+        check_signals(x, y, sample_rate_hz, where)
+        made.append((x, y))
+    if len({len(y) for _, y in made}) != 1:
+        raise KinematicsError(sentence("the records", "of the same channels", "others", where))
+    return made
