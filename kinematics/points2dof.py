@@ -196,7 +196,7 @@ def points2dof(
             diagnoses[key] = _diagnosed(placed, screen, fits[key], options.dof, known)
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
-    check_axes(placed, placement.transform, fits)
+    check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
     motion = _motion(placed, fits, options.dof)
     _check_determined(motion)
     motion = replace(
@@ -269,6 +269,14 @@ def _diagnosed(
     data = compact(whole, body, placed.freq_hz, known)
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     return diagnose(data, body.position_sd_mm * 1e-3, known, alarm)
+
+
+def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
+    """Return the share of each misfit that a single fault, other than of all beams, does not explain."""
+    return {
+        key: found.kept if len(found.findings) == 1 and found.findings[0].owner != "body" else 1.0
+        for key, found in diagnoses.items()
+    }
 
 
 def _check_determined(motion: RigidMotion) -> None:

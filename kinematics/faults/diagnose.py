@@ -44,6 +44,9 @@ class Diagnosis:
         Number of complex values behind each energy.
     offsets_m : ndarray, (channel, 3)
         Position errors, within their stated sd, that were allowed for.
+    kept : float
+        Share of the misfit beyond noise that the findings leave, 0 to 1; 1 without a finding, and when the
+        body is not rigid.
     """
 
     findings: tuple[Finding, ...]
@@ -53,6 +56,7 @@ class Diagnosis:
     structure: Structure
     lines: NDArray[np.int64]
     offsets_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    kept: float = 1.0
 
     @property
     def level_matters(self) -> bool:
@@ -172,6 +176,7 @@ def _made(findings: tuple[Finding, ...], first: Search, last: Search, data: Comp
         (first if whole else last).structure,
         np.where(data.a > 0.0, data.y.shape[1] + data.rest.shape[1], 0),
         offsets,
+        1.0 if whole or not findings else last.excess() / max(first.excess(), 1e-300),
     )
 
 

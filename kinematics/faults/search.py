@@ -122,6 +122,11 @@ class Search:
         left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
         return np.asarray(both / left / (self.state.e.shape[1] + self.samples))
 
+    def excess(self) -> float:
+        """Return the residual energy of the packed lines beyond that of noise, at least none."""
+        left = (len(self.live) - self.state.span.shape[1]) * self.state.e.shape[1]
+        return max(float(np.sum(np.abs(self.given.e) ** 2)) - self.scale * left, 0.0)
+
     def level_p(self) -> float:
         """Return the probability of so large a total residual by chance."""
         from scipy.special import chdtrc

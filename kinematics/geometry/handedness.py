@@ -21,7 +21,10 @@ _MOST_LINES = 60
 
 
 def check_axes(
-    placed: Measurement, footplate_from_source: RigidTransform, fits: Mapping[tuple[int, int], LineFit]
+    placed: Measurement,
+    footplate_from_source: RigidTransform,
+    fits: Mapping[tuple[int, int], LineFit],
+    kept: Mapping[tuple[int, int], float] | None = None,
 ) -> None:
     """Refuse positions that agree with the beams only when one of their axes is turned round.
 
@@ -32,12 +35,16 @@ def check_axes(
     footplate_from_source : RigidTransform
         Whose source axes are those of the files.
     fits : mapping of (run, body) to LineFit
+    kept : mapping of (run, body) to float, optional
+        Share of the misfit of each fit that a single fault of a channel, point or laser leaves; 1 where
+        none explains it.
 
     Raises
     ------
     KinematicsError
         Turning one axis of all positions round leaves less than a tenth of a misfit that is more than 4 times
-        the noise, and a misfit like noise; or, where the noise is not stated, less than a fiftieth.
+        the noise, and a misfit like noise; or, where the noise is not stated, less than a fiftieth. What a
+        single fault explains without turning an axis round does not count.
 
     Notes
     -----
@@ -48,17 +55,21 @@ def check_axes(
     loud = whole > _MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
     if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
         return
-    given, freedom = _misfit(placed, fits, np.eye(3))
+    given, freedom = _misfits(placed, fits, np.eye(3))
     if freedom < 20:
         return
     turn = footplate_from_source.rotation
-    cured = {}
-    for axis, signs in MIRRORS.items():
-        cured[axis], _ = _misfit(placed, fits, turn @ np.diag(signs) @ turn.T)
-    best = min(cured, key=lambda axis: cured[axis])
-    if cured[best] > (_CURED if loud else _CURED_UNKNOWN) * given or cured[best] > _MISFIT * freedom:
+    mirrored = {
+        axis: _misfits(placed, fits, turn @ np.diag(signs) @ turn.T)[0] for axis, signs in MIRRORS.items()
+    }
+    best = min(mirrored, key=lambda axis: sum(mirrored[axis].values()))
+    after = sum(mirrored[best].values())
+    rival = sum(
+        mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
+    )
+    if after > (_CURED if loud else _CURED_UNKNOWN) * rival or after > _MISFIT * freedom:
         return
-    before, after = (np.sqrt(value / freedom) for value in (given, cured[best]))
+    before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
     raise KinematicsError(
         sentence(
             "the positions of the points",
@@ -71,10 +82,13 @@ def check_axes(
     )
 
 
-def _misfit(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change: Array) -> tuple[float, int]:
-    """Return the sum of squared residuals over noise with changed positions, and its degrees of freedom."""
-    total, freedom = 0.0, 0
-    for (_run, number), fit in fits.items():
+def _misfits(
+    placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change: Array
+) -> tuple[dict[tuple[int, int], float], int]:
+    """Return each fit's sum of squared residuals over noise with changed positions, and all freedom."""
+    totals: dict[tuple[int, int], float] = {}
+    freedom = 0
+    for (run, number), fit in fits.items():
         body = placed.bodies[number]
         centre = body.positions_mm.mean(axis=0)
         arms = (body.positions_mm - centre) @ change.T * 1e-3
@@ -90,6 +104,6 @@ def _misfit(placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change
         white = weight[:, :, None] * rows
         q, _ = np.linalg.qr(white)
         inside = np.einsum("fcm,fc->fm", q, weight * value)
-        total += float(np.sum(np.abs(weight * value) ** 2) - np.sum(np.abs(inside) ** 2))
+        totals[run, number] = float(np.sum(np.abs(weight * value) ** 2) - np.sum(np.abs(inside) ** 2))
         freedom += 2 * (int(np.sum(used)) - rows.shape[1] * len(weight))
-    return total, freedom
+    return totals, freedom
