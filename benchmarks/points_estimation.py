@@ -31,6 +31,7 @@ from kinematics.measurement import BodyChannels  # noqa: E402
 from kinematics.motion import RigidMotion  # noqa: E402
 from kinematics.motion_files import line_covariance  # noqa: E402
 from kinematics.spatial import DOF_NAMES  # noqa: E402
+from kinematics.tables.few_averages import steadied  # noqa: E402
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams  # noqa: E402
 
 LINES = 40000
@@ -146,14 +147,18 @@ def known_noise(lines: int) -> Iterator[Row]:
     yield judged("10 % of single values missing", fit_lines(data.beams, value, data.sd), missing)
 
 
-def averaged(lines: int, count: int, seed: int = 20) -> Row:
-    """Noise known from ``count`` averages of each value alone."""
+def averaged(lines: int, count: int, seed: int = 20) -> Iterator[Row]:
+    """Noise known from ``count`` averages of each value alone, and steadied over neighbouring lines."""
     data = made(seed, lines, spread=0.5)
     rng = np.random.default_rng([seed, count])
+    course = np.exp(0.5 * np.sin(np.linspace(0.0, 8.0, lines)))
+    data = Data(data.positions_mm, data.directions, data.q, data.clean, data.sd * course)
     value = data.clean + data.sd * complex_noise(rng, data.sd.shape)
     freedom = 2 * (count - 1)
     stated = data.sd * np.sqrt(rng.chisquare(freedom, data.sd.shape) / freedom)
-    return judged(f"sd from {count} averages", fit_lines(data.beams, value, stated), data)
+    yield judged(f"sd from {count} averages, as they are", fit_lines(data.beams, value, stated), data)
+    steady, _ = steadied(stated, count, "body", from_coherence=False)
+    yield judged(f"sd from {count} averages, steadied", fit_lines(data.beams, value, steady), data)
 
 
 def with_outliers(lines: int, kind: str, share: float, seed: int = 30) -> Row:
@@ -273,8 +278,9 @@ def main(lines: int) -> None:
     print(f"{lines} lines a case\n\n{head}")
     for row in known_noise(lines):
         print(row.cells())
-    for count in (3, 10, 30):
-        print(averaged(lines, count).cells())
+    for count in (3, 5, 10, 30):
+        for row in averaged(lines, count):
+            print(row.cells())
     for share in (0.0, 0.05):
         for kind in ("none", "huber", "t4"):
             print(with_outliers(lines, kind, share).cells())

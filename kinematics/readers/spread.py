@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.notices import Notice
 from kinematics.readers.recording import Recording
+from kinematics.tables.few_averages import steadied
 
 Array = NDArray[np.float64]
 Place = tuple[int, int, NDArray[np.intp]]
@@ -43,8 +44,10 @@ def body_noise(
     for ((run, channel, lines), _), (kind, spread) in zip(entries, found, strict=True):
         if kind == wanted and spread is not None:
             sd[run, channel, lines] = spread
+    notices: list[Notice] = []
+    if absolute:
+        sd, notices = _steadied(body, entries, sd)
     missing = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
-    notices = []
     if missing:
         text = f"{missing} values of body {body} have no standard deviation and were not used."
         notices.append(Notice("sd_missing", text))
@@ -65,3 +68,22 @@ def _noise(one: Recording, order: int) -> tuple[str, Array | None]:
     if one.n_avg is not None:
         return "relative", np.full(len(rate), 1.0 / np.sqrt(one.n_avg)) / (2.0 * np.pi * one.freq_hz) ** order
     return "none", None
+
+
+def _steadied(body: str, entries: Sequence[tuple[Place, Recording]], sd: Array) -> tuple[Array, list[Notice]]:
+    """Steady sd that were estimated from few averages; those of coherence and those stated apart.
+
+    Estimates of frequency responses from time series, with sd beside a coherence, were steadied with them.
+    """
+    notices: list[Notice] = []
+    for from_coherence in (True, False):
+        counts = np.full(sd.shape[:2], np.nan)
+        for (run, channel, _), one in entries:
+            if one.sd is not None and one.coherence is not None:
+                continue
+            if one.n_avg is not None and (one.sd is None) == from_coherence:
+                counts[run, channel] = one.n_avg
+        if np.any(np.isfinite(counts)):
+            sd, said = steadied(sd, counts[:, :, None], body, from_coherence=from_coherence)
+            notices += said
+    return sd, notices[:1]

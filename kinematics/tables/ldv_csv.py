@@ -13,6 +13,7 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
 from kinematics.tables.csv_table import Table, read_table
+from kinematics.tables.few_averages import steadied
 from kinematics.tables.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tables.ldv_rows import Rows, rows_of
 from kinematics.tables.points_csv import read_points
@@ -93,7 +94,7 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
     value[at] = _complex(table, columns)
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
     value = value.reshape(shape) / rate
-    sd, relative = _noise(table, columns, at, value, np.abs(rate))
+    sd, relative, counts = _noise(table, columns, at, value, np.abs(rate))
     notices = []
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
@@ -104,6 +105,10 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
         if mine.size == 0:
             continue
         points = tuple(table.texts["point"].names[place] for place in rows.point[mine])
+        own = None if sd is None else sd[:, mine]
+        if own is not None and counts is not None:
+            own, said = steadied(own, counts[:, mine], name, from_coherence=not columns.sd)
+            notices += said
         bodies.append(
             BodyChannels(
                 name,
@@ -111,7 +116,7 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
                 rows.positions_mm[mine],
                 rows.directions[mine],
                 value[:, mine],
-                None if sd is None else sd[:, mine],
+                own,
                 relative,
                 rows.position_sd_mm[mine],
             )
@@ -140,8 +145,8 @@ def _complex(table: Table, columns: Columns) -> NDArray[np.complex128]:
 
 def _noise(
     table: Table, columns: Columns, at: Index, value: NDArray[np.complex128], rate: Array
-) -> tuple[Array | None, bool]:
-    """Return the sd of each value as displacement (m), and whether it is relative only.
+) -> tuple[Array | None, bool, Array | None]:
+    """Return the sd of each value as displacement (m), whether it is relative only, and its averages.
 
     Notes
     -----
@@ -154,15 +159,16 @@ def _noise(
         full[at] = column
         return full.reshape(value.shape)
 
+    counts = spread(table.numbers["n_avg"]) if "n_avg" in columns.extra else None
     if columns.sd:
-        return spread(table.numbers[columns.sd] * columns.sd_scale) / rate, False
+        return spread(table.numbers[columns.sd] * columns.sd_scale) / rate, False, counts
     if "coherence" in columns.extra:
         coherence = spread(table.numbers["coherence"])
-        n_avg = spread(table.numbers["n_avg"]) if "n_avg" in columns.extra else np.ones(value.shape)
+        n_avg = np.ones(value.shape) if counts is None else counts
         with np.errstate(divide="ignore", invalid="ignore"):
             sd = np.abs(value) * np.sqrt((1.0 - coherence) / (2.0 * n_avg * coherence))
         sd[~np.isfinite(sd)] = np.nan
-        return sd, "n_avg" not in columns.extra
-    if "n_avg" in columns.extra:
-        return 1.0 / np.sqrt(spread(table.numbers["n_avg"])) / rate, True
-    return None, True
+        return sd, counts is None, counts
+    if counts is not None:
+        return 1.0 / np.sqrt(counts) / rate, True, None
+    return None, True, None

@@ -28,8 +28,13 @@ def test_known_noise_is_used_to_the_bound_with_honest_errors():
 
 
 def test_ten_averages_weigh_nearly_as_well_as_known_noise():
-    assert np.mean(trial.averaged(3000, 10).ratio) < 1.1
-    assert np.mean(trial.averaged(3000, 3).ratio) > 1.3
+    for count, plain in ((10, 1.1), (5, 1.3)):
+        stated, steady = trial.averaged(3000, count)
+        assert np.mean(stated.ratio) < plain
+        assert np.mean(steady.ratio) < 1.05
+        assert steady.coverage == pytest.approx(0.95, abs=0.01)
+        assert steady.alarms == pytest.approx(0.05, abs=0.01)
+    assert np.mean(next(trial.averaged(3000, 3)).ratio) > 1.3
 
 
 @pytest.mark.parametrize("kind", ["huber", "t4"])
