@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.mixing import Mixing
 from kinematics.fit.beams import BeamSet
-from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.spatial import dof_indices, point_rows
@@ -47,10 +49,15 @@ class Source:
 
     def residual(self, lines: slice | NDArray[np.intp]) -> ComplexArray:
         """Return the residuals (channel, n) of some lines, filled where missing, m."""
-        residual, sd, _ = self.fit.at(lines)
-        if not self.fill.size:
-            return residual
-        return np.where(np.isfinite(sd), residual, self.fill @ self.fit.solution.z[:, lines])
+        every = np.arange(self.fit.value.shape[1])[lines]
+        made = np.empty((len(self.fit.value), len(every)), dtype=complex)
+        for part in blocks(*made.shape):
+            residual, sd, _ = self.fit.at(every[part])
+            if self.fill.size:
+                missing = ~np.isfinite(sd)
+                residual[missing] = (self.fill @ self.fit.solution.z[:, every[part]])[missing]
+            made[:, part] = residual
+        return made
 
     @classmethod
     def of(cls, fit: LineFit, freq_hz: Array, noise_known: bool = True) -> Source:
@@ -114,6 +121,8 @@ class Compact:
     lift : ndarray, (channel,)
         One over the share of each channel's values that was measured: raises the noise of ``rest``.
     source : Source
+    mixing : Mixing or None
+        Correlation of the noise of each point's channels; None when it has none.
     """
 
     beams: BeamSet
@@ -130,6 +139,12 @@ class Compact:
     divisor: ComplexArray
     lift: Array
     source: Source = field(repr=False)
+    mixing: Mixing | None = field(default=None, repr=False)
+
+    def white(self, held: NDArray[Any]) -> NDArray[Any]:
+        """Return values (channel, n) over their noise, of which none is in common."""
+        made = self.a[:, None] * held
+        return made if self.mixing is None else np.asarray(self.mixing.whiten @ made)
 
     @property
     def live(self) -> list[int]:
@@ -152,7 +167,9 @@ class Compact:
         """Return the data with some channels left out."""
         a = self.a.copy()
         a[channels] = 0.0
-        return replace(self, a=a)
+        if self.mixing is None:
+            return replace(self, a=a)
+        return replace(self, a=a, mixing=self.mixing.left(np.flatnonzero(a > 0.0).tolist()))
 
     def weighted(self, channels: list[int], factor: float) -> Compact:
         """Return the data with the noise of some channels larger by a factor."""
@@ -246,8 +263,8 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     count, size = basis.shape
     edges = _segments(source)
     share = max(1, min(_REST, _HELD // max(count, 1)) // (len(edges) - 1))
-    span, upper = np.linalg.qr(data.a[:, None] * basis)
-    back = np.linalg.pinv(upper, rcond=1e-9) @ span.T * data.a
+    span, upper = np.linalg.qr(data.white(basis))
+    back = np.linalg.pinv(upper, rcond=1e-9) @ data.white(np.eye(count)).T.dot(span).T
     packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
     for number, (start, stop) in enumerate(pairwise(edges)):
@@ -256,9 +273,12 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
         plain = first and source.even
         residual = fit.value[:, lines] if plain else source.residual(lines)
         if not first:
-            held = (fit.beams.basis @ z + residual) / data.divisor[:, number][:, None]
-            z = back @ held
-            residual = held - basis @ z
+            for block in blocks(*residual.shape):
+                residual[:, block] += fit.beams.basis @ z[:, block]
+                residual[:, block] /= data.divisor[:, number][:, None]
+            z = back @ residual
+            for block in blocks(*residual.shape):
+                residual[:, block] -= basis @ z[:, block]
         moving = z * b
         vectors = np.linalg.svd(moving, full_matrices=stop - start <= _WHOLE)[2]
         into = vectors[: min(size, stop - start)].conj().T

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.compact import Compact
+from kinematics.faults.fault_model import solve
+from kinematics.faults.mixing import Mixing, correlated, point_covariance, slots, spread_out
 from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Finding, Search, can_lose
 from kinematics.faults.structure import Structure
 from kinematics.fit.beams import BeamSet
@@ -81,8 +83,7 @@ def diagnose(
     """
     prior = np.where(np.isfinite(position_sd_m), position_sd_m, 0.0)
     most = max(2, len(set(data.points)) // 3)
-    if not noise_known:
-        data = _even(data)
+    data = _mixed(data if noise_known else _even(_levelled(data)))
     findings: list[Finding] = []
     current = data
     first: Search | None = None
@@ -143,6 +144,39 @@ def _even(data: Compact) -> Compact:
     a = data.a.copy()
     a[live] /= np.sqrt(np.maximum(ratio[live], 0.1))
     return replace(data, a=a / np.sqrt(search.level)).repacked()
+
+
+def _levelled(data: Compact) -> Compact:
+    """Return data of unknown noise whose channels along one axis have the noise they have on average."""
+    table = slots(data.points, data.directions, data.live)
+    found = _common(data, table)
+    if table is None or found is None:
+        return data
+    level = np.diag(found) / float(np.mean(np.diag(found)))
+    a = data.a.copy()
+    for kind, size in enumerate(level):
+        own = table[table[:, kind] >= 0, kind]
+        a[own] /= np.sqrt(size)
+    return replace(data, a=a).repacked()
+
+
+def _common(data: Compact, table: NDArray[np.int64] | None) -> Array | None:
+    state = solve(data)
+    return None if table is None else point_covariance(state.rest(), state.span, table)
+
+
+def _mixed(data: Compact) -> Compact:
+    """Return the data with the noise that the channels of each point are found to have in common."""
+    table = slots(data.points, data.directions, data.live)
+    found = _common(data, table)
+    if table is None or found is None:
+        return data
+    free = 1.0 - data.beams.basis.shape[1] / len(data.live)
+    shared = correlated(found, free * data.rest.shape[1] * len(table))
+    if shared is None:
+        return data
+    mixing = Mixing.of(spread_out(shared, table, len(data.points)), data.live)
+    return replace(data, mixing=mixing).repacked()
 
 
 def _again(

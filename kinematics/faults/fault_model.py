@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,17 +44,36 @@ class State:
     @property
     def h(self) -> Array:
         """Leverage of each channel, (channel,)."""
-        return np.asarray(np.sum(self.span**2, axis=1))
+        return np.asarray(np.sum(self.plain(self.span) ** 2, axis=1))
+
+    def plain(self, white: NDArray[Any]) -> NDArray[Any]:
+        """Return whitened values (channel, n) as those of the channels themselves, over their noise."""
+        return white if self.data.mixing is None else self.data.mixing.back @ white
+
+    @cached_property
+    def own_span(self) -> Array:
+        """Columns whose products with changes of the channels' rows are those of ``span``, (channel, m)."""
+        return _own(self.data, self.span)
+
+    @cached_property
+    def own_e(self) -> ComplexArray:
+        """Residual whose products with changes of the channels' rows are those of ``e``, (channel, line)."""
+        return _own(self.data, self.e)
+
+    @property
+    def norm(self) -> Array | None:
+        """Products of changes of two channels' rows, (channel, channel); None for the unit matrix."""
+        return None if self.data.mixing is None else self.data.mixing.norm
 
     def rest(self) -> ComplexArray:
         """Return the whitened residuals of the lines without motion, (channel, sample)."""
-        held = self.data.a[:, None] * self.data.rest
+        held = self.data.white(self.data.rest)
         return np.asarray(held - self.span @ (self.span.T @ held))
 
     def score(self, weight: Array | None = None) -> ComplexArray:
         """Return G = e z^H, (channel, m), each line with a weight."""
         z = self.z if weight is None else self.z * weight
-        return np.asarray(self.e @ z.conj().T)
+        return np.asarray(self.own_e @ z.conj().T)
 
     def motion(self, weight: Array | None = None) -> Array:
         """Return T = Re(z z^H), (m, m), each line with a weight."""
@@ -60,11 +81,14 @@ class State:
         return np.asarray((z @ self.z.conj().T).real)
 
 
+def _own(data: Compact, white: NDArray[Any]) -> NDArray[Any]:
+    return white if data.mixing is None else np.asarray(data.mixing.whiten.T @ white)
+
+
 def solve(data: Compact) -> State:
     """Fit all packed lines."""
-    rows = data.a[:, None] * data.beams.basis
-    span, upper = np.linalg.qr(rows)
-    held = data.a[:, None] * data.y
+    span, upper = np.linalg.qr(data.white(data.beams.basis))
+    held = data.white(data.y)
     seen = span.T @ held
     z = _solved(upper, seen)
     return State(data, span, z, held - span @ seen)
@@ -251,7 +275,9 @@ class _Refit:
         self.places, self.fault, self.theta, self.shift = places, fault, theta, shift
         self.data = places.moved(data, shift)
         base = self.data.a[:, None] * self.data.beams.basis
-        held = self.data.a[:, None] * self.data.y
+        held = self.data.white(self.data.y)
+        mixing = self.data.mixing
+        self.norm = None if mixing is None else mixing.norm
         self.channels = fault.channels if fault is not None else []
         self.own = self.data.a[self.channels][:, None]
         rows = fault.rows(self.data, theta) if fault is not None else np.zeros((0, base.shape[1]))
@@ -259,18 +285,19 @@ class _Refit:
         if self.varies:
             all_rows = np.repeat(base[None].astype(complex), len(rows), axis=0)
             all_rows[:, self.channels] = self.own * rows
-            span, upper = np.linalg.qr(all_rows)
+            span, upper = np.linalg.qr(all_rows if mixing is None else mixing.whiten @ all_rows)
             seen = np.einsum("fcm,cf->fm", span.conj(), held)
             self.z = _solved(upper, seen[..., None])[..., 0].T
             self.e = held - np.einsum("fcm,fm->cf", span, seen)
         else:
             changed = base.astype(rows.dtype)
             changed[self.channels] = self.own * rows
-            span, upper = np.linalg.qr(changed)
+            span, upper = np.linalg.qr(changed if mixing is None else mixing.whiten @ changed)
             seen = span.conj().T @ held
             self.z = _solved(upper, seen)
             self.e = held - span @ seen
-        self.span, self.rows = span, changed if not self.varies else all_rows
+        self.own_span, self.own_e = _own(self.data, span), _own(self.data, self.e)
+        self.rows = changed if not self.varies else all_rows
         self.objective = float(np.sum(np.abs(self.e) ** 2)) + places.penalty(shift)
 
     def step(self) -> tuple[Array, Array]:
@@ -283,19 +310,21 @@ class _Refit:
         if self.fault is not None and size:
             found = _slopes(self.data, self.fault, self.theta)
             slopes = np.stack([self.own * _times(slope, self.z) for slope in found])
-            score[:size] = np.real(np.einsum("knl,nl->k", slopes.conj(), self.e[self.channels]))
-            information[:size, :size] = np.real(np.einsum("knl,jnl->kj", slopes.conj(), slopes))
+            score[:size] = np.real(np.einsum("knl,nl->k", slopes.conj(), self.own_e[self.channels]))
+            mixed = self._normed(self.channels, self.channels, slopes)
+            information[:size, :size] = np.real(np.einsum("knl,jnl->kj", slopes.conj(), mixed))
             seen[:size] = self._seen(self.channels, slopes)
         for number, channels in enumerate(self.places.owners):
             part = slice(size + 3 * number, size + 3 * number + 3)
             moved = self._shifted(channels)
-            score[part] = np.real(np.einsum("knl,nl->k", moved.conj(), self.e[channels]))
-            information[part, part] = np.real(np.einsum("knl,jnl->kj", moved.conj(), moved))
+            score[part] = np.real(np.einsum("knl,nl->k", moved.conj(), self.own_e[channels]))
+            mixed = self._normed(channels, channels, moved)
+            information[part, part] = np.real(np.einsum("knl,jnl->kj", moved.conj(), mixed))
             seen[part] = self._seen(channels, moved)
             both = [c for c in channels if c in self.channels] if size else []
             if both:
                 ours = slopes[:, [self.channels.index(c) for c in both]]
-                theirs = moved[:, [channels.index(c) for c in both]]
+                theirs = self._normed(both, channels, moved)
                 information[:size, part] = np.real(np.einsum("knl,jnl->kj", ours.conj(), theirs))
                 information[part, :size] = information[:size, part].T
         information -= np.real(seen.conj() @ seen.T)
@@ -305,6 +334,14 @@ class _Refit:
             score[size:] -= weight * self.shift.ravel()
         inverse = _inverse(information)
         return inverse @ score, inverse
+
+    def _normed(self, wanted: list[int], channels: list[int], values: ComplexArray) -> ComplexArray:
+        """Return changes (k, n, line) of some channels as seen by changes of others, (k, wanted, line)."""
+        if self.norm is None:
+            if wanted == channels:
+                return values
+            return np.asarray(values[:, [channels.index(c) for c in wanted]])
+        return np.asarray(self.norm[np.ix_(wanted, channels)] @ values)
 
     def _shifted(self, channels: list[int]) -> ComplexArray:
         """Return what shifts of a point along the three axes change, (3, n, line)."""
@@ -327,9 +364,9 @@ class _Refit:
     def _seen(self, channels: list[int], values: ComplexArray) -> ComplexArray:
         """Return the part (k, m * line) of changes (k, n, line) that the motion can take."""
         if self.varies:
-            found = np.einsum("lnm,knl->kml", self.span[:, channels].conj(), values, optimize=True)
+            found = np.einsum("lnm,knl->kml", self.own_span[:, channels].conj(), values, optimize=True)
         else:
-            found = self.span[channels].conj().T @ values
+            found = self.own_span[channels].conj().T @ values
         return np.asarray(found.reshape(len(values), -1))
 
 

@@ -79,7 +79,12 @@ class ScoreTests:
             self.t[name + name] = state.motion(None if weight is None else weight**2)
         self.a = data.a
         self.rows = data.a[:, None] * data.beams.basis
+        self.norm = state.norm
         self.turns = self._turns()
+        shape = self.turns.shape
+        self.mixed = self.turns
+        if self.norm is not None:
+            self.mixed = (self.norm @ self.turns.reshape(shape[0], -1)).reshape(shape)
         if places.owners:
             self._marginal(settled)
 
@@ -100,8 +105,9 @@ class ScoreTests:
         half = np.linalg.cholesky(self.t[""] + 1e-12 * np.trace(self.t[""]) * np.eye(len(self.t[""])))
         own = np.einsum("cim,mn->cin", d, half)
         blocks = np.zeros((count, 3, 3))
-        np.add.at(blocks, owner, np.einsum("cin,cjn->cij", own, own))
-        span = np.einsum("cin,cm->cinm", own, self.state.span[channels]).reshape(len(channels), 3, -1)
+        mixed = np.einsum("cim,mn->cin", self.mixed[channels], half)
+        np.add.at(blocks, owner, np.einsum("cin,cjn->cij", own, mixed))
+        span = np.einsum("cin,cm->cinm", own, self.state.own_span[channels]).reshape(len(channels), 3, -1)
         seen = np.zeros((count, 3, span.shape[2]))
         np.add.at(seen, owner, span)
         flat = seen.reshape(3 * count, -1)
@@ -135,11 +141,12 @@ class ScoreTests:
         """Return score (B, k) and information (B, k, k) for residuals of unit complex variance."""
         d, channels = batch.slopes, batch.channels
         names = ["", "tau"] if batch.kind == "drift" else [batch.lines]
-        span = self.state.span[channels]
+        span = self.state.own_span[channels]
+        norm = None if self.norm is None else self.norm[channels[:, :, None], channels[:, None, :]]
         score = np.concatenate(
             [np.real(np.einsum("bknm,bnm->bk", d.conj(), self.g[name][channels])) for name in names], axis=1
         )
-        blocks = [[_information(d, span, self._motion(one, two)) for two in names] for one in names]
+        blocks = [[_information(d, span, self._motion(one, two), norm) for two in names] for one in names]
         information = np.concatenate([np.concatenate(row, axis=2) for row in blocks], axis=1)
         if self.places.owners:
             crossed = np.concatenate([self._crossed(d, channels, span, name) for name in names], axis=1)
@@ -160,7 +167,7 @@ class ScoreTests:
         for place in range(channels.shape[1]):
             number = self.number_of[channels[:, place]]
             some = np.flatnonzero(number >= 0)
-            common = np.einsum("bkm,bim->bki", moved[some, :, place], self.turns[channels[some, place]])
+            common = np.einsum("bkm,bim->bki", moved[some, :, place], self.mixed[channels[some, place]])
             for axis in range(3):
                 made[some[:, None], np.arange(d.shape[1])[None], 3 * number[some][:, None] + axis] += common[
                     ..., axis
@@ -168,9 +175,10 @@ class ScoreTests:
         return np.asarray(made)
 
 
-def _information(d: ComplexArray | Array, span: Array, t: Array) -> Array:
+def _information(d: ComplexArray | Array, span: Array, t: Array, norm: Array | None) -> Array:
     left = d @ t
-    whole = np.einsum("bknm,bjnm->bkj", left, d.conj())
+    mixed = d if norm is None else np.einsum("bnp,bjpm->bjnm", norm, d)
+    whole = np.einsum("bknm,bjnm->bkj", left, mixed.conj())
     seen = np.einsum("bknm,bnr->bkmr", left, span)
     other = np.einsum("bjnm,bnr->bjmr", d.conj(), span)
     return np.asarray(np.real(whole - np.einsum("bkmr,bjmr->bkj", seen, other)))

@@ -113,12 +113,16 @@ class Search:
     def _ratios(self) -> Array:
         """Return the mean leverage-corrected energy of each channel on the lines without motion."""
         held = self.rest if self.samples >= 8 else np.hstack([self.state.e, self.rest])
+        held = self.state.plain(held)
         left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
         return np.asarray(np.sum(np.abs(held) ** 2, axis=1) / left / max(held.shape[1], 1))
 
     def energy(self) -> Array:
         """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
-        both = np.sum(np.abs(self.state.e) ** 2, axis=1) + np.sum(np.abs(self.rest) ** 2, axis=1)
+        plain = self.state.plain
+        both = np.sum(np.abs(plain(self.state.e)) ** 2, axis=1) + np.sum(
+            np.abs(plain(self.rest)) ** 2, axis=1
+        )
         left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
         return np.asarray(both / left / (self.state.e.shape[1] + self.samples))
 
@@ -180,7 +184,7 @@ class Search:
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
-        moved = self.data.a[:, None] * (self.data.beams.basis @ self.state.z)
+        moved = self.data.white(self.data.beams.basis @ self.state.z)
         left = len(self.live) - self.state.span.shape[1]
         excess = float(np.sum(np.abs(self.state.e) ** 2)) - self.scale * left * self.state.e.shape[1]
         share = float(np.sqrt(max(excess, 0.0) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)))
@@ -366,8 +370,9 @@ class Search:
 
 def _blame(state: State, channels: list[int]) -> float:
     """Return by how much the residual energy falls when some channels are left out."""
-    span, e = state.span[channels], state.e[channels]
-    values, vectors = np.linalg.eigh(np.eye(len(channels)) - span @ span.T)
+    span, e = state.own_span[channels], state.own_e[channels]
+    norm = np.eye(len(channels)) if state.norm is None else state.norm[np.ix_(channels, channels)]
+    values, vectors = np.linalg.eigh(norm - span @ span.T)
     good = values > 1e-6
     seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
     return float(np.sum(seen / values[good]))
