@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
-from kinematics.faults.mixing import Mixing, correlated, point_covariance, slots, spread_out
+from kinematics.faults.mixing import Mixing, axes_of, correlation_of
 from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Finding, Search, can_lose
 from kinematics.faults.structure import Structure
 from kinematics.fit.beams import BeamSet
@@ -147,36 +147,24 @@ def _even(data: Compact) -> Compact:
 
 
 def _levelled(data: Compact) -> Compact:
-    """Return data of unknown noise whose channels along one axis have the noise they have on average."""
-    table = slots(data.points, data.directions, data.live)
-    found = _common(data, table)
-    if table is None or found is None:
+    """Return data of unknown noise whose beams along one axis have the noise that most of them have."""
+    axes = axes_of(data.directions, data.live)
+    if len(axes) < 2 or min(map(len, axes)) < 3:
         return data
-    level = np.diag(found) / float(np.mean(np.diag(found)))
+    search = Search(data, np.zeros(len(data.points)), False)
+    if search.samples < 32 or search.level <= 0.0:
+        return data
     a = data.a.copy()
-    for kind, size in enumerate(level):
-        own = table[table[:, kind] >= 0, kind]
-        a[own] /= np.sqrt(size)
+    for own in axes:
+        a[own] /= np.sqrt(max(float(np.median(search.ratios[own])) / search.level, 1e-6))
     return replace(data, a=a).repacked()
-
-
-def _common(data: Compact, table: NDArray[np.int64] | None) -> Array | None:
-    state = solve(data)
-    return None if table is None else point_covariance(state.rest(), state.span, table)
 
 
 def _mixed(data: Compact) -> Compact:
     """Return the data with the noise that the channels of each point are found to have in common."""
-    table = slots(data.points, data.directions, data.live)
-    found = _common(data, table)
-    if table is None or found is None:
-        return data
-    free = 1.0 - data.beams.basis.shape[1] / len(data.live)
-    shared = correlated(found, free * data.rest.shape[1] * len(table))
-    if shared is None:
-        return data
-    mixing = Mixing.of(spread_out(shared, table, len(data.points)), data.live)
-    return replace(data, mixing=mixing).repacked()
+    state = solve(data)
+    found = correlation_of(state.rest(), state.span, data.points, data.live)
+    return data if found is None else replace(data, mixing=Mixing.of(found, data.live)).repacked()
 
 
 def _again(

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _SAME_BEAM = float(np.cos(np.radians(8.0)))
-_LEAST_POINTS = 4
+_LEAST_SAMPLES = 24
+_MOST_AT_POINT = 6
+_CORRECTIONS = 8
+_MOST_CORRECTED = 150
 _LIKELY = 1e-4
-_LEAST_CORRELATION = 0.05
-_SINGULAR = 1e-3
+_SINGULAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -68,103 +70,72 @@ def _blocks(held: Array) -> list[NDArray[np.intp]]:
     return made
 
 
-def slots(points: tuple[str, ...], directions: Array, live: list[int]) -> NDArray[np.int64] | None:
-    """Return the channels (point, beam) of all points in use, -1 where missing.
-
-    Beams within 8 degrees of each other are one. None when a point has two of them, there are fewer than
-    two beams or four points, or more beams than a point could have in common.
-    """
-    beams: list[Array] = []
-    place: dict[tuple[str, int], int] = {}
+def axes_of(directions: Array, live: list[int]) -> list[list[int]]:
+    """Return the channels in use of each beam direction; beams within 8 degrees of each other are one."""
+    groups: list[list[int]] = []
     for channel in live:
-        near = (k for k, beam in enumerate(beams) if float(directions[channel] @ beam) > _SAME_BEAM)
-        kind = next(near, len(beams))
-        if kind == len(beams):
-            beams.append(directions[channel])
-        if len(beams) > 6 or (points[channel], kind) in place:
-            return None
-        place[points[channel], kind] = channel
-    names = list(dict.fromkeys(points[channel] for channel in live))
-    if len(beams) < 2 or len(names) < _LEAST_POINTS:
-        return None
-    table = np.full((len(names), len(beams)), -1)
-    for (name, kind), channel in place.items():
-        table[names.index(name), kind] = channel
-    return table
+        near = (own for own in groups if float(directions[channel] @ directions[own[0]]) > _SAME_BEAM)
+        own = next(near, None)
+        if own is None:
+            groups.append([channel])
+        else:
+            own.append(channel)
+    return groups
 
 
-def point_covariance(residual: ComplexArray, span: Array, table: NDArray[np.int64]) -> Array | None:
-    """Return the noise covariance (beam, beam) of the beams of a point, the same at all points.
+def correlation_of(
+    residual: ComplexArray, span: Array, points: tuple[str, ...], live: list[int]
+) -> Array | None:
+    """Return the correlation (channel, channel) of the noise of each point's channels.
 
     Parameters
     ----------
     residual : ndarray, (channel, sample), complex
-        What a fit with orthonormal columns ``span`` (channel, m) leaves of noise.
-    span : ndarray
-    table : ndarray, (point, beam), int
-        Channels; -1 where missing.
+        What a fit with orthonormal columns ``span`` (channel, m) leaves of noise alone.
+    span : ndarray, (channel, m)
+    points : tuple of str, (channel,)
+    live : list of int
+        Channels in use.
 
     Returns
     -------
     ndarray or None
-        None without samples, or when the residuals do not determine it.
+        None when there are too few samples to tell, or when chance may have made it.
 
     Notes
     -----
-    The residuals of noise of covariance C have P C P, P = I - span span^T; the sum of their blocks of one
-    point is linear in C and is solved for it. Points of more residual than the median weigh less.
-    """
-    count, kinds = table.shape
-    if residual.shape[1] < 8:
-        return None
-    own = np.where(table[..., None] >= 0, residual[table], 0.0)
-    energy = np.sum(np.abs(own) ** 2, axis=(1, 2))
-    weight = np.median(energy) / np.maximum(energy, np.median(energy)) if np.median(energy) > 0.0 else None
-    if weight is None:
-        return None
-    seen = np.real(np.einsum("p,pks,pls->kl", weight, own, own.conj())) / residual.shape[1]
-    part = np.where(table[..., None] >= 0, span[table], 0.0)
-    project = -np.einsum("pkm,qlm->pqkl", part, part)
-    index = np.arange(count)
-    project[index, index] += np.eye(kinds)[None] * (table >= 0)[:, None, :]
-    project = project * (table >= 0)[None, :, None, :]
-    system = np.einsum("p,pqik,pqjl->ijkl", weight, project, project, optimize=True)
-    flat = system.reshape(kinds**2, kinds**2)
-    if np.linalg.cond(flat) > 1e6:
-        return None
-    found = np.linalg.solve(flat, seen.ravel()).reshape(kinds, kinds)
-    found = 0.5 * (found + found.T)
-    return found if np.all(np.diag(found) > 0.0) else None
-
-
-def correlated(covariance: Array, values: float) -> Array | None:
-    """Return the correlation (beam, beam), or None when chance may have made it.
-
-    Parameters
-    ----------
-    covariance : ndarray, (beam, beam)
-    values : float
-        Number of complex values of each beam behind it.
+    Residuals of noise of covariance C have the covariance P C P, P = I - span span^T; its blocks are brought
+    to those measured by repeated correction. Under independent noise 2 N r^2 of a correlation r of N complex
+    values is chi-squared with one degree of freedom.
     """
     from scipy.special import chdtrc
 
-    sd = np.sqrt(np.diag(covariance))
-    held = covariance / np.outer(sd, sd)
-    off = held[np.triu_indices(len(held), 1)]
-    if np.max(np.abs(off)) < _LEAST_CORRELATION:
+    samples = residual.shape[1]
+    groups: dict[str, list[int]] = {}
+    for channel in live:
+        groups.setdefault(points[channel], []).append(channel)
+    own = [np.array(channels) for channels in groups.values() if len(channels) > 1]
+    if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
         return None
-    if chdtrc(len(off), 2.0 * values * float(np.sum(off**2))) > _LIKELY:
+    count = len(span)
+    wanted = np.zeros((count, count), dtype=bool)
+    for channels in own:
+        wanted[np.ix_(channels, channels)] = True
+    index = np.arange(count)
+    wanted[index, index] = False
+    wanted[live, live] = True
+    held = np.where(wanted, np.real(residual @ residual.conj().T) / samples, 0.0)
+    project = np.eye(count) - span @ span.T
+    found = held.copy()
+    for _ in range(_CORRECTIONS if count <= _MOST_CORRECTED else 0):
+        found = found + np.where(wanted, held - project @ found @ project, 0.0)
+    size = np.diag(found).copy()
+    if not np.all(size[live] > 0.0):
         return None
-    parts, vectors = np.linalg.eigh(held)
-    held = (vectors * np.maximum(parts, _SINGULAR)) @ vectors.T
-    sd = np.sqrt(np.diag(held))
-    return np.asarray(held / np.outer(sd, sd))
-
-
-def spread_out(correlation: Array, table: NDArray[np.int64], channels: int) -> Array:
-    """Return the correlation of all channels (channel, channel) from that of the beams of a point."""
-    whole = np.eye(channels)
-    for own in table:
-        held = np.flatnonzero(own >= 0)
-        whole[np.ix_(own[held], own[held])] = correlation[np.ix_(held, held)]
-    return whole
+    sd = np.sqrt(np.where(size > 0.0, size, 1.0))
+    found = found / np.outer(sd, sd)
+    found[index, index] = 1.0
+    off = np.concatenate([found[np.ix_(c, c)][np.triu_indices(len(c), 1)] for c in own])
+    if chdtrc(len(off), 2.0 * samples * float(np.sum(off**2))) > _LIKELY:
+        return None
+    return found

@@ -13,6 +13,7 @@ from kinematics.faults.compact import Compact
 from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, Places, State, fit_fault, objective, solve, static
+from kinematics.faults.mixing import axes_of
 from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
 from kinematics.faults.structure import Structure, structure_of
 
@@ -27,7 +28,6 @@ _SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
 _ALARM_SHARE = {"channel": 0.5, "point": 0.2, "laser": 0.1, "body": 0.1}
 _ALARM_NOISE = 0.05
-_SAME_LASER = float(np.cos(np.radians(8.0)))
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
 
@@ -215,15 +215,7 @@ class Search:
         A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
         else is no explanation.
         """
-        groups: list[list[int]] = []
-        for channel in self.live:
-            beam = self.data.directions[channel]
-            near = (own for own in groups if float(beam @ self.data.directions[own[0]]) > _SAME_LASER)
-            own = next(near, None)
-            if own is None:
-                groups.append([channel])
-            else:
-                own.append(channel)
+        groups = axes_of(self.data.directions, self.live)
         many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
         return many if len(groups) > 1 and len(many) <= 8 else []
 
