@@ -50,8 +50,9 @@ class Source:
     def residual(self, lines: slice | NDArray[np.intp]) -> ComplexArray:
         """Return the residuals (channel, n) of some lines, filled where missing, m."""
         every = np.arange(self.fit.value.shape[1])[lines]
-        made = np.empty((len(self.fit.value), len(every)), dtype=complex)
-        for part in blocks(*made.shape):
+        channels = len(self.fit.value)
+        made = np.empty((channels, len(every)), dtype=complex)
+        for part in blocks(channels, len(every)):
             residual, sd, _ = self.fit.at(every[part])
             if self.fill.size:
                 missing = ~np.isfinite(sd)
@@ -68,28 +69,41 @@ class Source:
             share, line = common
             size = float(np.mean(line))
             return cls(fit, freq_hz, 1.0 / (np.sqrt(2.0) * share * size), size / line, True)
-        sd = np.where(np.isfinite(fit.value), noise.at(slice(None)), np.nan)
-        variance = np.where(np.isfinite(sd), sd, np.nan) ** 2
-        some = np.any(np.isfinite(variance), axis=1)
-        own = np.full(len(sd), np.inf)
-        own[some] = np.nanmean(variance[some], axis=1)
-        held = np.isfinite(variance)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.sum(np.where(held, variance, 0.0) / own[:, None], axis=0) / np.sum(held, axis=0)
-            line = np.where(np.isfinite(mean) & (mean > 0.0), 1.0 / np.sqrt(mean), 0.0)
+        channels, lines = fit.value.shape
+        held = np.empty((channels, lines), dtype=bool)
+        own, used = np.zeros(channels), np.zeros(channels)
+        for part in blocks(channels, lines):
+            variance, held[:, part] = _variance(fit, noise, part)
+            own += np.sum(variance, axis=1)
+            used += np.sum(held[:, part], axis=1)
+        own = np.where(used > 0.0, own / np.maximum(used, 1.0), np.inf)
+        line = np.zeros(lines)
+        for part in blocks(channels, lines):
+            mean = np.sum(_variance(fit, noise, part)[0] / own[:, None], axis=0)
+            number = np.sum(held[:, part], axis=0)
+            line[part] = np.sqrt(number / np.where(mean > 0.0, mean, np.inf))
         return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False, _fill(fit, held, line))
+
+
+def _variance(
+    fit: LineFit, noise: LineNoise, part: slice | NDArray[np.intp]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the variance (channel, n) of some lines, zero where missing, and where it is not."""
+    sd = noise.at(part)
+    held = np.isfinite(fit.value[:, part]) & np.isfinite(sd)
+    return np.where(held, sd, 0.0) ** 2, held
 
 
 def _fill(fit: LineFit, held: NDArray[np.bool_], line: Array) -> ComplexArray:
     """Return the change of each channel's row (channel, m) that its residuals show where it was measured."""
     good = fit.solution.good
-    z = np.where(good, fit.solution.z, 0.0) * line
-    residual = fit.residual * line
-    made = np.zeros((len(held), len(z)), dtype=complex)
+    made = np.zeros((len(held), len(fit.solution.z)), dtype=complex)
     for channel in np.flatnonzero(~np.all(held[:, good], axis=1)):
-        used = held[channel] & good
-        if np.sum(used) > 3 * len(z):
-            made[channel] = np.linalg.lstsq(z[:, used].T, residual[channel, used], rcond=1e-6)[0]
+        used = np.flatnonzero(held[channel] & good)
+        if len(used) > 3 * made.shape[1]:
+            z = fit.solution.z[:, used] * line[used]
+            residual = fit.value[channel, used] * line[used] - fit.beams.basis[channel] @ z
+            made[channel] = np.linalg.lstsq(z.T, residual, rcond=1e-6)[0]
     return made
 
 
@@ -267,33 +281,38 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     back = np.linalg.pinv(upper, rcond=1e-9) @ data.white(np.eye(count)).T.dot(span).T
     packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
+    plain = bool(np.all(fit.solution.used == len(good)))
     for number, (start, stop) in enumerate(pairwise(edges)):
         lines = slice(start, stop) if whole else good[start:stop]
         b, z = source.line[lines], fit.solution.z[:, lines]
-        plain = first and source.even
-        residual = fit.value[:, lines] if plain else source.residual(lines)
-        if not first:
-            for block in blocks(*residual.shape):
-                residual[:, block] += fit.beams.basis @ z[:, block]
-                residual[:, block] /= data.divisor[:, number][:, None]
-            z = back @ residual
-            for block in blocks(*residual.shape):
-                residual[:, block] -= basis @ z[:, block]
+        divisor = data.divisor[:, number][:, None]
+        if plain:
+            residual = fit.value[:, lines]
+            z = z if first else (back / divisor.T) @ residual
+        else:
+            residual = source.residual(lines)
+            if not first:
+                for block in blocks(count, residual.shape[1]):
+                    residual[:, block] += fit.beams.basis @ z[:, block]
+                    residual[:, block] /= divisor
+                z = back @ residual
+                for block in blocks(count, residual.shape[1]):
+                    residual[:, block] -= basis @ z[:, block]
         moving = z * b
         vectors = np.linalg.svd(moving, full_matrices=stop - start <= _WHOLE)[2]
         into = vectors[: min(size, stop - start)].conj().T
         error = residual @ (b[:, None] * into)
         if plain:
-            error -= basis @ (moving @ into)
+            error = error / divisor - basis @ (moving @ into)
+        off = (basis, z, divisor) if plain else None
         packed.append((moving @ into, error))
         mixed.append(np.abs(into) ** 2)
-        rest.append(_rest(residual, z if plain else None, basis, (b, vectors, into, error), share))
+        rest.append(_rest(residual, off, (b, vectors, into, error), share))
         if first and not source.even:
             mix = np.sum(np.abs(into) ** 2, axis=1)
-            sd = fit.at(lines)[1]
-            used = np.isfinite(sd)
+            own, used = _variance(fit, fit.noise, lines)
             seen += used @ mix
-            variance += (2.0 * np.where(used, sd, 0.0) ** 2) @ (mix * b**2)
+            variance += 2.0 * own @ (mix * b**2)
     number_of = [motion.shape[1] for motion, _ in packed]
     channel, lift = data.a, data.lift
     if first and not source.even:
@@ -319,8 +338,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
 
 def _rest(
     held: ComplexArray,
-    z: ComplexArray | None,
-    basis: Array,
+    off: tuple[Array, ComplexArray, ComplexArray] | None,
     mixing: tuple[Array, ComplexArray, ComplexArray, ComplexArray],
     share: int,
 ) -> ComplexArray:
@@ -329,9 +347,8 @@ def _rest(
     Parameters
     ----------
     held : ndarray, (channel, n), complex
-        Residuals, or readings whose motion ``z`` is still to be taken off.
-    z : ndarray, (m, n), complex, or None
-    basis : ndarray, (channel, m)
+        Residuals, or readings that are still to be divided and freed of the motion.
+    off : tuple of basis (channel, m), motion (m, n) and divisor (channel, 1), or None
     mixing : tuple
         Weights of the lines, all mixing vectors, those of the packed lines, and the packed residuals.
     share : int
@@ -343,9 +360,10 @@ def _rest(
         return np.zeros((len(held), 0), dtype=complex)
     if len(vectors) == lines:
         others = (b[:, None] * vectors[rank:].conj().T)[:, :share]
-        return np.asarray(held @ others if z is None else held @ others - basis @ (z @ others))
+        made = held @ others
+        return np.asarray(made if off is None else made / off[2] - off[0] @ (off[1] @ others))
     pick = np.unique(np.linspace(0, lines - 1, min(share, lines)).round().astype(int))
     left = 1.0 - np.sum(np.abs(into[pick]) ** 2, axis=1)
     pick, left = pick[left > 0.1], left[left > 0.1]
-    own = held[:, pick] if z is None else held[:, pick] - basis @ z[:, pick]
+    own = held[:, pick] if off is None else held[:, pick] / off[2] - off[0] @ off[1][:, pick]
     return np.asarray((own * b[pick] - error @ into[pick].conj().T) / np.sqrt(left))
