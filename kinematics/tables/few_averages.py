@@ -19,6 +19,7 @@ _ROUNDING = 1.3
 _NEAR = 8
 _LEAST_CHANNELS = 6
 _SEEN = 2.0
+_MEDIAN = 0.455
 _TREND_FROM = 100
 
 
@@ -90,6 +91,8 @@ def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] 
     shift = (np.log(half_freedom) - digamma(half_freedom))[place]
     expected = polygamma(1, half_freedom)[place]
     logs = np.log(variance) + shift
+    if _local_scatter(logs, expected, good) < _LEAST_RATIO:
+        return None
     trend = _trend(logs, good)
     trend = trend + _common(logs - trend, expected, good)
     level, log_level = variance / np.exp(trend), logs - trend
@@ -130,6 +133,18 @@ def _trend(logs: Array, good: Mask) -> Array:
     return np.asarray(np.linalg.solve(gram, right[:, :, None])[:, :, 0] @ base.T)
 
 
+def _local_scatter(logs: Array, expected: Array, good: Mask) -> float:
+    """Return the squares of second differences between every other line over what estimates give.
+
+    It is their median, which few steps of the noise do not move.
+    """
+    near = good[:, 4:] & good[:, 2:-2] & good[:, :-4]
+    if not np.any(near):
+        return 0.0
+    steps = (logs[:, 2:-2] - 0.5 * (logs[:, 4:] + logs[:, :-4]))[near]
+    return float(np.median(steps**2 / expected[:, 2:-2][near])) / _MEDIAN / 1.5
+
+
 def _common(logs: Array, expected: Array, good: Mask) -> Array:
     """Return what all channels of a line share (freq,), as with an excitation that is rough over frequency.
 
@@ -144,7 +159,7 @@ def _common(logs: Array, expected: Array, good: Mask) -> Array:
     held = count >= _LEAST_CHANNELS
     near = held[4:] & held[2:-2] & held[:-4]
     steps = (mean[2:-2] - 0.5 * (mean[4:] + mean[:-4]))[near]
-    seen = float(np.median(steps**2)) / 0.455 / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
+    seen = float(np.median(steps**2)) / _MEDIAN / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
     if seen < _SEEN * float(np.mean(own[held])):
         return np.zeros(len(mean))
     return np.asarray(np.where(held, mean * (1.0 - np.minimum(own / seen, 1.0)), 0.0))

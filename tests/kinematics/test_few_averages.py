@@ -87,7 +87,7 @@ def test_roughness_that_all_channels_share_stays() -> None:
     assert np.std(np.log(made / sd)) < 0.1
 
 
-@pytest.mark.parametrize("kind", ["smooth", "rough", "few lines"])
+@pytest.mark.parametrize("kind", ["smooth", "rough", "few lines", "steep"])
 def test_noise_that_is_no_estimate_of_few_averages_stays_as_it_is(kind: str) -> None:
     rng = np.random.default_rng(3)
     sd = scene(3)[3]
@@ -95,6 +95,9 @@ def test_noise_that_is_no_estimate_of_few_averages_stays_as_it_is(kind: str) -> 
         sd = sd * 10.0 ** rng.uniform(-0.5, 0.5, sd.shape)
     if kind == "few lines":
         sd = (sd * np.sqrt(rng.chisquare(18, sd.shape) / 18))[:, :20]
+    if kind == "steep":
+        coherence = np.linspace(0.5, 0.9999, 40)
+        sd = np.tile(np.sqrt((1.0 - coherence) / coherence), (27, 1))
     made, notices = steadied(sd, 10.0, "stapes")
     assert made is sd
     assert notices == []
