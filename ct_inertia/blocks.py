@@ -233,3 +233,22 @@ def scaled(array: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
         return (array[z : z + 1].astype(np.float64) * slope + intercept).astype(np.float32)
 
     return BlockArray((nz, ny, nx), np.dtype(np.float32), (1, ny, nx), plane).as_array()
+
+
+def turned(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array with bright and dark exchanged, in its own type, plane by plane when asked for.
+
+    Notes
+    -----
+    Whole numbers are counted from the other end of their type's range, floats change their sign: done twice,
+    nothing has changed.
+    """
+    nz, ny, nx = array.shape
+    dtype = array.dtype.newbyteorder("=")
+
+    def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
+        values = np.asarray(array[z : z + 1]).astype(dtype, copy=False)
+        # Inverted bits are the lowest plus the highest number less the value.
+        return -values if dtype.kind == "f" else np.invert(values)
+
+    return BlockArray((nz, ny, nx), dtype, (1, ny, nx), plane).as_array()

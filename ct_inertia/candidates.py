@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.graphs import in_hull
 from ct_inertia.grids import boxes_and_sizes, labelled, majority, used_box
+from ct_inertia.masked import every_nth
 
 Array = NDArray[np.float64]
 
@@ -127,10 +128,9 @@ def describe(labels: NDArray[np.integer], label: int, box: tuple[slice, ...], sp
     inside = labels[box] == label
     low = np.array([s.start for s in reversed(box)], dtype=np.int64)
     high = np.array([s.stop for s in reversed(box)], dtype=np.int64)
-    index = np.stack(np.nonzero(inside)[::-1], axis=1)
-    count = len(index)
-    if count > 200_000:
-        index = index[:: count // 100_000]
+    count = int(np.count_nonzero(inside))
+    some = every_nth(inside, count // 100_000 if count > 200_000 else 1)
+    index = np.stack(np.unravel_index(some, inside.shape)[::-1], axis=1)
     points = index * spacing_mm
     centre = points.mean(axis=0)
     _, vectors = np.linalg.eigh(np.cov((points - centre).T) if len(points) > 3 else np.eye(3))

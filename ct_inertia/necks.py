@@ -20,7 +20,7 @@ _MOST_BEYOND = 0.4
 _NARROWER = 0.85
 _APART_MM = 0.15
 _MOST = 4
-_MOST_POINTS = 60_000
+MOST_POINTS = 60_000
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,16 @@ class Neck:
     share: float
 
 
-def necks(points_mm: Array, spacing_mm: Array) -> list[Neck]:
+def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list[Neck]:
     """Return the necks near both ends of a body, the most marked first.
 
     Parameters
     ----------
     points_mm : ndarray, (n, 3)
-        Centres of its voxels, x, y, z.
+        Centres of its voxels, x, y, z, or of some drawn from them.
     spacing_mm : ndarray, (3,)
+    count : int, optional
+        How many voxels it has, where the points are some of them.
 
     Notes
     -----
@@ -60,12 +62,12 @@ def necks(points_mm: Array, spacing_mm: Array) -> list[Neck]:
     from a histogram of the heights of the voxels; a neck is a minimum that is at least 15 % narrower than
     the body is on either side of it.
     """
+    count = count or len(points_mm)
+    if len(points_mm) > MOST_POINTS:
+        points_mm = np.random.default_rng(0).choice(points_mm, MOST_POINTS, replace=False)
     middle = points_mm.mean(axis=0)
-    some = points_mm
-    if len(points_mm) > _MOST_POINTS:
-        some = np.random.default_rng(0).choice(points_mm, _MOST_POINTS, replace=False)
-    points = some - middle
-    voxel = float(np.prod(spacing_mm)) * len(points_mm) / len(points)
+    points = points_mm - middle
+    voxel = float(np.prod(spacing_mm)) * count / len(points)
     grain = _Grain(voxel, float(np.mean(spacing_mm)), voxel * len(points))
     _, axes = np.linalg.eigh(np.cov(points.T))
     found: list[Neck] = []

@@ -13,9 +13,9 @@ from ct_inertia.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_hol
 from ct_inertia.coarse import calmed
 from ct_inertia.doubts import USUAL
 from ct_inertia.grids import boxes_and_sizes, labelled
-from ct_inertia.masked import looked_up
-from ct_inertia.necks import necks
-from ct_inertia.separate import Separation, separations
+from ct_inertia.masked import every_nth, looked_up
+from ct_inertia.necks import MOST_POINTS, necks
+from ct_inertia.separate import Separation, renamed, separations
 from ct_inertia.volume import Volume
 from ct_inertia.working import Working, working_box
 
@@ -134,15 +134,11 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         )
         new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
         new[[p.label for p in large]] = [p.label + free for p in large]
-        labels = new[way.labels]
-        markers = np.where(way.markers > 0, labels, np.int32(0))
-        yield Parting(
-            _on_coarse(coarse, whole, labels, working),
-            parts,
-            Markers(markers, working.first, working.block),
-            way.depth_mm,
-            way.neck_mm2,
-        )
+        labels = renamed(way.labels, new)
+        pieces = _on_coarse(coarse, whole, labels, working)
+        labels *= way.sure
+        markers = Markers(labels, working.first, working.block)
+        yield Parting(pieces, parts, markers, way.depth_mm, way.neck_mm2)
         del way, labels, markers  # before the next way is looked for
 
 
@@ -179,21 +175,28 @@ def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
                 replace(p, label=k) for p, k in zip(cut.pieces, (piece.label, name), strict=True)
             )
             labels = np.where(cut.labels == 2, np.int32(name), way.labels)
-            markers = np.where(way.markers > 0, labels, np.int32(0))
             rest = [p for p in way.pieces if p.label != piece.label]
-            yield Separation(way.depth_mm, labels, markers, [stapes, beyond, *rest], cut.neck_mm2)
+            yield Separation(way.depth_mm, labels, way.sure, [stapes, beyond, *rest], cut.neck_mm2)
 
 
 def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
     """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
-    places = np.argwhere(bone)[:, ::-1].astype(np.int32)
-    for neck in necks(places * spacing_mm, spacing_mm):
+    places = every_nth(bone, 1)
+    count, some = len(places), places
+    if count > MOST_POINTS:
+        some = np.random.default_rng(0).choice(places, MOST_POINTS, replace=False)
+    points = np.stack(np.unravel_index(some, bone.shape)[::-1], axis=1) * spacing_mm
+    del places, some
+    z, y, x = (np.arange(n) * h for n, h in zip(bone.shape, spacing_mm[::-1], strict=True))
+    for neck in necks(points, spacing_mm, count):
         labels = bone.astype(np.int32)
-        labels[tuple(places[(places * spacing_mm) @ neck.normal > neck.height_mm].T[::-1])] = 2
+        across = neck.normal[0] * x + (neck.normal[1] * y)[:, None]
+        for layer, inside, height in zip(labels, bone, neck.normal[2] * z, strict=True):
+            layer[inside & (across > neck.height_mm - height)] = 2
         boxes, _ = boxes_and_sizes(labels, 2)
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
         if pieces[0].possible and pieces[0].oddness < USUAL:
-            yield Separation(0.0, labels, labels, pieces, neck.area_mm2)
+            yield Separation(0.0, labels, bone, pieces, neck.area_mm2)
 
 
 def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
@@ -216,8 +219,7 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
         if best is not None:
             whole, labels = best
             rest = [p for p in way.pieces if np.any(labels == p.label) and p.label != whole.label]
-            markers = np.where(way.markers > 0, labels, np.int32(0))
-            yield Separation(way.depth_mm, labels, markers, [whole, *rest])
+            yield Separation(way.depth_mm, labels, way.sure, [whole, *rest])
 
 
 def _united(
@@ -272,8 +274,16 @@ def _on_coarse(
 ) -> NDArray[np.int32]:
     """Return the coarse pieces with the parts' numbers where the whole was."""
     pieces = coarse.pieces.copy()
-    index = np.argwhere(pieces == whole.label)[:, ::-1]
-    block = working.blocks_of(index * coarse.step + coarse.step // 2)
-    block = np.clip(block, 0, np.array(labels.shape[::-1]) - 1)
-    pieces[tuple(index.T[::-1])] = labels[tuple(block.T[::-1])]
+    size = np.array(labels.shape[::-1])
+    x, y, z = (
+        np.clip((np.arange(a, b) * n + n // 2 - first) // block, 0, most - 1)
+        for a, b, n, first, block, most in zip(
+            whole.low, whole.high, coarse.step, working.first, working.block, size, strict=True
+        )
+    )
+    low, high = whole.low, whole.high
+    part = pieces[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    for layer, at in zip(part, z, strict=True):
+        own = layer == whole.label
+        layer[own] = labels[at][np.ix_(y, x)][own]
     return pieces

@@ -11,10 +11,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.blocks import turned
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import existing_file
 from ct_inertia.readers.dicom import holds_dicom, is_dicom
 from ct_inertia.readers.raw import RAW_SUFFIXES, RawLayout, companion, layout_missing
+from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
 from ct_inertia.volume import Volume, reversed_axis
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -101,7 +103,10 @@ def read_labels(
         As `read_volume`.
     """
     volume = read_volume(path, spacing_mm, mirror)
-    return replace(volume, array=np.asarray(volume.array))
+    kept = tuple(notice for notice in volume.notices if notice.code != WHITE_IS_ZERO)
+    # Numbers that name bodies are no matter of bright and dark.
+    array = volume.array if len(kept) == len(volume.notices) else turned(volume.array)
+    return replace(volume, array=np.asarray(array), notices=kept)
 
 
 def _opened(path: Path, spacing: list[float] | None, mirror: str | None, raw: RawLayout | None) -> Volume:

@@ -97,8 +97,8 @@ class Separation:
         How far from the narrow gaps the parts still hang together by themselves.
     labels : ndarray of int32, [z, y, x]
         The parts of the bone.
-    markers : ndarray of int32, [z, y, x]
-        The same without a rim along the gaps, where grey values decide.
+    sure : ndarray of bool, [z, y, x]
+        Where they hold for certain: not along the gaps, where grey values decide.
     pieces : list of Piece
         From the largest to the smallest.
     neck_mm2 : float or None
@@ -107,7 +107,7 @@ class Separation:
 
     depth_mm: float
     labels: NDArray[np.int32]
-    markers: NDArray[np.int32]
+    sure: NDArray[np.bool_]
     pieces: list[Piece]
     neck_mm2: float | None = None
 
@@ -146,7 +146,7 @@ def separations(
         kept = sizes * voxel >= _LEAST_MARKER_MM3
         kept[0] = False
         count = int(np.count_nonzero(kept))
-        markers = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[markers]
+        markers = renamed(markers, np.where(kept, np.cumsum(kept), 0))
         if count < 2 or (labels is not None and _alike(labels, markers, count)):
             continue
         labels = np.zeros(bone.shape, dtype=np.int32)
@@ -155,7 +155,16 @@ def separations(
         boxes, grown = boxes_and_sizes(labels, count)
         order = [int(k) for k in np.argsort(-grown[1:]) + 1 if grown[k] > 0]
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in order]
-        yield Separation(wanted, labels, np.where(depth > least, labels, np.int32(0)), pieces)
+        yield Separation(wanted, labels, depth > least, pieces)
+
+
+def renamed(labels: NDArray[np.int32], names: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return labels [z, y, x] under other names (n,), layer by layer."""
+    names = names.astype(np.int32)
+    out = np.empty(labels.shape, dtype=np.int32)
+    for layer, result in zip(labels, out, strict=True):
+        np.take(names, layer, out=result)
+    return out
 
 
 def _alike(labels: NDArray[np.int32], markers: NDArray[np.int32], count: int) -> bool:

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray
+from ct_inertia.blocks import BlockArray, turned
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_log import listening
+from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
 from kinematics.notices import Notice
@@ -49,7 +50,18 @@ def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volu
     found = log_spacing(folder)
     spacing, settled = settle_spacing(found, spacing_mm, folder.name, "slice images do not tell it")
     array = stacked_slices(files)
+    if _white_is_zero(files[0]):
+        array, notices = turned(array), [*notices, turned_notice(files[0])]
     return Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
+
+
+def _white_is_zero(path: Path) -> bool:
+    if path.suffix.lower() not in _TIFF:
+        return False
+    import tifffile
+
+    with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
+        return white_is_zero(tif.pages[0])
 
 
 def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:

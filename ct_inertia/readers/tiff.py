@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.blocks import turned
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_log import listening
-from ct_inertia.readers.tiff_pages import stack_array
+from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
@@ -32,6 +33,7 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
 
     Notes
     -----
+    Where the file says that 0 is white, bright and dark are exchanged, with a notice: bone is bright then.
     OME tells the position of the first plane, ImageJ its zero; no TIFF tells direction or handedness:
     identity, not confirmed. Plain resolution tags tell x and y only; the distance of slices is then asked
     for, not guessed.
@@ -42,6 +44,8 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
         array = stack_array(tif, path)
         place = _calibration(tif)
         notices = _notices(tif, path)
+        if white_is_zero(tif.series[0].keyframe):
+            array, notices = turned(array), [*notices, turned_notice(path)]
     spacing, settled = settle_spacing(place.spacing_mm, spacing_mm, path.name, place.known)
     return Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
 

@@ -13,11 +13,13 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable
 from ct_inertia.readers.grid import mapped
 from kinematics.errors import sentence
+from kinematics.notices import Notice
 
 if TYPE_CHECKING:
     import tifffile
 
 _ROWS = 64
+WHITE_IS_ZERO = "white_is_zero"
 
 
 def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
@@ -47,6 +49,21 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
         check_size(kept, dtype, size, packed, path.name)
         return np.asarray(series.asarray()).reshape(kept)
     return _planes(series, page, files, kept, dtype)
+
+
+def white_is_zero(page: Any) -> bool:
+    """Return whether a page says that its lowest grey value is shown white (WhiteIsZero of TIFF 6.0)."""
+    return page.photometric is not None and page.photometric.name == "MINISWHITE"
+
+
+def turned_notice(path: Path) -> Notice:
+    """Say that bright and dark were exchanged."""
+    text = (
+        f"{path.name} says that 0 is white (WhiteIsZero): bright and dark were exchanged, so that bone is "
+        f"bright. Grey values count from the other end of their range (255 less the stored one, 65535 less "
+        f"it; floats change sign). If bone was bright as stored, correct the tag where the scan was exported."
+    )
+    return Notice(WHITE_IS_ZERO, text)
 
 
 def _files(series: Any, path: Path) -> list[Path]:
