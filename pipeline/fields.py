@@ -138,6 +138,14 @@ def _whole(value: object) -> int:
     return value
 
 
+def _voxels(value: object) -> tuple[int, int, int]:
+    expected = "three whole numbers of at least 2: voxels along x (runs fastest), y, z"
+    values = _numbers(value, (3,), expected)
+    if min(values) < 2 or any(n != int(n) for n in values):
+        raise refuse(expected)
+    return int(values[0]), int(values[1]), int(values[2])
+
+
 def _masses(value: object) -> tuple[tuple[float, ...], ...]:
     """Read point masses: x, y, z in mm, the mass in mg and, when known, its sd in mg."""
     expected = "a list of point masses [x, y, z, mg] or [x, y, z, mg, sd], mm and mg"
@@ -215,6 +223,12 @@ Number = Annotated[float, BeforeValidator(_number)]
 Percent = Annotated[float, BeforeValidator(_percent)]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Label = Annotated[int, BeforeValidator(_label)]
+Voxels = Annotated[tuple[int, int, int], BeforeValidator(_voxels)]
+VoxelType = Annotated[
+    str,
+    BeforeValidator(_one_of("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")),
+]
+ByteOrder = Annotated[str, BeforeValidator(_one_of("little", "big"))]
 Masses = Annotated[tuple[tuple[float, float, float, float, float], ...], BeforeValidator(_masses)]
 Range = Annotated[tuple[float, float], BeforeValidator(_range)]
 Ranges = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_ranges)]

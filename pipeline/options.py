@@ -11,6 +11,7 @@ from pipeline.study import Fit, Ldv, Scan
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
+    from ct_inertia.readers.raw import RawLayout
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
@@ -97,7 +98,17 @@ def mass_options(scan: Scan) -> MassOptions:
         nan_as_air=scan.nan_as_air,
         added=tuple(PointMass(np.array(row[:3]), row[3] * 1e-6, row[4] * 1e-6) for row in scan.add_mass),
         voxel_size_sd=None if percent is None else percent / 100.0,
+        raw=_raw_layout(scan),
     )
+
+
+def _raw_layout(scan: Scan) -> RawLayout | None:
+    """Return how the voxels of a file without a header lie in it; None when the study does not say."""
+    if scan.shape is None or scan.dtype is None:
+        return None
+    from ct_inertia.readers.raw import RawLayout
+
+    return RawLayout(scan.shape, scan.dtype, scan.byte_order or "little", scan.header_bytes or 0)
 
 
 def motion_options(ldv: Ldv) -> Options:

@@ -13,6 +13,7 @@ from kinematics.errors import raise_all, sentence
 from pipeline import fields
 from pipeline.errors import PipelineError
 
+_RAW = ("shape", "dtype", "byte_order", "header_bytes")
 _MASSES = ("density_kg_m3", "mass_mg", "calibration")
 
 
@@ -32,6 +33,10 @@ class Scan(_Table):
 
     file: fields.File | None = None
     spacing_mm: fields.Spacing | None = None
+    shape: fields.Voxels | None = None
+    dtype: fields.VoxelType | None = None
+    byte_order: fields.ByteOrder | None = None
+    header_bytes: fields.Whole | None = None
     density_kg_m3: fields.ValueWithSd | None = None
     mass_mg: fields.ValueWithSd | None = None
     calibration: fields.File | None = None
@@ -238,6 +243,18 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
         )
     if "scan" in tables and "file" not in scan and "labels" not in scan:
         faults.append(sentence("scan.file", "given, or scan.labels", "neither", name))
+    raw = [key for key in _RAW if key in scan]
+    faults += [
+        sentence(
+            f"scan.{key}",
+            f"given with scan.{raw[0]}, which speaks of raw voxels",
+            "nothing",
+            name,
+            "Give shape = [NX, NY, NZ] and dtype for a file without a header, or none of the four keys",
+        )
+        for key in _RAW[:2]
+        if raw and key not in scan
+    ]
     if "fiducials" in ldv and "frame" in ldv:
         faults.append(
             sentence(

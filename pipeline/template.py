@@ -15,6 +15,11 @@ notes = "incus removed, cochlea closed"
 file = "scan.tif"
 # Voxel size, mm: one number, or [x, y, z]. Needed where the file does not say it.
 # spacing_mm = 0.020
+# Of raw voxels without a header: how many along x, y, z (x runs fastest), uint8 to float64, little or big.
+# shape = [512, 512, 600]
+# dtype = "uint16"
+# byte_order = "little"
+# header_bytes = 0
 # At least one of density_kg_m3, mass_mg, calibration; "value+-sd" states its standard deviation.
 # With several, mass_mg leads, then calibration, and the report compares them.
 density_kg_m3 = "1900+-60"

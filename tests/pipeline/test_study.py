@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.options import mass_options
+from pipeline.options import in_study_words, mass_options
 from pipeline.study import About, Fit, Ldv, Scan, parse_study, read_study
 from pipeline.template import TEMPLATE
 
@@ -17,6 +17,17 @@ density_kg_m3 = "1382+-14"
 [ldv]
 file = "ldv.csv"
 """
+
+
+RAW = GOOD.replace(
+    "[ldv]",
+    """shape = [40, 50, 60]
+dtype = "int16"
+byte_order = "big"
+header_bytes = 512
+spacing_mm = 0.02
+[ldv]""",
+)
 
 
 def parsed(text, tmp_path):
@@ -55,6 +66,17 @@ def test_every_optional_line_of_the_template_is_valid(tmp_path):
 )
 def test_density_as_text_or_number(given, value, tmp_path):
     assert parsed(GOOD.replace('"1382+-14"', given), tmp_path).scan.density_kg_m3 == value
+
+
+def test_the_layout_of_raw_voxels_reaches_ct2mass(tmp_path):
+    layout = mass_options(parsed(RAW, tmp_path).scan).raw
+    assert (layout.shape, layout.dtype) == ((40, 50, 60), "int16")
+    assert (layout.byte_order, layout.header_bytes) == ("big", 512)
+    short = RAW.replace('byte_order = "big"\nheader_bytes = 512\n', "")
+    layout = mass_options(parsed(short, tmp_path).scan).raw
+    assert (layout.byte_order, layout.header_bytes) == ("little", 0)
+    assert mass_options(parsed(GOOD, tmp_path).scan).raw is None
+    assert in_study_words("Give --shape and --header-bytes") == "Give scan.shape and scan.header_bytes"
 
 
 def test_several_ways_to_the_mass_may_be_given(tmp_path):
@@ -144,6 +166,13 @@ band_hz = [5000, 400]
         (GOOD.replace("[ldv]", "stapes_label = 0\n[ldv]"), "scan.stapes_label must be a whole number"),
         (GOOD.replace("[ldv]", "voxel_size_sd_percent = 80\n[ldv]"), "scan.voxel_size_sd_percent must be"),
         (GOOD.replace("[ldv]", "seed_mm = [1, 2]\n[ldv]"), "scan.seed_mm must be three numbers"),
+        (RAW.replace("40, 50, 60", "40, 50.5, 60"), "scan.shape must be three whole numbers of at least 2"),
+        (RAW.replace("40, 50, 60", "40, 1, 60"), "scan.shape must be three whole numbers of at least 2"),
+        (RAW.replace("int16", "short"), "scan.dtype must be one of uint8, int8"),
+        (RAW.replace("big", "network"), "scan.byte_order must be one of little, big"),
+        (RAW.replace("512", "-1"), "scan.header_bytes must be a whole number, 0 or more"),
+        (RAW.replace('dtype = "int16"\n', ""), "scan.dtype must be given with scan.shape"),
+        (RAW.replace("shape = [40, 50, 60]\n", ""), "scan.shape must be given with scan.dtype"),
         (GOOD + "[fit]\nexclude_hz = [60, 50]\n", "fit.exclude_hz must be two frequencies"),
     ],
 )
