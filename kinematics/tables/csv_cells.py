@@ -31,8 +31,10 @@ class Cells:
     comments: int
 
 
-def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
+def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = "") -> Cells:
     """Read every row below the header; blank lines and lines that begin with ``#`` are passed over.
+
+    ``decimal`` is the mark of the decimals; without it, the one that most numbers have.
 
     Raises
     ------
@@ -71,7 +73,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
         lines.append(line)
         for column, place in places:
             cells[column].append(row[place].strip())
-    decimal = _decimal(sheet, cells, numbers)
+    decimal = decimal or _decimal(sheet, cells, numbers)
     values = {
         column: _parsed(cells[column], column, decimal, sheet.file, lines, faults)
         for column in sheet.header

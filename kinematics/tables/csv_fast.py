@@ -6,6 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -20,10 +21,21 @@ Piece = tuple[dict[str, Array], dict[str, tuple[NDArray[np.intp], list[str]]]]
 _PIECE = 4 << 20
 _STRETCH = 1 << 18
 _MOST_THREADS = 4
+_SHORT = 1 << 15
+_MOST_IRREGULAR = 0.2
 _MARKS = (b"#", b"\x00", b'"')
 
 
-def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | None:
+@dataclass(frozen=True)
+class Stretch:
+    """Rows between two offsets, and their columns; None when they must be read cell by cell."""
+
+    start: int
+    stop: int
+    piece: Piece | None
+
+
+def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | list[Stretch] | None:
     """Read the wanted columns with the C parser of pandas.
 
     Parameters
@@ -34,39 +46,48 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | None:
 
     Returns
     -------
-    tuple or None
-        Numbers (rows,) by column, and codes (rows,) with their texts by column. None when a row is not as
-        the header says or a cell is no number; reading cell by cell then tells which.
+    tuple, list or None
+        Numbers (rows,) by column, and codes (rows,) with their texts by column. Where some rows are not as
+        the header says or hold cells that are no numbers: stretches of rows, the short ones around these not
+        read. None when the file has many such rows, or quoted cells, which may go on over line ends.
 
     Notes
     -----
     pandas >= 3 parses numbers to the nearest double, earlier ones to within one unit in the last place.
     """
-    decimal = "," if sheet.separator != "," and sheet.data.find(b",", sheet.start) >= 0 else "."
-    parse = _Parse(sheet, decimal, numbers, texts)
+    parse = _Parse(sheet, decimal_of(sheet), numbers, texts)
     pieces = list(pairwise(_cuts(sheet)))
     threads = min(len(pieces), _processors(), _MOST_THREADS)
     if threads < 2:
-        return _together([parse.piece(piece) for piece in pieces], numbers, texts, map)
+        return _together([parse.stretches(*piece) for piece in pieces], numbers, texts, map)
     from concurrent.futures import ThreadPoolExecutor
 
     import pandas as pd
 
     del pd
     with ThreadPoolExecutor(threads) as pool:
-        return _together(list(pool.map(parse.piece, pieces)), numbers, texts, pool.map)
+        found = list(pool.map(lambda piece: parse.stretches(*piece), pieces))
+        return _together(found, numbers, texts, pool.map)
+
+
+def decimal_of(sheet: Sheet) -> str:
+    """Return the mark of the decimals of a regular file."""
+    return "," if sheet.separator != "," and sheet.data.find(b",", sheet.start) >= 0 else "."
 
 
 def _together(
-    frames: list[Piece | None], numbers: set[str], texts: set[str], apply: Callable[..., Iterable[Any]]
-) -> Piece | None:
-    """Join the columns of all pieces; None when one of them is not regular."""
-    whole = [frame for frame in frames if frame is not None]
-    if len(whole) < len(frames):
+    found: list[list[Stretch] | None], numbers: set[str], texts: set[str], apply: Callable[..., Iterable[Any]]
+) -> Piece | list[Stretch] | None:
+    """Join the columns of all pieces when all of them are regular."""
+    stretches = [stretch for some in found if some is not None for stretch in some]
+    if any(some is None for some in found) or not any(stretch.piece for stretch in stretches):
         return None
+    whole = [stretch.piece for stretch in stretches if stretch.piece is not None]
+    if len(whole) < len(stretches):
+        return stretches
     names, words = sorted(numbers), sorted(texts)
     columns = apply(lambda name: np.concatenate([frame[0][name] for frame in whole]), names)
-    coded = apply(lambda name: _joined([frame[1][name] for frame in whole]), words)
+    coded = apply(lambda name: joined([frame[1][name] for frame in whole]), words)
     return dict(zip(names, columns, strict=True)), dict(zip(words, coded, strict=True))
 
 
@@ -94,12 +115,30 @@ class _Parse:
     def __init__(self, sheet: Sheet, decimal: str, numbers: set[str], texts: set[str]) -> None:
         self.sheet, self.decimal, self.numbers, self.texts = sheet, decimal, numbers, texts
         self.careful = False
+        self.irregular = 0
         self.all_columns = numbers | texts == set(sheet.header)
 
-    def piece(self, piece: tuple[int, int]) -> Piece | None:
-        """Return numbers and coded texts of the rows between two offsets; None when they are not regular."""
+    def stretches(self, start: int, stop: int) -> list[Stretch] | None:
+        """Read the rows between two offsets, halving what is not regular; None to read no more."""
+        if self.irregular > _MOST_IRREGULAR * (self.sheet.stop - self.sheet.start):
+            return None
+        body = self.sheet.data[start:stop]
+        piece = self.piece(body)
+        if piece is not None:
+            return [Stretch(start, stop, piece)]
+        if b'"' in body or b"\x00" in body:
+            return None
+        middle = body.find(b"\n", len(body) // 2) + 1
+        if len(body) <= _SHORT or not 0 < middle < len(body):
+            self.irregular += len(body)
+            return [Stretch(start, stop, None)]
+        first = self.stretches(start, start + middle)
+        second = None if first is None else self.stretches(start + middle, stop)
+        return None if first is None or second is None else first + second
+
+    def piece(self, body: bytes) -> Piece | None:
+        """Return numbers and coded texts of some rows; None when they are not regular."""
         sheet = self.sheet
-        body = sheet.data[piece[0] : piece[1]]
         newlines, marks = _scanned(body)
         rows = newlines + (not body.endswith(b"\n"))
         quoted = b'"' in marks
@@ -201,7 +240,7 @@ def _coded(series: Any) -> tuple[NDArray[np.intp], list[str]]:
     return codes, [str(name).strip() for name in series.cat.categories]
 
 
-def _joined(parts: Sequence[tuple[NDArray[np.intp], list[str]]]) -> tuple[NDArray[np.intp], list[str]]:
+def joined(parts: Sequence[tuple[NDArray[np.intp], list[str]]]) -> tuple[NDArray[np.intp], list[str]]:
     """Give the same texts of several pieces the same code."""
     if len(parts) == 1:
         return parts[0]

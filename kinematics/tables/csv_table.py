@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.tables.csv_cells import read_cells
-from kinematics.tables.csv_fast import read_fast
-from kinematics.tables.csv_text import no_rows, open_sheet
+from kinematics.tables.csv_fast import Stretch, decimal_of, joined, read_fast
+from kinematics.tables.csv_text import Sheet, no_rows, open_sheet
 
 Array = NDArray[np.float64]
 
@@ -100,6 +100,8 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
         empty = sheet.data[sheet.start :].strip() == b""
         raise KinematicsError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))
     read = read_fast(sheet, numbers, texts)
+    if isinstance(read, list):
+        return _mixed(sheet, read, numbers, texts)
     if read is not None:
         values, coded = read
         words = {name: _numbered(*column) for name, column in coded.items()}
@@ -107,11 +109,42 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
         lines = np.arange(sheet.line, sheet.line + count)
         return _without_empty(Table(sheet.file, values, words, lines))
     cells = read_cells(sheet, numbers, texts)
-    words = {}
-    for name, column in cells.texts.items():
-        unique = {word: place for place, word in enumerate(dict.fromkeys(column))}
-        words[name] = _numbered(np.array([unique[word] for word in column], dtype=np.intp), list(unique))
+    words = {name: _numbered(*_coded(column)) for name, column in cells.texts.items()}
     return Table(sheet.file, cells.numbers, words, cells.lines, cells.faults, cells.comments)
+
+
+def _coded(column: Sequence[str]) -> tuple[NDArray[np.intp], list[str]]:
+    """Store every text once."""
+    unique = {word: place for place, word in enumerate(dict.fromkeys(column))}
+    return np.array([unique[word] for word in column], dtype=np.intp), list(unique)
+
+
+def _mixed(sheet: Sheet, stretches: Sequence[Stretch], numbers: set[str], texts: set[str]) -> Table:
+    """Read the stretches that are not regular cell by cell, and join all."""
+    line, comments = sheet.line, 0
+    lines: list[NDArray[np.int64]] = []
+    faults: list[str] = []
+    values: list[Mapping[str, Array]] = []
+    coded: list[Mapping[str, tuple[NDArray[np.intp], list[str]]]] = []
+    for stretch in stretches:
+        part = replace(sheet, start=stretch.start, stop=stretch.stop, line=line)
+        rows = sheet.data[stretch.start : stretch.stop].count(b"\n")
+        if stretch.piece is not None:
+            values.append(stretch.piece[0])
+            coded.append(stretch.piece[1])
+            ends = line + rows + (sheet.data[stretch.stop - 1 : stretch.stop] != b"\n")
+            lines.append(np.arange(line, ends))
+        else:
+            cells = read_cells(part, numbers, texts, decimal_of(sheet))
+            values.append(cells.numbers)
+            coded.append({name: _coded(column) for name, column in cells.texts.items()})
+            lines.append(cells.lines)
+            faults += cells.faults
+            comments += cells.comments
+        line += rows
+    joint = {name: np.concatenate([part[name] for part in values]) for name in numbers}
+    words = {name: _numbered(*joined([part[name] for part in coded])) for name in texts}
+    return _without_empty(Table(sheet.file, joint, words, np.concatenate(lines), tuple(faults), comments))
 
 
 def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
@@ -147,4 +180,5 @@ def _without_empty(table: Table) -> Table:
         {name: TextColumn(column.codes[keep], column.names) for name, column in table.texts.items()},
         table.lines[keep],
         table.faults,
+        table.comments,
     )

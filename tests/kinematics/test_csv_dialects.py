@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinematics.errors import KinematicsError
-from kinematics.tables import csv_fast
+from kinematics.tables import csv_cells, csv_fast
 from kinematics.tables.ldv_csv import read_ldv
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
@@ -364,3 +364,68 @@ def test_reading_costs_little_more_than_the_bare_parser(tmp_path):
         read_ldv(path)
         bare, checked = min(bare, middle - start), min(checked, time.process_time() - middle)
     assert checked < 1.8 * bare
+
+
+SPOILS = (
+    lambda row: row.replace("0.25", "x.25"),
+    lambda row: row.replace("0.25", ""),
+    lambda row: "# " + row,
+    lambda row: "",
+    lambda row: row + ",1",
+    lambda row: row[: row.rfind(",")],
+    lambda row: row.replace("0.25", '"0.25"'),
+    lambda row: row + "\n" + row.replace("0.25", "0.5e"),
+    lambda row: "  ,,,,,,,,",
+    lambda row: row.replace(",y,", ",Y,"),
+    lambda row: row.replace("0.25", "1,5"),
+)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkeypatch, seed, mark):
+    import kinematics.tables.csv_table as csv_table
+
+    rng = np.random.default_rng(seed)
+    rows = [f"s,p{k // 100},{k // 100},0.25,1,y,{100 + k % 100},1.5,{k}" for k in range(1000)]
+    kinds = range(len(SPOILS)) if seed % 3 else (2, 3, 8, 9)
+    for place in rng.choice(len(rows), 1 + seed % 4, replace=False):
+        rows[place] = SPOILS[rng.choice(kinds)](rows[place])
+    path = written(tmp_path, plain(rows).replace(",", mark))
+
+    def read():
+        try:
+            return read_ldv(path)
+        except KinematicsError as fault:
+            return sorted(str(fault).splitlines())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(csv_table, "read_fast", lambda *_: None)
+        slow = read()
+    monkeypatch.setattr(csv_fast, "_SHORT", 600)
+    monkeypatch.setattr(csv_fast, "_PIECE", 9000)
+    fast = read()
+    if isinstance(slow, list):
+        assert fast == slow
+        return
+    same(fast, slow)
+    assert [n.code for n in fast.notices] == [n.code for n in slow.notices]
+
+
+def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeypatch):
+    import kinematics.tables.csv_table as csv_table
+
+    rows = [f"s,p{k // 1000},{k // 1000},0.25,1,y,{100 + k % 1000},1.5,{k}" for k in range(8000)]
+    rows[5000] = rows[5000].replace("1.5", "one")
+    path = written(tmp_path, plain(rows))
+    lengths = []
+
+    def counted(sheet, *rest):
+        lengths.append(sheet.stop - sheet.start)
+        return csv_cells.read_cells(sheet, *rest)
+
+    monkeypatch.setattr(csv_table, "read_cells", counted)
+    with pytest.raises(KinematicsError, match=r're_m_s must be a number; got "one" \(ldv.csv, line 5002\)'):
+        read_ldv(path)
+    assert len(lengths) == 1
+    assert lengths[0] <= 1 << 15
