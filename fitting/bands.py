@@ -1,10 +1,10 @@
 """Do one K and one D hold over the whole band? Local factors of both, band by band, with their uncertainty.
 
-In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. To first order about the estimate the
-whitened residual is r + J dp + B (a, d), so that (a, d) = -S^+ Bo^T r with S = Bo^T Bo and Bo what is left of
-B beside J. A common factor of all bands is K (or D) itself, hence the pseudo-inverse: factors are relative to
-their mean over the bands. Common errors of motion and mass move r and are carried through the same map; a
-wrong mass matrix looks like a stiffness that changes with w^2, so that its uncertainty belongs here.
+In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. A step of Newton's method in K, D and the
+factors about the estimate gives them to first order, with their covariance as that of an estimate
+(fitting.regressor_noise). A common factor of all bands is K (or D) itself: factors are relative to their
+mean. Common errors of motion and mass move the residual and are carried through the same map; a wrong mass
+matrix looks like a stiffness that changes with w^2, so that its uncertainty belongs here.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import Estimate, ml
-from fitting.estimators.base import gram, solve_symmetric, transposed_times
+from fitting.estimators.base import gram, transposed_times
 from fitting.lines import Lines, backward, evaluate, forward, motion_rows, real_rows
 from fitting.problem import Problem
-from fitting.symmetric import split
-from fitting.uncertainty import joined_mass_sources, motion_moves_mass
+from fitting.regressor_noise import information, noise_products
+from fitting.symmetric import basis, split
+from fitting.uncertainty import chi2, degrees, invert, joined_mass_sources, motion_moves_mass
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ class FrequencyDependence:
     chi2 : float
         Of all factors being 1.
     n_dof : int
-        2 bands - 2, less what the data cannot tell.
+        2 bands - 2.
     p_value : float
     """
 
@@ -113,46 +114,94 @@ def frequency_dependence(
     now = ml.whiten(found.parameters, lines)
     weights = np.ones(lines.count) if found.weights is None else found.weights
     root = np.sqrt(weights)
-    rows = real_rows(now.corrected(lines) * root[:, None])
-    local = real_rows(_local_columns(found.parameters, lines, now, band, bands) * root[:, None])
-    free = local - rows @ solve_symmetric(gram(rows), rows.T @ local)
-    information = gram(free)
-    inverse, rank = _pseudo_inverse(information, 2 * bands - 2)
+    rows = np.column_stack(
+        [
+            real_rows(now.corrected(lines) * root[:, None]),
+            real_rows(_local_columns(found.parameters, lines, now, band, bands) * root[:, None]),
+        ]
+    )
+    p = lines.parameters
+    turned = _without_common_factor(p, bands)
+    rows = rows @ turned
     residual = real_rows(now.residual * root)
-    factors = -inverse @ transposed_times(free, residual)
+    noise = turned.T @ _noise(found.parameters, lines, now, band, bands, weights) @ turned
+    level = chi2(found.parameters, lines) / max(degrees(lines), 1)
+    known, spread = information(gram(rows), noise, level)
+    inverse = invert(known)
+    factors = -inverse @ transposed_times(rows, residual)
     if found.weights is None:
-        covariance = 0.5 * widened * inverse
+        covariance = 0.5 * widened * inverse @ spread @ inverse
     else:
-        scores = (free * residual[:, None]).reshape(2 * lines.n, lines.count, -1).sum(axis=0)
+        scores = (rows * residual[:, None]).reshape(2 * lines.n, lines.count, -1).sum(axis=0)
         covariance = inverse @ (scores.T @ scores) @ inverse
     for changes, part in _common_errors(problem, lines, found.parameters):
         moved = real_rows(forward(now.factor, changes) * root[:, None])
-        effect = inverse @ (free.T @ moved)
+        effect = inverse @ (rows.T @ moved)
         covariance = covariance + effect @ part @ effect.T
-    return _result(problem, band, bands, factors, covariance, rank)
+    return _result(problem, band, turned[p:, p:], factors[p:], covariance[p:, p:])
+
+
+def _without_common_factor(parameters: int, bands: int) -> Array:
+    """Return the unknowns (p + 2 bands, p + 2 bands - 2) that leave out a factor common to all bands."""
+    contrasts = np.linalg.qr(np.column_stack([np.ones(bands), np.eye(bands)[:, 1:]]))[0][:, 1:]
+    turned = np.zeros((parameters + 2 * bands, parameters + 2 * bands - 2))
+    turned[:parameters, :parameters] = np.eye(parameters)
+    middle = parameters + bands - 1
+    turned[parameters : parameters + bands, parameters:middle] = contrasts
+    turned[parameters + bands :, middle:] = contrasts
+    return turned
+
+
+def _noise(
+    parameters: Array,
+    lines: Lines,
+    now: ml.Whitened,
+    band: NDArray[np.intp],
+    bands: int,
+    weights: Array,
+) -> Array:
+    """Return what noise adds to the Hessian of parameters and factors, (p + 2 bands, p + 2 bands)."""
+    stiffness, damping = split(parameters, lines.n)
+    units = basis(lines.n)
+    half, p = len(units), len(parameters)
+    filled = np.zeros((p + 2 * bands, p + 2 * bands))
+    for place in range(bands):
+        inside = np.flatnonzero(band == place)
+        part = now.select(inside)
+        columns = np.r_[:half, p + place, half:p, p + bands + place]
+        found = noise_products(
+            part,
+            lines.select(inside),
+            np.concatenate([units, stiffness[None]]),
+            np.concatenate([units, damping[None]]),
+            weights[inside],
+        )
+        filled[np.ix_(columns, columns)] += found
+    return filled
 
 
 def _result(
-    problem: Problem, band: NDArray[np.intp], bands: int, factors: Array, covariance: Array, rank: int
+    problem: Problem, band: NDArray[np.intp], contrasts: Array, factors: Array, covariance: Array
 ) -> FrequencyDependence:
     from scipy.special import chdtrc
 
-    weight, rank = _pseudo_inverse(covariance, rank)
-    statistic = float(factors @ weight @ factors)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    rank, bands = len(factors), len(contrasts) // 2
+    statistic = float(factors @ invert(covariance) @ factors)
+    local = contrasts @ factors
+    sd = np.sqrt(np.maximum(np.diag(contrasts @ covariance @ contrasts.T), 0.0))
     freq = problem.observation.freq_hz
     places = [freq[band == place] for place in range(bands)]
     return FrequencyDependence(
         np.array([part.min() for part in places]),
         np.array([part.max() for part in places]),
         np.array([len(part) for part in places]),
-        1.0 + factors[:bands],
-        1.0 + factors[bands:],
+        1.0 + local[:bands],
+        1.0 + local[bands:],
         sd[:bands],
         sd[bands:],
         statistic,
         rank,
-        float(chdtrc(rank, statistic)) if rank else 1.0,
+        float(chdtrc(rank, statistic)),
     )
 
 
@@ -168,13 +217,6 @@ def _local_columns(
     columns[:, places, band] = stiffness @ fitted
     columns[:, places, bands + band] = lines.factor * (damping @ fitted)
     return forward(now.factor, columns)
-
-
-def _pseudo_inverse(matrix: Array, rank: int) -> tuple[Array, int]:
-    """Return the pseudo-inverse over at most ``rank`` directions, and how many of them count."""
-    values, vectors = np.linalg.eigh(matrix)
-    kept = np.flatnonzero(values > 1e-12 * max(float(values[-1]), 1e-300))[-rank:]
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T, len(kept)
 
 
 def _common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tuple[ComplexArray, Array]]:

@@ -149,8 +149,10 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     from fitting.report import summary_rows
     from kinematics.spatial import parse_dof
 
+    dof = parse_dof(options.dof)
+    _check_order(options, dof)
     chosen = KDOptions(
-        dof=parse_dof(options.dof),
+        dof=dof,
         structure=options.structure,
         base=options.base,
         estimator=options.estimator,
@@ -168,6 +170,19 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     return options, Outcome(
         "stiffness and damping", summary_rows(done.fit), done.fit.notices, done.files, dict(done.content)
     )
+
+
+def _check_order(options: argparse.Namespace, dof: tuple[str, ...]) -> None:
+    """Refuse --dof in another order than the fixed one where entries are counted by it."""
+    given = [part.strip().lower() for part in options.dof.split(",") if part.strip()]
+    if options.dof.strip().lower() == "all" or given == list(dof):
+        return
+    counted = [option for option in ("lower", "upper") if getattr(options, option)]
+    if options.mass.suffix.lower() != ".json" or counted:
+        raise StapeskitError(
+            "--dof must be in the order x,y,z,alpha,beta,gamma where a plain mass matrix or bounds "
+            f"count by it; got {','.join(given)}. Write --dof {','.join(dof)} and order rows and columns so."
+        )
 
 
 def _plan(options: argparse.Namespace) -> Outcome:

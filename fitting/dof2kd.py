@@ -116,6 +116,7 @@ def parameters(options: KDOptions) -> dict[str, Any]:
         "inplane": options.inplane,
         "band_hz": None if options.band_hz is None else list(options.band_hz),
         "exclude_hz": [list(one) for one in options.exclude_hz],
+        "bands": options.bands,
         "constraint": options.constraint,
         "lower": dict(options.lower),
         "upper": dict(options.upper),

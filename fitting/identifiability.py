@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import ml
 from fitting.estimators.base import gram
 from fitting.lines import Lines, real_rows, regressor
 from fitting.symmetric import entry_names, pairs, split
-from fitting.uncertainty import invert
+from fitting.uncertainty import chi2, degrees, invert, known_and_spread
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
@@ -112,12 +111,13 @@ def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiab
     spectrum = np.linalg.eigvalsh(product / np.outer(norms, norms))
     seen = spectrum[0] > 1e-15 * spectrum[-1]
     condition = float(np.sqrt(spectrum[-1] / spectrum[0])) if seen else float("inf")
-    hessian, _ = ml.normal_equations(parameters, lines)
+    level = chi2(parameters, lines) / max(degrees(lines), 1)
+    known, _ = known_and_spread(parameters, lines, level)
     sizes = relative_sizes(parameters, n)
-    fisher = 2.0 * hessian * np.outer(sizes, sizes)
+    fisher = 2.0 * known * np.outer(sizes, sizes)
     values, vectors = np.linalg.eigh(fisher)
     values = np.maximum(values, 1e-300)
-    bound = np.sqrt(np.diag(invert(2.0 * hessian)))
+    bound = np.sqrt(np.diag(invert(2.0 * known)))
     names = entry_names(n)
     combinations = []
     for place in range(min(_NAMED, len(values))):

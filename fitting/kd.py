@@ -30,6 +30,7 @@ from kinematics.errors import raise_all, sentence
 from kinematics.mass_record import MassMatrix
 from kinematics.motion import RigidMotion
 from kinematics.notices import Notice, unique
+from kinematics.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 COMPARE = "compare"
@@ -131,6 +132,9 @@ class KDOptions:
                         next_step=_range_step(option, low, high),
                     )
                 )
+        if tuple(name for name in DOF_NAMES if name in self.dof) != tuple(self.dof) or not self.dof:
+            wanted = f"different names in the order {', '.join(DOF_NAMES)}"
+            faults.append(sentence("--dof", wanted, ",".join(self.dof) or "nothing"))
         names = entry_names(len(self.dof))
         for option, bounds in (("--lower", self.lower), ("--upper", self.upper)):
             for name in bounds:
@@ -143,6 +147,11 @@ class KDOptions:
                             next_step="Count rows and columns in the order of --dof; K and D are symmetric",
                         )
                     )
+                elif not np.isfinite(bounds[name]):
+                    faults.append(sentence(f"{option} {name}", "a finite number in SI", bounds[name]))
+                elif option == "--upper" and name[1] == name[2] and bounds[name] <= 0.0:
+                    step = "K and D have no negative diagonals; leave the bound out or give a positive one"
+                    faults.append(sentence(f"--upper {name}", "positive", f"{bounds[name]:g}", "", step))
         for name in set(self.lower) & set(self.upper):
             if self.lower[name] >= self.upper[name]:
                 faults.append(

@@ -138,6 +138,12 @@ def _names(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: 
         found = parse_dof(",".join(raw))
     except StapeskitError as fault:
         raise FittingError(f"{key} ({where}): {fault}") from fault
+    if key == "dof" and list(found) != [name.strip().lower() for name in raw]:
+        step = (
+            f"Write dof = [{', '.join(f'{chr(34)}{name}{chr(34)}' for name in found)}] and order matrices so"
+        )
+        wanted = "in the order x, y, z, alpha, beta, gamma"
+        raise FittingError(sentence("dof", wanted, ", ".join(raw), where, step))
     return found if key == "dof" else tuple(name.strip() for name in raw)
 
 

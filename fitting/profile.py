@@ -2,7 +2,8 @@
 
 The interval of an entry holds all its values for which chi2, minimised over the other entries, exceeds its
 minimum by no more than a quantile of chi2 with one degree of freedom (Venzon and Moolgavkar 1988,
-doi:10.2307/2347496).
+doi:10.2307/2347496), times the variance of the entry over what the curvature of chi2 alone would give: the
+scores spread more than that where the noise of the motion is large (fitting.regressor_noise).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fitting.estimators import Estimate, EstimatorOptions, ml
 from fitting.estimators.base import solve_symmetric
 from fitting.lines import Lines
 from fitting.symmetric import pairs
-from fitting.uncertainty import invert
+from fitting.uncertainty import degrees, invert, known_and_spread
 
 Array = NDArray[np.float64]
 QUANTILE_95 = 3.841458820694124
@@ -52,13 +53,17 @@ def _intervals(lines: Lines, best: Estimate, widened: float) -> Array:
     hessian, _ = ml.normal_equations(best.parameters, lines)
     if not np.all(np.isfinite(hessian)):
         return np.tile([-np.inf, np.inf], (len(best.parameters), 1))
-    covariance = 0.5 * widened * invert(hessian)
-    wanted = QUANTILE_95 * widened
+    level = 2.0 * best.objective / max(degrees(lines), 1)
+    known, spread = known_and_spread(best.parameters, lines, level)
+    inverse = invert(known)
+    covariance = 0.5 * widened * inverse @ spread @ inverse
+    feigned = np.diag(covariance) / (0.5 * widened * np.diag(inverse))
+    wanted = QUANTILE_95 * widened * feigned
     ends = np.empty((len(best.parameters), 2))
     for place in range(len(ends)):
         for side, sign in enumerate((-1.0, 1.0)):
             ends[place, side] = best.parameters[place] + sign * _reach(
-                lines, best, covariance, place, sign, wanted
+                lines, best, covariance, place, sign, wanted[place]
             )
     half = len(ends) // 2
     for place, (row, column) in enumerate(pairs(lines.n)):

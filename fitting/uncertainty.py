@@ -17,6 +17,7 @@ from fitting.estimators import Estimate, estimator, ml
 from fitting.estimators.base import solve_symmetric
 from fitting.lines import Lines, State, backward, cholesky, evaluate, forward
 from fitting.problem import Problem
+from fitting.regressor_noise import information, regressor_noise
 from fitting.sensitivity import contract, slope_by_motion
 from fitting.symmetric import basis
 from kinematics.spatial import DOF_NAMES
@@ -68,19 +69,31 @@ def noise_covariance(problem: Problem, lines: Lines, found: Estimate) -> tuple[A
 
     Notes
     -----
-    ml: inverse Fisher matrix times max(1, chi2 / dof). The others and Student's t: the sandwich
-    H^-1 (sum g g^T) H^-T of the lines' scores g (White 1982, doi:10.2307/1912526).
+    ml: inverse Fisher matrix times max(1, chi2 / dof), with what the noise of the fitted motion feigns of
+    information taken off and its spread counted (fitting.regressor_noise). The others and Student's t: the
+    sandwich H^-1 (sum g g^T) H^-T of the lines' scores g (White 1982, doi:10.2307/1912526).
     """
     if problem.name == "ml" and problem.options.robust == "none":
-        hessian, _ = ml.normal_equations(found.parameters, lines)
-        widened = max(1.0, chi2(found.parameters, lines) / max(degrees(lines), 1))
-        return 0.5 * invert(hessian) * widened, widened, "fisher"
+        level = chi2(found.parameters, lines) / max(degrees(lines), 1)
+        known, spread = known_and_spread(found.parameters, lines, level)
+        inverse = invert(known)
+        widened = max(1.0, level)
+        return 0.5 * widened * inverse @ spread @ inverse, widened, "fisher"
     slope = _invert_general(score_slope(problem, lines, found.parameters))
     terms = estimator(problem.name).scores(found.parameters, lines, problem.options)
     terms = terms - terms.mean(axis=0)
     equations = 2 * lines.n * lines.count
     spread = terms.T @ terms * (equations / max(equations - lines.parameters, 1))
     return slope @ spread @ slope.T, 1.0, "sandwich"
+
+
+def known_and_spread(parameters: Array, lines: Lines, level: float) -> tuple[Array, Array]:
+    """Return the information of the lines (p, p), and twice the covariance of the scores.
+
+    ``level`` is chi2 over its degrees of freedom; see fitting.regressor_noise.information.
+    """
+    hessian, _ = ml.normal_equations(parameters, lines)
+    return information(hessian, regressor_noise(parameters, lines), level)
 
 
 def chi2(parameters: Array, lines: Lines) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.identifiability import relative_sizes
 from kinematics.notices import Notice
@@ -12,6 +13,7 @@ from kinematics.notices import Notice
 if TYPE_CHECKING:
     from fitting.kd import KDFit
 
+Array = NDArray[np.float64]
 # Published stiffness of the human annular ligament in piston direction, N/m.
 PISTON_RANGE = (120.0, 3200.0)
 # Human stapedes weigh 2 to 4.5 mg; outside this range a mass is one in another unit, or of something else.
@@ -19,6 +21,7 @@ _MASS_RANGE_MG = (0.5, 10.0)
 # Half length and half width of a human footplate, mm: radii of gyration about x, z lie below its size.
 _GYRATION_RANGE_MM = (0.2, 4.0)
 _MISFIT = 1e-4
+_FALSE_OUTLIERS = 0.01
 _BIASED = 0.02
 
 
@@ -87,16 +90,32 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
                     f"freedom is {ratio:.3g}.",
                 )
             )
-    if fit.estimate.weights is not None:
-        low = int(np.sum(fit.estimate.weights < 0.3))
-        if low:
-            found.append(
-                Notice(
-                    "outliers",
-                    f"{low} of {len(fit.estimate.weights)} lines were weighted below 0.3 as outliers.",
-                )
-            )
+    far = outlying(fit)
+    if len(far):
+        listed = ", ".join(f"{freq:.6g}" for freq in far[:5]) + (" ..." if len(far) > 5 else "")
+        text = f"{len(far)} of {len(fit.observation.freq_hz)} lines lie farther off than noise brings them"
+        found.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
     return found
+
+
+def outlying(fit: KDFit) -> Array:
+    """Return the frequencies (Hz) of lines that noise as that of most lines makes in 1 % of fits.
+
+    Notes
+    -----
+    A robust weight is 4 s / (4 s + 2 d) with the distance d of the line; over its median, 2 d is judged by
+    the chi2 distribution with two degrees of freedom an equation.
+    """
+    from scipy.special import chdtri
+
+    weights = fit.estimate.weights
+    if weights is None:
+        return np.empty(0)
+    distance = 1.0 / np.maximum(weights, 1e-300) - 1.0
+    degrees = 2 * len(fit.dof)
+    usual = float(np.median(distance)) / float(chdtri(degrees, 0.5))
+    limit = usual * float(chdtri(degrees, _FALSE_OUTLIERS / len(weights)))
+    return fit.observation.freq_hz[distance > limit]
 
 
 def _local(fit: KDFit) -> list[Notice]:

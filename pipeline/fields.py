@@ -146,6 +146,18 @@ def _voxels(value: object) -> tuple[int, int, int]:
     return int(values[0]), int(values[1]), int(values[2])
 
 
+def _bands(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value not in (0, *range(2, 101)):
+        raise refuse("0, or 2 to 100 parts of the band")
+    return value
+
+
+def _refits(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or (value != 0 and not 20 <= value <= 1_000_000):
+        raise refuse("a whole number from 20 to 1000000, or 0")
+    return value
+
+
 def _masses(value: object) -> tuple[tuple[float, ...], ...]:
     """Read point masses: x, y, z in mm, the mass in mg and, when known, its sd in mg."""
     expected = "a list of point masses [x, y, z, mg] or [x, y, z, mg, sd], mm and mg"
@@ -222,6 +234,8 @@ Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
 Number = Annotated[float, BeforeValidator(_number)]
 Percent = Annotated[float, BeforeValidator(_percent)]
 Whole = Annotated[int, BeforeValidator(_whole)]
+Bands = Annotated[int, BeforeValidator(_bands)]
+Refits = Annotated[int, BeforeValidator(_refits)]
 Label = Annotated[int, BeforeValidator(_label)]
 Voxels = Annotated[tuple[int, int, int], BeforeValidator(_voxels)]
 VoxelType = Annotated[

@@ -177,4 +177,5 @@ def fit_options(fit: Fit) -> KDOptions:
         constraint=fit.constraint,
         lower=fit.lower,
         upper=fit.upper,
+        bands=fit.bands,
     )

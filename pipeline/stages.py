@@ -177,6 +177,7 @@ class Fit:
         from fitting.dof2kd import footplate_outline, parameters
         from fitting.kd import fit_kd
         from fitting.kd_json import kd_json
+        from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
         from fitting.report import kd_sections
         from kinematics.mass_record import read_mass_record
         from kinematics.motion_files import read_motion
@@ -186,10 +187,17 @@ class Fit:
         mass, motion = read_mass_record(mass_file), read_motion(motion_file)
         options = fit_options(study.fit)
         fit = fit_kd(motion, mass.mass_matrix, options)
-        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, parameters(options)))
+        refits = study.fit.monte_carlo
+        stated = {**parameters(options), "monte_carlo": refits}
+        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, stated))
+        sections = kd_sections(fit, footplate_outline(mass))
+        if refits:
+            scatter = monte_carlo(fit, refits)
+            content["monte_carlo"] = monte_carlo_json(fit, scatter)
+            sections.append(monte_carlo_section(fit, scatter))
         text = json.dumps(content, indent=1) + "\n"
         (work.fresh / "kd.json").write_text(text, encoding="utf-8")
-        return ["kd.json"], Told(tuple(kd_sections(fit, footplate_outline(mass))), fit.notices)
+        return ["kd.json"], Told(tuple(sections), fit.notices)
 
 
 STAGES = (Scan, Motion, Fit)

@@ -114,6 +114,8 @@ class Fit(_Table):
     inplane: fields.Inplane = "auto"
     band_hz: fields.Range | None = None
     exclude_hz: fields.Ranges = ()
+    bands: fields.Bands = 5
+    monte_carlo: fields.Refits = 0
     constraint: fields.Constraint = "eigenvalues"
     lower: fields.Bounds = Field(default_factory=dict)
     upper: fields.Bounds = Field(default_factory=dict)

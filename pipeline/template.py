@@ -123,6 +123,10 @@ estimator = "ml"
 # Lines to use, and ranges to leave out, Hz.
 # band_hz = [400, 5000]
 # exclude_hz = [[49, 51], [990, 1010]]
+# Parts of the band whose K and D are compared with those of the whole; 0: none.
+# bands = 5
+# Refits of simulated repetitions that check the intervals, e.g. 10000 (about 10 s); 0: none.
+# monte_carlo = 0
 # Of the constrained estimator: eigenvalues or psd, and bounds of entries in SI.
 # constraint = "eigenvalues"
 # lower = { K11 = 100.0 }

@@ -22,6 +22,8 @@ _GROWTH = 20.0
 _ACTIVE = 1e-4
 _SHORTEST = 1e-10
 _CENTRED = 1e-4
+# Ratio of Cholesky pivots at which a matrix counts as singular: solving with it would be rounding.
+_THINNEST = 1e-7
 
 
 def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
@@ -55,6 +57,8 @@ def wall(parameters: Array, n: int, lower: Array | None = None, upper: Array | N
         try:
             pivots = np.diag(np.linalg.cholesky(part))
         except np.linalg.LinAlgError:
+            return float("inf")
+        if pivots.min() <= _THINNEST * pivots.max():
             return float("inf")
         value -= 2.0 * float(np.sum(np.log(np.maximum(pivots, 1e-300))))
     for bound, sign in ((lower, 1.0), (upper, -1.0)):

@@ -49,6 +49,11 @@ class Whitened:
     state: State
     factor: ComplexArray
 
+    def select(self, keep: NDArray) -> Whitened:
+        """Return some of the lines."""
+        state = State(self.state.residual[:, keep], self.state.gain[:, :, keep], self.state.noise[:, :, keep])
+        return Whitened(self.distance[keep], self.residual[:, keep], state, self.factor[:, :, keep])
+
     def corrected(self, lines: Lines) -> ComplexArray:
         """Return the whitened corrected regressor, (n, lines, p)."""
         with np.errstate(all="ignore"):

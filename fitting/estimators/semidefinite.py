@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.errors import FittingError
 from fitting.symmetric import basis, split
+from kinematics.errors import sentence
 
 Array = NDArray[np.float64]
 _MOST_STEPS = 60
@@ -67,8 +69,30 @@ def nearest(
     gap : float
         Upper bound of the distance of the objective from its minimum.
     steps : int
+
+    Raises
+    ------
+    FittingError
+        The equations are numerically singular.
     """
     signs, limits = _bounds(lower, upper, len(start))
+    try:
+        return _path(hessian, linear, start, n, gap, signs, limits)
+    except np.linalg.LinAlgError as fault:
+        raise FittingError(
+            sentence(
+                "the equations",
+                "numerically solvable for K >= 0 and D >= 0",
+                "equations that rounding makes singular",
+                next_step="Measure more lines, or fit fewer degrees of freedom with --dof",
+            )
+        ) from fault
+
+
+def _path(
+    hessian: Array, linear: Array, start: Array, n: int, gap: float, signs: Array, limits: Array
+) -> tuple[Array, float, int]:
+    """Follow the central path; where rounding ends it, return the last point with its gap."""
     now = np.array(start)
     slack = np.stack(split(now, n))
     bound_slack = signs @ now - limits
@@ -79,6 +103,8 @@ def nearest(
     for count in range(1, _MOST_STEPS + 1):
         dual = linear - hessian @ now + _adjoint(cone.multiplier, n) + signs.T @ cone.bound_multiplier
         if cone.gap <= gap and float(np.max(np.abs(dual))) <= _FEASIBLE * size:
+            return now, cone.gap, count
+        if count > 1 and _worn(cone):
             return now, cone.gap, count
         inverse = _inverse(cone.slack)
         factor = _inverse(np.linalg.cholesky(_regular(hessian + _schur(cone, inverse, signs, n))))
@@ -97,6 +123,12 @@ def nearest(
         now = now + reach * move
         cone = _moved(cone, ahead, reach, push)
     return now, max(cone.gap, 0.0), _MOST_STEPS
+
+
+def _worn(cone: _Cone) -> bool:
+    """Return whether rounding has taken a slack or a multiplier out of the cone."""
+    both = np.concatenate([cone.slack, cone.multiplier])
+    return bool(np.any(np.linalg.eigvalsh(both)[:, 0] <= 0.0))
 
 
 def _excess(hessian: Array, linear: Array, start: Array) -> float:

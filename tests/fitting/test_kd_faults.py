@@ -10,7 +10,8 @@ import pytest
 from fitting.errors import FittingError
 from fitting.kd import KDOptions, fit_kd
 from kinematics.errors import KinematicsError, StapeskitError
-from tests.fitting.cases import M, paper_motion, six_dof_mass
+from kinematics.spatial import DOF_NAMES
+from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
 
 
 @pytest.mark.parametrize(
@@ -33,6 +34,13 @@ from tests.fitting.cases import M, paper_motion, six_dof_mass
             {"lower": {"K11": 5.0}, "upper": {"K11": 4.0}, "estimator": "constrained"},
             "--lower K11 must be below 4; got 5",
         ),
+        ({"upper": {"K11": -5.0}, "estimator": "constrained"}, "--upper K11 must be positive; got -5"),
+        (
+            {"lower": {"D12": float("nan")}, "estimator": "constrained"},
+            "--lower D12 must be a finite number in SI; got nan",
+        ),
+        ({"dof": ("y", "gamma", "alpha")}, "--dof must be different names in the order x, y, z, alpha"),
+        ({"bands": 1}, "--bands must be 0, or 2 to 100 parts of the band; got 1"),
     ],
 )
 def test_wrong_choices_are_refused(options: dict, message: str) -> None:
@@ -105,3 +113,27 @@ def test_impossible_variances_are_refused(value: float) -> None:
 
 def test_every_fault_is_one_of_the_users() -> None:
     assert issubclass(FittingError, StapeskitError)
+
+
+@pytest.mark.parametrize("plain", ["M.csv", "bounds"])
+def test_dof_in_another_order_is_refused_where_entries_are_counted_by_it(plain, tmp_path) -> None:
+    """A matrix written in the order that was given would be read in the fixed one."""
+    from fitting.cli import _work
+
+    arguments = ["dof.csv", "--mass", str(tmp_path / ("M.csv" if plain == "M.csv" else "mass.json"))]
+    arguments += ["--dof", "y,gamma,alpha"]
+    if plain == "bounds":
+        arguments += ["--estimator", "constrained", "--lower", "K22=1"]
+    with pytest.raises(StapeskitError, match="Write --dof y,alpha,gamma and order rows and columns so"):
+        _work(arguments)
+
+
+def test_as_many_equations_as_unknowns_give_an_answer_that_says_what_it_is_worth() -> None:
+    fit = fit_kd(paper_motion(lines=2), M)
+    assert "weak_identifiability" in {notice.code for notice in fit.notices}
+    assert fit.n_dof == 0
+
+
+def test_one_direction_for_six_degrees_of_freedom_is_answered_with_what_is_not_known() -> None:
+    fit = fit_kd(six_dof_motion(0.05, 1, "y"), six_dof_mass(), KDOptions(dof=DOF_NAMES, inplane="ignore"))
+    assert "weak_identifiability" in {notice.code for notice in fit.notices}

@@ -243,7 +243,7 @@ def test_common_gain_of_both_bodies_changes_nothing() -> None:
 
 
 def test_understated_noise_widens_the_intervals() -> None:
-    motion = paper_motion(0.05, 4)
+    motion = paper_motion(0.05, 6)
     fit = fit_kd(motion, M)
     understated = fit_kd(replace(motion, covariance=motion.covariance / 9.0), M)
     assert understated.budget.widened == pytest.approx(9.0 * fit.chi2 / fit.n_dof, rel=1e-6)

@@ -85,6 +85,17 @@ def test_another_estimator_makes_only_fit_and_report_anew(ear):
     assert result.kd["estimator"] == "pinv"
 
 
+def test_refits_and_parts_of_the_band_are_in_the_result_and_the_report(ear):
+    study, out = ear
+    edit(study, 'dof = "y,alpha,gamma"', 'dof = "y,alpha,gamma"\nmonte_carlo = 40\nbands = 3')
+    result = run_study(study, out)
+    assert result.kd["monte_carlo"]["refits"] == 40
+    assert len(result.kd["frequency_dependence"]["bands_hz"]) == 3
+    html = (out / "report.html").read_text(encoding="utf-8")
+    assert "K and D over the band" in html
+    assert "40 simulated repetitions" in html
+
+
 @pytest.mark.parametrize("name", ["kd.json", "dof.csv", "report.html", ".stapeskit/fit.sections.json"])
 def test_an_edited_or_missing_output_is_made_anew(ear, name):
     study, out = ear

@@ -174,6 +174,11 @@ band_hz = [5000, 400]
         (RAW.replace('dtype = "int16"\n', ""), "scan.dtype must be given with scan.shape"),
         (RAW.replace("shape = [40, 50, 60]\n", ""), "scan.shape must be given with scan.dtype"),
         (GOOD + "[fit]\nexclude_hz = [60, 50]\n", "fit.exclude_hz must be two frequencies"),
+        (GOOD + "[fit]\nbands = 1\n", "fit.bands must be 0, or 2 to 100 parts of the band; got 1"),
+        (
+            GOOD + "[fit]\nmonte_carlo = 5\n",
+            "fit.monte_carlo must be a whole number from 20 to 1000000, or 0",
+        ),
     ],
 )
 def test_one_fault_each(text, words, tmp_path):
