@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from kinematics.faults.mixing import Mixing
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, blocks
+from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.spatial import dof_indices, point_rows
@@ -62,8 +63,8 @@ class Source:
 
     @classmethod
     def of(cls, fit: LineFit, freq_hz: Array, noise_known: bool = True) -> Source:
-        """Find the weights of a fit; of noise that is not known only what was stated of its proportions."""
-        noise = fit.noise if noise_known else LineNoise(fit.noise.stated)
+        """Find the weights of a fit; of noise that is not known its proportions and course over frequency."""
+        noise = fit.noise if noise_known else LineNoise(fit.noise.stated, noise_course(fit, freq_hz))
         common = noise.common()
         if common is not None and np.all(fit.solution.used == fit.value.shape[1]):
             share, line = common

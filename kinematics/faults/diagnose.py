@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
-from kinematics.faults.mixing import Mixing, axes_of, correlation_of
+from kinematics.faults.mixing import Mixing, axes_of, block_covariance, by_chance, scaled
 from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Finding, Search, can_lose
 from kinematics.faults.structure import Structure
 from kinematics.fit.beams import BeamSet
@@ -163,8 +163,14 @@ def _levelled(data: Compact) -> Compact:
 def _mixed(data: Compact) -> Compact:
     """Return the data with the noise that the channels of each point are found to have in common."""
     state = solve(data)
-    found = correlation_of(state.rest(), state.span, data.points, data.live)
-    return data if found is None else replace(data, mixing=Mixing.of(found, data.live)).repacked()
+    residual = state.rest()
+    found = block_covariance(residual, state.project(), data.points, data.live)
+    if found is None:
+        return data
+    shared = scaled(found, residual.shape[1])[0]
+    if by_chance(shared, data.points, data.live, residual.shape[1]):
+        return data
+    return replace(data, mixing=Mixing.of(shared, data.live)).repacked()
 
 
 def _again(

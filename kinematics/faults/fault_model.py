@@ -50,6 +50,12 @@ class State:
         """Return whitened values (channel, n) as those of the channels themselves, over their noise."""
         return white if self.data.mixing is None else self.data.mixing.back @ white
 
+    def project(self) -> Array:
+        """Return what turns the noise of the channels, over its size, into ``plain`` residuals."""
+        left = np.eye(len(self.span)) - self.span @ self.span.T
+        mixing = self.data.mixing
+        return np.asarray(left if mixing is None else mixing.back @ left @ mixing.whiten)
+
     @cached_property
     def own_span(self) -> Array:
         """Columns whose products with changes of the channels' rows are those of ``span``, (channel, m)."""

@@ -15,7 +15,8 @@ _MOST_AT_POINT = 6
 _CORRECTIONS = 8
 _MOST_CORRECTED = 150
 _LIKELY = 1e-4
-_SINGULAR = 0.02
+_SINGULAR = 0.05
+_SHRINK = 5.0
 
 
 @dataclass(frozen=True)
@@ -83,16 +84,17 @@ def axes_of(directions: Array, live: list[int]) -> list[list[int]]:
     return groups
 
 
-def correlation_of(
-    residual: ComplexArray, span: Array, points: tuple[str, ...], live: list[int]
+def block_covariance(
+    residual: ComplexArray, project: Array, points: tuple[str, ...], live: list[int]
 ) -> Array | None:
-    """Return the correlation (channel, channel) of the noise of each point's channels.
+    """Return the noise covariance (channel, channel) within each point, zero between points.
 
     Parameters
     ----------
     residual : ndarray, (channel, sample), complex
-        What a fit with orthonormal columns ``span`` (channel, m) leaves of noise alone.
-    span : ndarray, (channel, m)
+        What a fit leaves: noise times ``project``.
+    project : ndarray, (channel, channel)
+        From the noise of all channels to the residuals.
     points : tuple of str, (channel,)
     live : list of int
         Channels in use.
@@ -100,42 +102,58 @@ def correlation_of(
     Returns
     -------
     ndarray or None
-        None when there are too few samples to tell, or when chance may have made it.
+        None when there are too few samples, or points with more than one channel, to tell.
 
     Notes
     -----
-    Residuals of noise of covariance C have the covariance P C P, P = I - span span^T; its blocks are brought
-    to those measured by repeated correction. Under independent noise 2 N r^2 of a correlation r of N complex
-    values is chi-squared with one degree of freedom.
+    Residuals of noise of covariance C have the covariance Q C Q^T; the blocks of C are found by repeated
+    correction of those measured.
+    """
+    samples = residual.shape[1]
+    own = _points(points, live)
+    if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
+        return None
+    wanted = np.zeros(project.shape, dtype=bool)
+    for channels in own:
+        wanted[np.ix_(channels, channels)] = True
+    wanted[live, live] = True
+    held = np.where(wanted, np.real(residual @ residual.conj().T) / samples, 0.0)
+    found = held.copy()
+    for _ in range(_CORRECTIONS if len(project) <= _MOST_CORRECTED else 0):
+        found = found + np.where(wanted, held - project @ found @ project.T, 0.0)
+    return found if np.all(np.diag(found)[live] > 0.0) else None
+
+
+def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
+    """Return the correlation (channel, channel) and the standard deviations (channel,); 1 where none.
+
+    With few samples it is shrunk towards none, so that its inverse is not too large.
+    """
+    size = np.diag(covariance)
+    sd = np.sqrt(np.where(size > 0.0, size, 1.0))
+    made = covariance / np.outer(sd, sd) / (1.0 + _SHRINK / samples)
+    np.fill_diagonal(made, 1.0)
+    return made, sd
+
+
+def by_chance(correlation: Array, points: tuple[str, ...], live: list[int], samples: int) -> bool:
+    """Tell whether independent noise may show such correlations within points.
+
+    Notes
+    -----
+    2 N r^2 of a correlation r of N complex values is then chi-squared with one degree of freedom.
     """
     from scipy.special import chdtrc
 
-    samples = residual.shape[1]
+    off = np.concatenate(
+        [correlation[np.ix_(own, own)][np.triu_indices(len(own), 1)] for own in _points(points, live)]
+    )
+    return bool(chdtrc(len(off), 2.0 * samples * float(np.sum(off**2))) > _LIKELY)
+
+
+def _points(points: tuple[str, ...], live: list[int]) -> list[NDArray[np.intp]]:
+    """Return the channels in use of the points that have several."""
     groups: dict[str, list[int]] = {}
     for channel in live:
         groups.setdefault(points[channel], []).append(channel)
-    own = [np.array(channels) for channels in groups.values() if len(channels) > 1]
-    if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
-        return None
-    count = len(span)
-    wanted = np.zeros((count, count), dtype=bool)
-    for channels in own:
-        wanted[np.ix_(channels, channels)] = True
-    index = np.arange(count)
-    wanted[index, index] = False
-    wanted[live, live] = True
-    held = np.where(wanted, np.real(residual @ residual.conj().T) / samples, 0.0)
-    project = np.eye(count) - span @ span.T
-    found = held.copy()
-    for _ in range(_CORRECTIONS if count <= _MOST_CORRECTED else 0):
-        found = found + np.where(wanted, held - project @ found @ project, 0.0)
-    size = np.diag(found).copy()
-    if not np.all(size[live] > 0.0):
-        return None
-    sd = np.sqrt(np.where(size > 0.0, size, 1.0))
-    found = found / np.outer(sd, sd)
-    found[index, index] = 1.0
-    off = np.concatenate([found[np.ix_(c, c)][np.triu_indices(len(c), 1)] for c in own])
-    if chdtrc(len(off), 2.0 * samples * float(np.sum(off**2))) > _LIKELY:
-        return None
-    return found
+    return [np.array(channels) for channels in groups.values() if len(channels) > 1]

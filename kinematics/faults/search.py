@@ -13,7 +13,7 @@ from kinematics.faults.compact import Compact
 from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, Places, State, fit_fault, objective, solve, static
-from kinematics.faults.mixing import axes_of
+from kinematics.faults.mixing import Mixing, axes_of, block_covariance, scaled
 from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
 from kinematics.faults.structure import Structure, structure_of
 
@@ -26,7 +26,8 @@ _TESTED = {"channel": 2, "point": 1, "laser": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1}
 _SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
-_ALARM_SHARE = {"channel": 0.5, "point": 0.2, "laser": 0.1, "body": 0.1}
+_TURN, _FAR = 0.6, 3.0
+_ALARM_SHARE = {"channel": 1.0, "point": 0.25, "laser": 0.2, "body": 0.3}
 _ALARM_NOISE = 0.05
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
@@ -103,11 +104,14 @@ class Search:
         self.ratios = self._ratios()
         self.level = float(np.median(self.ratios[self.live])) if self.live else 1.0
         self.scale = max(1.0, self.level) if noise_known else self.level
+        if data.mixing is not None and self.samples >= 8 and self.live:
+            free = max(len(self.live) - self.state.span.shape[1], 1)
+            self.scale = max(self.scale, float(np.sum(np.abs(self.rest) ** 2)) / free / self.samples)
         groups: dict[str, list[int]] = {}
         for channel in self.live:
             groups.setdefault(data.points[channel], []).append(channel)
         self.by_point = groups
-        self.structure: Structure = structure_of(self.state, self.rest, self.scale)
+        self.structure = self._structure()
         self.tested: list[Tested] = []
 
     def _ratios(self) -> Array:
@@ -116,6 +120,23 @@ class Search:
         held = self.state.plain(held)
         left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
         return np.asarray(np.sum(np.abs(held) ** 2, axis=1) / left / max(held.shape[1], 1))
+
+    def _structure(self) -> Structure:
+        """Look for patterns that several points share; noise within a point is none, however correlated."""
+        found = structure_of(self.state, self.rest, self.scale)
+        both = self.state.plain(np.hstack([self.state.e, self.rest]))
+        within = None
+        if self.data.mixing is not None and found.p_value < 1.0:
+            within = block_covariance(both, self.state.project(), self.data.points, self.live)
+        if within is None:
+            return found
+        shared, sd = scaled(within)
+        even = replace(self.data, a=self.data.a / sd, mixing=Mixing.of(shared, self.live))
+        state = solve(even)
+        strict = structure_of(state, state.rest(), 1.0)
+        if strict.p_value <= found.p_value:
+            return found
+        return replace(found, ratio=strict.ratio, p_value=strict.p_value)
 
     def energy(self) -> Array:
         """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
@@ -143,6 +164,8 @@ class Search:
     def _freedom(self) -> float:
         """Return the degrees of freedom that an estimated noise rests on."""
         columns = self.samples if self.samples >= 8 else self.state.e.shape[1] + self.samples
+        if self.data.mixing is not None:
+            return 2.0 * columns
         return max(2.0 * columns * max(len(self.live) - self.state.span.shape[1], 1), 1.0)
 
     def chance(self, statistic: float | Array, size: int | Array) -> Array:
@@ -150,7 +173,7 @@ class Search:
         from scipy.special import chdtrc, fdtrc
 
         value = np.maximum(statistic, 0.0) / self.scale
-        if self.known:
+        if self.known and self.data.mixing is None:
             return np.asarray(chdtrc(size, value))
         return np.asarray(fdtrc(size, self._freedom(), value / size))
 
@@ -168,12 +191,17 @@ class Search:
         if lowest > self.alarm and unsure and not noisy:
             return None
         scored = list(noisy)
+        strange = False
         for fit in self._suspects():
             finding = self._finding(fit)
-            if finding.p_value < self.alarm:
+            if finding.p_value < self.alarm and not self._credible(fit):
+                strange = True
+            elif finding.p_value < self.alarm:
                 scored.append((log_evidence(fit, self.scale, self._alike(fit.fault)), finding))
         if not unsure and not self.structure.concentrated:
             scored.append((self.structure.gain / self.scale, self.flexible()))
+        if not scored and strange:
+            return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
@@ -181,6 +209,15 @@ class Search:
         near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
         rivals = tuple(other for value, other in scored[1:] if value > near and _differ(finding, other))
         return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
+
+    def _credible(self, fit: FaultFit) -> bool:
+        """Tell whether a fault is of a size that happens, or else leaves nothing but noise."""
+        if fit.fault.kind not in ("axes", "direction", "position"):
+            return True
+        size = float(np.linalg.norm(fit.parameters))
+        largest = _FAR * self.data.beams.lever_m if fit.fault.kind == "position" else _TURN
+        left = (len(self.live) - self.state.span.shape[1]) * self.state.e.shape[1]
+        return size < largest or self.before - fit.drop < 2.0 * self.scale * left
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""

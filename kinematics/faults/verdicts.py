@@ -81,7 +81,8 @@ def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
         start, end = 1.0 + p[0] + 1j * p[1] - p[2] - 1j * p[3], 1.0 + p[0] + 1j * p[1] + p[2] + 1j * p[3]
         return "drift", f"factor {_factor(start)} at the first line, {_factor(end)} at the last"
     if finding.kind == "direction":
-        angle, spread = float(np.linalg.norm(p)), float(np.sqrt(np.mean(sd**2)))
+        slope = float(np.linalg.norm(p))
+        angle, spread = np.arctan(slope), float(np.sqrt(np.mean(sd**2))) / (1.0 + slope**2)
         return "direction", f"beam off by {np.rad2deg(angle):.3g} +- {np.rad2deg(spread):.2g} deg"
     if finding.kind == "axes":
         turned = ", ".join(f"{value:.2g}" for value in np.rad2deg(p))
