@@ -56,6 +56,12 @@ def _bound(text: str) -> tuple[str, float]:
         ) from None
 
 
+_OF_FITS = (
+    "structure", "base", "dof", "estimator", "robust", "damping", "inplane", "constraint", "lower", "upper",
+    "band", "exclude", "bands", "monte_carlo",
+)  # fmt: skip
+
+
 def parser() -> Parser:
     """Return the parser of the command."""
     made = Parser(
@@ -142,8 +148,10 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     if options.plan is not None:
         return options, _plan(options)
     if options.motion is None or options.mass is None:
-        missing = "DOF" if options.motion is None else "--mass"
-        made.error(f"the following arguments are required: {missing}")
+        missing = [
+            name for name, value in (("DOF", options.motion), ("--mass", options.mass)) if value is None
+        ]
+        made.error(f"the following arguments are required: {', '.join(missing)}")
     from fitting.dof2kd import dof2kd
     from fitting.kd import KDOptions
     from fitting.report import summary_rows
@@ -191,6 +199,16 @@ def _plan(options: argparse.Namespace) -> Outcome:
         raise StapeskitError(
             "--plan must be given without DOF and --mass; got both. The plan names its mass itself "
             '(mass = "mass.json").'
+        )
+    ignored = [
+        f"--{name.replace('_', '-')}"
+        for name in _OF_FITS
+        if getattr(options, name) != parser().get_default(name)
+    ]
+    if ignored:
+        raise StapeskitError(
+            f"--plan must be given without options of a fit; got {', '.join(ignored)}. Put dof and band_hz "
+            "into the plan and leave the others out."
         )
     from fitting.dof2kd import plan2kd
     from fitting.plan import summary_rows

@@ -21,6 +21,8 @@ MEASURED = "#5d6b7a"
 SIMULATED = "#0b6e99"
 BASE = "#b7c0ca"
 ACCENT = "#c2571a"
+# A response is clear of its noise when it is so many standard deviations.
+_CLEAR = 3.0
 SYMBOLS = {"alpha": "α", "beta": "β", "gamma": "γ"}
 
 
@@ -85,7 +87,7 @@ def _amplitude(
 
 
 def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: int) -> None:
-    simulated = np.unwrap(np.angle(responses.simulated[chosen, place]))
+    simulated = _unwrapped(responses.simulated[chosen, place], responses.measured_sd[chosen, place])
     measured = np.angle(responses.measured[chosen, place] * np.exp(-1j * simulated)) + simulated
     spread = responses.amplitude_sd[chosen, place] / np.maximum(
         np.abs(responses.simulated[chosen, place]), 1e-300
@@ -96,6 +98,20 @@ def _phase(axis: Axes, freq: Array, responses: Responses, chosen: Array, place: 
     axis.fill_between(freq, degrees - band, degrees + band, color=SIMULATED, alpha=0.25, lw=0)
     axis.plot(freq, degrees, color=SIMULATED, lw=1.3, zorder=3)
     _tidy(axis, freq)
+
+
+def _unwrapped(response: NDArray[np.complex128], noise: Array) -> Array:
+    """Return the phase (lines,), rad, continued over lines that stand clear of their noise.
+
+    A line within its noise takes the turn of the clear line before it, so that noise cannot add turns.
+    """
+    phase = np.angle(response)
+    clear = np.flatnonzero(np.abs(response) > _CLEAR * np.nan_to_num(noise))
+    if len(clear) < 2:
+        return phase
+    known = np.unwrap(phase[clear])
+    before = known[np.maximum(np.searchsorted(clear, np.arange(len(phase)), side="right") - 1, 0)]
+    return phase + 2.0 * np.pi * np.round((before - phase) / (2.0 * np.pi))
 
 
 def _log_scale(axis: Axes) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fitting.model import passive
 from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.plan import Plan
 from kinematics.errors import StapeskitError, raise_all, sentence
-from kinematics.spatial import parse_dof
+from kinematics.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 KEYS = (
@@ -63,88 +63,126 @@ def read_plan(path: Path) -> tuple[Plan, Path | None]:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
         raise FittingError(sentence("--plan", "valid TOML", fault, path.name)) from fault
-    for key in table:
-        if key not in KEYS:
-            near = difflib.get_close_matches(key, KEYS, 1)
-            hint = f"Did you mean {near[0]}" if near else f"Known keys are {', '.join(KEYS)}"
-            raise FittingError(sentence("a key of the plan", "a known one", key, path.name, hint))
     return _plan(table, path)
 
 
+class _Faults:
+    """Gathers the faults of the parts of a file."""
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    def of(self, read: Callable[..., Any], *given: Any) -> Any:
+        """Return what a part reads, or None and keep its faults."""
+        try:
+            return read(*given)
+        except StapeskitError as fault:
+            self.found += str(fault).splitlines()
+            return None
+
+
 def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
-    where = path.name
-    dof = _names(table, "dof", PAPER_DOF, where)
-    directions = _names(table, "directions", ("y",), where)
-    outside = [name for name in directions if name not in dof]
-    if outside:
-        raise FittingError(
-            sentence("directions", f"out of the plan's dof, {', '.join(dof)}", ", ".join(outside), where)
-        )
-    mass, mass_file = _mass(table, dof, path)
-    stiffness = _expected(table, "stiffness", dof, np.array(PAPER_STIFFNESS), where)
-    damping = _expected(table, "damping", dof, np.array(PAPER_DAMPING_CORRECTED), where)
-    low, high = _band(table, where)
-    law = table.get("damping_law", "viscous")
-    faults = []
-    if law not in LAWS[:2]:
-        faults.append(sentence("damping_law", "viscous or hysteretic", law, where))
-    lines = table.get("lines", 200)
-    if not isinstance(lines, int) or isinstance(lines, bool) or not 2 <= lines <= 100_000:
-        faults.append(sentence("lines", "a whole number from 2 to 100000", lines, where))
-    if "noise_m_s" in table and "noise_relative" in table:
-        faults.append(sentence("the noise", "given as noise_m_s or as noise_relative", "both", where))
-    for key, zero in (
-        ("noise_m_s", False),
-        ("noise_relative", False),
-        ("base_velocity_m_s", False),
-        ("rocking", True),
-    ):
-        value = table.get(key, 1.0)
-        number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-        if not number or value < 0.0 or (value == 0.0 and not zero):
-            wanted = "a number, zero or positive" if zero else "a positive number"
-            faults.append(sentence(key, wanted, value, where))
-    raise_all(FittingError, faults)
+    where, faults = path.name, _Faults()
+    faults.found += _key_faults(table, where)
+    dof = faults.of(_dof, table, where)
+    directions = faults.of(_directions, table, dof, where)
+    mass: Any = None
+    stiffness: Any = None
+    damping: Any = None
+    if dof is not None:
+        mass = faults.of(_mass, table, dof, path)
+        stiffness = faults.of(_expected, table, "stiffness", dof, np.array(PAPER_STIFFNESS), where)
+        damping = faults.of(_expected, table, "damping", dof, np.array(PAPER_DAMPING_CORRECTED), where)
+    band = faults.of(_band, table, where)
+    faults.found += _value_faults(table, where)
     default = Plan()
+    structure = faults.of(_points, table, "structure_points_mm", default.structure_mm, where)
+    base = faults.of(_points, table, "base_points_mm", default.base_mm, where)
+    for key, points in (("structure_points_mm", structure), ("base_points_mm", base)):
+        if points is not None and dof is not None:
+            faults.of(_check_layout, key, points, dof, where)
+    raise_all(FittingError, faults.found)
     noise = table.get("noise_m_s")
     plan = Plan(
         dof,
-        mass,
+        mass[0],
         stiffness,
         damping,
-        _points(table, "structure_points_mm", default.structure_mm, where),
-        _points(table, "base_points_mm", default.base_mm, where),
+        structure,
+        base,
         None if noise is None else float(noise),
         float(table.get("noise_relative", default.noise_relative)),
         float(table.get("base_velocity_m_s", default.base_velocity_m_s)),
         float(table.get("rocking", default.rocking)),
-        low,
-        high,
-        lines,
+        band[0],
+        band[1],
+        table.get("lines", 200),
         directions,
-        DampingLaw(law),
+        DampingLaw(table.get("damping_law", "viscous")),
     )
-    _check_layout(plan, where)
-    return plan, mass_file
+    return plan, mass[1]
 
 
-def _names(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: str) -> tuple[str, ...]:
+def _key_faults(table: Mapping[str, Any], where: str) -> list[str]:
+    """Return a sentence for every key that is unknown."""
+    found = []
+    for key in table:
+        if key not in KEYS:
+            near = difflib.get_close_matches(key, KEYS, 1)
+            hint = f"Did you mean {near[0]}" if near else f"Known keys are {', '.join(KEYS)}"
+            found.append(sentence("a key of the plan", "a known one", key, where, hint))
+    return found
+
+
+def _value_faults(table: Mapping[str, Any], where: str) -> list[str]:
+    """Return a sentence for every single value that is none."""
+    found = []
+    law = table.get("damping_law", "viscous")
+    if law not in LAWS[:2]:
+        found.append(sentence("damping_law", "viscous or hysteretic", law, where))
+    lines = table.get("lines", 200)
+    if not isinstance(lines, int) or isinstance(lines, bool) or not 2 <= lines <= 100_000:
+        found.append(sentence("lines", "a whole number from 2 to 100000", lines, where))
+    if "noise_m_s" in table and "noise_relative" in table:
+        found.append(sentence("the noise", "given as noise_m_s or as noise_relative", "both", where))
+    for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking"):
+        value, zero = table.get(key, 1.0), key == "rocking"
+        number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+        if not number or value < 0.0 or (value == 0.0 and not zero):
+            wanted = "a number, zero or positive" if zero else "a positive number"
+            found.append(sentence(key, wanted, value, where))
+    return found
+
+
+def _list(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: str) -> list[str]:
+    """Return a list of names, or one comma list."""
     raw = table.get(key, list(default))
     if isinstance(raw, str):
         raw = raw.split(",")
     if not isinstance(raw, list) or not raw or not all(isinstance(name, str) for name in raw):
         raise FittingError(sentence(key, 'names of degrees of freedom, e.g. ["y", "alpha"]', raw, where))
-    try:
-        found = parse_dof(",".join(raw))
-    except StapeskitError as fault:
-        raise FittingError(f"{key} ({where}): {fault}") from fault
-    if key == "dof" and list(found) != [name.strip().lower() for name in raw]:
-        step = (
-            f"Write dof = [{', '.join(f'{chr(34)}{name}{chr(34)}' for name in found)}] and order matrices so"
-        )
-        wanted = "in the order x, y, z, alpha, beta, gamma"
+    return [name.strip().lower() for name in raw]
+
+
+def _dof(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    raw = _list(table, "dof", PAPER_DOF, where)
+    known = tuple(name for name in DOF_NAMES if name in raw)
+    if list(known) != raw:
+        hint = ", ".join(f'"{name}"' for name in known or PAPER_DOF)
+        wanted = f"different names in the order {', '.join(DOF_NAMES)}"
+        step = f"Write dof = [{hint}] and order the matrices so"
         raise FittingError(sentence("dof", wanted, ", ".join(raw), where, step))
-    return found if key == "dof" else tuple(name.strip() for name in raw)
+    return known
+
+
+def _directions(table: Mapping[str, Any], dof: tuple[str, ...] | None, where: str) -> tuple[str, ...]:
+    names = _list(table, "directions", ("y",), where)
+    allowed = DOF_NAMES if dof is None else dof
+    if len(set(names)) != len(names) or not set(names) <= set(allowed):
+        wanted = f"different names out of the plan's dof, {', '.join(allowed)}"
+        step = 'Write for example directions = ["y"], one for each run'
+        raise FittingError(sentence("directions", wanted, ", ".join(names), where, step))
+    return tuple(names)
 
 
 def _mass(table: Mapping[str, Any], dof: tuple[str, ...], path: Path) -> tuple[Any, Path | None]:
@@ -182,7 +220,9 @@ def _matrix(raw: Any, key: str, n: int, where: str) -> Array:
 def _expected(table: Mapping[str, Any], key: str, dof: tuple[str, ...], default: Array, where: str) -> Array:
     raw = table.get(key)
     if raw is None and dof != PAPER_DOF:
-        raise FittingError(sentence(key, f"given when dof is not {', '.join(PAPER_DOF)}", "nothing", where))
+        wanted = f"given when dof is not {', '.join(PAPER_DOF)}"
+        step = f"Write {key} = [[...], ...], {len(dof)} x {len(dof)} in SI"
+        raise FittingError(sentence(key, wanted, "nothing", where, step))
     matrix = default if raw is None else _matrix(raw, key, len(dof), where)
     root = np.sqrt(np.abs(np.diag(matrix)))
     symmetric = np.all(np.abs(matrix - matrix.T) <= 1e-6 * np.outer(root, root) + 1e-300)
@@ -213,18 +253,17 @@ def _points(table: Mapping[str, Any], key: str, default: Array, where: str) -> A
     return points
 
 
-def _check_layout(plan: Plan, where: str) -> None:
+def _check_layout(key: str, points: Array, dof: tuple[str, ...], where: str) -> None:
     """Refuse points that cannot tell the degrees of freedom apart."""
     from fitting.experiment import Layout
 
-    for key, points in (("structure_points_mm", plan.structure_mm), ("base_points_mm", plan.base_mm)):
-        if not Layout(points).determines(plan.dof):
-            raise FittingError(
-                sentence(
-                    key,
-                    f"enough points, well apart, for {', '.join(plan.dof)}",
-                    f"{len(points)} that leave a motion unseen",
-                    where,
-                    "Add points off the line through the others",
-                )
+    if not Layout(points).determines(dof):
+        raise FittingError(
+            sentence(
+                key,
+                f"enough points, well apart, for {', '.join(dof)}",
+                f"{len(points)} that leave a motion unseen",
+                where,
+                "Add points off the line through the others",
             )
+        )

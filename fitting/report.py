@@ -245,7 +245,7 @@ def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
     mass = fit.mass
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
     stiffness = zip(
-        ("y′ (N/m)", "about x′ (N m/rad)", "about z′ (N m/rad)"),
+        ("y′ (N/m)", "about x′ (N m)", "about z′ (N m)"),
         axes["stiffness_si"],
         axes["stiffness_sd_si"],
         strict=True,
@@ -295,6 +295,8 @@ def _budget(fit: KDFit) -> Section:
 
 def _leading(fit: KDFit, shares: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Say for each diagonal entry which source leads."""
+    if len(shares) == 1:
+        return [f"All of it is {source_words(next(iter(shares)))}: no other source was stated."]
     words = []
     n = len(fit.dof)
     for letter in "KD":

@@ -107,7 +107,12 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ("noise_m_s = 1e-6\nnoise_relative = 0.1", "got both"),
         ("rocking = -1", "zero or positive"),
         ('directions = ["x"]', "out of the plan's dof"),
-        ('directions = ["q"]', "directions"),
+        ('directions = ["q"]', "directions must be different names out of the plan's dof"),
+        ('directions = ["y", "y"]', "directions must be different names"),
+        (
+            'dof = ["y", "gamma", "alpha"]',
+            'Write dof = \\["y", "alpha", "gamma"\\] and order the matrices so',
+        ),
         ('dof = ["y"]', "mass must be given when dof"),
         ('dof = ["y"]\nmass = [[3e-6]]', "stiffness must be given when dof"),
         ('dof = ["y"]\nmass = [[-3e-6]]', "positive"),
@@ -121,6 +126,16 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
 def test_faults_of_a_plan_are_one_sentence(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(FittingError, match=message):
         read_plan(write(tmp_path, text))
+
+
+def test_all_faults_of_a_plan_stand_in_one_message(tmp_path: Path) -> None:
+    text = 'directons = ["y"]\nband_hz = [9, 1]\nlines = -5\nnoise_m_s = 0\ndof = ["foo"]\n'
+    with pytest.raises(FittingError) as fault:
+        read_plan(write(tmp_path, text))
+    told = str(fault.value)
+    for words in ("Did you mean directions", "low before high", "lines must be", "noise_m_s must be", "foo"):
+        assert words in told
+    assert len(told.splitlines()) == 5
 
 
 def test_faults_of_the_command(tmp_path: Path) -> None:
