@@ -4,7 +4,9 @@ Simulated: the paper's M, K and corrected D; base along y with 5 % rocking; 9 po
 the bone, each seen along three axes; white velocity noise on every channel. The 6-DOF rows have the same
 points, the base driven along two or three directions in runs of their own, and ml with several starts where
 the data are weak, as dof2kd does it. Coverage is over the first 400 replicates.
-Run: python benchmarks/fitting_estimators.py [replicates [six-DOF replicates]].
+"Equal noise" cases have the same noise at every line: a share of the piston motion in y, the same at 1 mm in
+the rotations, the base half of it; at the low end of the band it is as large as the deflection.
+Run: python benchmarks/fitting_estimators.py [replicates [six-DOF replicates [estimators]]].
 """
 
 from __future__ import annotations
@@ -48,6 +50,7 @@ class Case:
     high_hz: float = 5000.0
     outliers: float = 0.0
     directions: str = ""
+    equal: bool = False
 
 
 CASES = (
@@ -58,6 +61,8 @@ CASES = (
     Case("10 %, 500 lines", 0.10, 500),
     Case("5 %, 200 lines, 3 % of them x10", 0.05, 200, outliers=0.03),
     Case("weak: 30 %, 30 lines", 0.30, 30),
+    Case("equal noise, 5 %, 200 lines", 0.05, 200, equal=True),
+    Case("equal noise, 10 %, 400 lines", 0.10, 400, equal=True),
 )
 SIX = (
     Case("6 DOF, 5 %, 2 x 200 lines, y and x", 0.05, 200, directions="yx"),
@@ -93,6 +98,11 @@ def truth_of(case: Case) -> tuple[Problem, np.ndarray]:
         base = driven_base(freq, dof)
     mass = inertia.rows(dof, ())
     observation = observe(simulated_motion(mass, stiffness, damping, dof, freq, base, case.noise, None), dof)
+    if case.equal:
+        level = case.noise * np.sqrt(np.mean(np.abs(observation.structure[:, 0]) ** 2))
+        sd = level * np.array([1.0, 1e3, 1e3, 0.5, 5e2, 5e2])
+        covariance = np.broadcast_to(np.diag(2.0 * sd**2).astype(complex), observation.covariance.shape)
+        observation = replace(observation, covariance=covariance.copy())
     scale = Scale.of(observation, mass)
     problem = Problem(observation, inertia, scale, VISCOUS, "ml", EstimatorOptions())
     return problem, join(stiffness, damping) / scale.parameter_units(VISCOUS)
@@ -136,12 +146,12 @@ def run(task: tuple[Case, str, str, int]) -> str:
     )
 
 
-def main(replicates: int, six: int) -> None:
+def main(replicates: int, six: int, names: tuple[str, ...]) -> None:
     """Print the table."""
     print(f"{replicates} replicates each, {six} with 6 DOF; CRB is that of clean lines; times are of one ")
     print(f"processor. The largest of p biases has a scatter of 1/sqrt(replicates).\n\n{HEADER}")
-    tasks = [(case, name, robust, replicates) for case in CASES for name, robust in CHOSEN]
-    tasks += [(case, "ml", "none", six) for case in SIX]
+    tasks = [(case, name, robust, replicates) for case in CASES for name, robust in CHOSEN if name in names]
+    tasks += [(case, "ml", "none", six) for case in SIX if six and "ml" in names]
     with ProcessPoolExecutor(2) as pool:
         for row in pool.map(run, tasks):
             print(row, flush=True)
@@ -149,4 +159,5 @@ def main(replicates: int, six: int) -> None:
 
 if __name__ == "__main__":
     given = [int(word) for word in sys.argv[1:3]]
-    main(given[0] if given else 1000, given[1] if len(given) > 1 else 200)
+    chosen = tuple(sys.argv[3].split(",")) if len(sys.argv) > 3 else tuple(name for name, _ in CHOSEN)
+    main(given[0] if given else 1000, given[1] if len(given) > 1 else 200, chosen)
