@@ -18,6 +18,7 @@ SINGULAR = 1e-9
 _DOUBTFUL = 1e7
 _REFINE = 1e2
 _HOPELESS = 1e15
+_EXACT = 1e6
 _LINES = 1024
 _VALUES = 1_000_000
 
@@ -162,12 +163,44 @@ def predicted(basis: Array, z: Array) -> Array:
     return np.stack([basis @ np.ascontiguousarray(z[:, 0]), basis @ np.ascontiguousarray(z[:, 1])])
 
 
+def determining(basis: Array, root: Array) -> Array | None:
+    """Return roots of weights (channel,) of a range that can be solved; None when the channels lack rank.
+
+    Parameters
+    ----------
+    basis : ndarray, (channel, m)
+    root : ndarray, (channel,)
+        One over the standard deviations; zero at channels that are not used.
+
+    Notes
+    -----
+    The best channels that determine the motion by themselves are found first. Others that are a million times
+    as precise as the last of these bind the motion as well as exact ones, and are taken to be just so.
+    """
+    size = basis.shape[1]
+    order = np.argsort(-root, kind="stable")
+    order = order[root[order] > 0.0]
+    low, high = size, len(order)
+    if high < size or not _spans(basis[order]):
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if _spans(basis[order[:middle]]) else (middle + 1, high)
+    return np.minimum(root, _EXACT * root[order[low - 1]])
+
+
+def _spans(rows: Array) -> bool:
+    s = np.linalg.svd(rows, compute_uv=False)
+    return bool(s[-1] ** 2 > SINGULAR * s[0] ** 2)
+
+
 def _one_line(basis: Array, piece: Piece, line: int, z: Array, inverse: Array) -> bool:
     """Solve one line by singular values, in place; return whether it is determined."""
-    root = np.sqrt(piece.weight[:, line])[:, None]
-    u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
-    if len(s) < basis.shape[1] or not s[-1] ** 2 > SINGULAR * s[0] ** 2:
+    found = determining(basis, np.sqrt(piece.weight[:, line]))
+    if found is None:
         return False
+    root = found[:, None]
+    u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     turn = vt.T / s
     z[:] = turn @ (u.T @ (root * piece.y[:, :, line].T))
     inverse[:] = packed.pack(turn @ turn.T)

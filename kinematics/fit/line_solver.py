@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit import packed
-from kinematics.fit.line_gram import SINGULAR, each_line, spans
+from kinematics.fit.line_gram import SINGULAR, determining, each_line, spans
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
 
@@ -47,15 +47,19 @@ class Factor:
 
 def factorised(basis: Array, share: Array, used: NDArray[np.bool_]) -> Factor:
     """Factorise the beams of the channels used, each divided by its share of the noise."""
-    root = np.where(used, 1.0 / share, 0.0)[:, None]
-    u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     size = basis.shape[1]
+    plain = np.where(used, 1.0 / share, 0.0)
+    u, s, vt = np.linalg.svd(plain[:, None] * basis, full_matrices=False)
     good = len(s) == size and bool(s[-1] ** 2 > SINGULAR * s[0] ** 2)
+    root = plain[:, None]
+    if not good and (found := determining(basis, plain)) is not None:
+        root, good = found[:, None], True
+        u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     turn = (vt.T / s) if good else np.zeros((size, size))
     u = u if good else np.zeros((len(basis), size))
     back = np.ascontiguousarray(np.where(used[:, None], basis @ turn, 0.0))
     project = np.ascontiguousarray((u * root).T)
-    return Factor(used, root[:, 0] ** 2, project, back, turn, np.sum(u**2, axis=1), good)
+    return Factor(used, plain**2, project, back, turn, np.sum(u**2, axis=1), good)
 
 
 def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:

@@ -99,6 +99,12 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
         notices.append(Notice("sd_missing", f"{count} values have no {columns.sd} and were not used."))
+    exact = 0 if sd is None else int(np.sum(sd == 0.0))
+    if exact:
+        text = (
+            f"{exact} values have a noise of 0 and were taken to be exact to 1e-12 of the largest amplitude."
+        )
+        notices.append(Notice("sd_zero", text))
     bodies = []
     for number, name in enumerate(table.texts["body"].names):
         mine = np.flatnonzero(rows.body == number)

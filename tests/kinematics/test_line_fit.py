@@ -24,6 +24,7 @@ from tests.kinematics.simulated import (
     scene,
     smooth_motion,
     stapes_points,
+    three_beams,
 )
 
 SUBSETS = [dof for size in range(1, 7) for dof in combinations(DOF_NAMES, size)]
@@ -289,3 +290,21 @@ def test_readings_become_displacements_in_place_on_request():
     assert np.array_equal(taken.bodies[0].displacement, copied.bodies[0].displacement)
     assert np.shares_memory(taken.bodies[0].displacement, velocity)
     assert np.allclose(velocity, made.value)
+
+
+@pytest.mark.parametrize("where", ["one value", "one channel", "single values"])
+def test_values_that_are_nearly_exact_cost_no_line(where):
+    rng = np.random.default_rng(5)
+    places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(three_beams(20.0), (9, 1))
+    q = smooth_motion(rng, np.linspace(400.0, 5000.0, 300))
+    sd = np.full((27, 300), 1e-9)
+    exact = {"one value": (3, 7), "one channel": 3, "single values": rng.random(sd.shape) < 0.05}[where]
+    sd[exact] *= 1e-9
+    noise = rng.normal(size=(27, 600)).view(complex)
+    value = readings(places, beams, q) + sd * noise
+    fit = fit_lines(beam_set("s", places, beams, DOF_NAMES), value, sd)
+    assert np.all(fit.solution.good)
+    error = np.abs(fit.q - q) ** 2 / np.diagonal(fit.covariance, axis1=1, axis2=2)
+    assert np.mean(error) == pytest.approx(1.0, abs=0.08)
+    assert np.sum(fit.chi2) / np.sum(fit.n_dof) == pytest.approx(1.0, abs=0.05)
+    assert np.max(np.abs(fit.residual[exact])) < 1e-4 * 1e-9 or where == "single values"

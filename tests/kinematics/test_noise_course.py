@@ -1,0 +1,56 @@
+"""Noise of unknown size may fall or rise over frequency without being taken for motion that is not rigid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinematics.fit.beams import beam_set
+from kinematics.fit.noise_course import noise_course
+from kinematics.fit.rigid_fit import LineFit, fit_lines
+from kinematics.measurement import from_arrays
+from kinematics.points2dof import points2dof
+from kinematics.spatial import DOF_NAMES
+from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
+
+FREQ = np.linspace(100.0, 4000.0, 60)
+
+
+def fitted(power: float, seed: int = 1, loud: tuple[int, ...] = ()) -> LineFit:
+    """Return a fit with equal stated noise of data whose noise runs as a power of the frequency."""
+    rng = np.random.default_rng(seed)
+    places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(three_beams(20.0), (9, 1))
+    sd = 1e-10 * (FREQ / 500.0) ** power
+    sd[list(loud)] *= 30.0
+    value = readings(places, beams, smooth_motion(rng, FREQ))
+    value = value + sd * rng.normal(size=(27, 2 * len(FREQ))).view(complex)
+    return fit_lines(beam_set("s", places, beams, DOF_NAMES), value, np.array(1e-10))
+
+
+@pytest.mark.parametrize("power", [-2.0, -1.0, 1.0])
+def test_the_course_of_noise_is_found_beside_lines_that_stand_out(power: float) -> None:
+    course = noise_course(fitted(power, loud=(20, 41)), FREQ)
+    assert course is not None
+    wanted = (FREQ / 500.0) ** power
+    assert np.std(np.log(course / wanted)) < 0.15
+
+
+def test_noise_without_a_course_has_none() -> None:
+    assert [noise_course(fitted(0.0, seed), FREQ) for seed in range(8)] == [None] * 8
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_noise_of_velocities_in_other_quantities_is_no_flexible_body(order: int) -> None:
+    rng = np.random.default_rng(9)
+    places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(np.eye(3), (9, 1))
+    rate = 2.0 * np.pi * FREQ
+    clean = readings(places, beams, smooth_motion(rng, FREQ))
+    noise = 0.003 * np.mean(np.abs(clean) * rate) / rate * rng.normal(size=(27, 2 * len(FREQ))).view(complex)
+    body = {
+        "points": [str(c // 3) for c in range(27)],
+        "positions_mm": places,
+        "directions": beams,
+        "value": (clean + noise) * (1j * rate) ** order,
+    }
+    found = points2dof(from_arrays({"stapes": body}, FREQ, order=order))
+    assert {channel.verdict for channel in found.channels} == {"ok"}
