@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
+from ct_inertia.cupping import Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.distance import capped_distance
 from ct_inertia.levels import Air, Surroundings
 from ct_inertia.normal import normal_cdf
@@ -41,6 +42,7 @@ class Bone:
         Change of the level per mm along x, y, z of the box; 0 where noise explains it.
     place_mm : ndarray, (3,)
         Where ``level`` holds, from the box's first voxel along x, y, z.
+    cupping : Cupping or None
     """
 
     level: float
@@ -50,6 +52,7 @@ class Bone:
     notices: tuple[Notice, ...] = ()
     slope: Array = field(default_factory=lambda: np.zeros(3))
     place_mm: Array = field(default_factory=lambda: np.zeros(3))
+    cupping: Cupping | None = None
 
     def moved_to(self, place_mm: Array) -> Bone:
         """Return the same bone with its level at another place (3,) of the box."""
@@ -92,7 +95,9 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
                 rest += abs(change)
             start = np.array([s.start for s in reversed(box)])
             zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
-            return _bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
+            bone = _bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
+            notices = (*bone.notices, *deep_cupping_notice(change, contrast))
+            return replace(bone, notices=notices)
     return None
 
 
@@ -169,7 +174,8 @@ def _bone_of(
             f"its grey value; the budget holds what uniform density would change."
         )
         notices = (Notice("bone_inhomogeneous", text),)
-    return Bone(level, sd, noise, "interior", notices, slope, middle)
+    cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping))
+    return Bone(level, sd, noise, "interior", notices, slope, middle, cupping)
 
 
 def _scatter(values: Array, places_mm: Array) -> float:

@@ -20,6 +20,7 @@ SOURCES = {
     "separation": "cut between stapes and what touches it",
     "plate": "face of the plate",
     "inhomogeneity": "uneven bone",
+    "cupping": "cupping of bone",
     "threshold": "threshold that made the scan",
     "voxel_size": "voxel size",
     "density": "density",
@@ -68,8 +69,8 @@ def described(source: str) -> str:
     return SOURCES.get(source, source.replace("_", " "))
 
 
-def not_included(contributions: Mapping[str, Any], mass_known_by: str) -> list[str]:
-    """Say what the budget does not hold because nobody gave its uncertainty."""
+def not_included(contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False) -> list[str]:
+    """Say what the budget does not hold: what nobody gave an uncertainty of, and what a border cut off."""
     missing = []
     if mass_known_by == "density" and "density" not in contributions:
         missing.append("density not included")
@@ -79,4 +80,6 @@ def not_included(contributions: Mapping[str, Any], mass_known_by: str) -> list[s
         missing.append("calibration not included")
     if "voxel_size" not in contributions:
         missing.append("voxel size not included")
+    if cut:
+        missing.append("cut part not included")
     return missing

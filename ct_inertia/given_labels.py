@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
+from ct_inertia.border import CODE, BorderCut, border_notices, cut_notice
 from ct_inertia.cutting import Cut, box_around
 from ct_inertia.distance import capped_distance
 from ct_inertia.errors import CtInertiaError
@@ -103,7 +104,7 @@ def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
         levels=None,
         psf_sigma_mm=0.0,
         evidence={"separation": "labels alone"},
-        notices=(*labels.notices, Notice("labels_alone", text), *_cut_by_border(stapes)),
+        notices=(*labels.notices, Notice("labels_alone", text), *_cut_by_border(stapes, labels.spacing_mm)),
     )
 
 
@@ -163,18 +164,22 @@ def _labelled(
     return LabelledVolume.of_array(labels, first, grid)
 
 
-def _cut_by_border(stapes: NDArray[np.bool_]) -> list[Notice]:
+def _cut_by_border(stapes: NDArray[np.bool_], spacing_mm: Array) -> list[Notice]:
     """Warn when the labels end in a flat cut at the border; a crop that only touches them does not count."""
+    found = []
     for axis in range(3):
         layers = np.moveaxis(stapes, axis, 0)
-        for outer, inner in ((layers[0], layers[1]), (layers[-1], layers[-2])):
-            if np.count_nonzero(outer) > max(_LEAST_VOXELS, 0.8 * np.count_nonzero(inner)):
-                text = (
-                    "The stapes ends flat at the border of the label volume: what lies beyond it is missing "
-                    "from its mass."
-                )
-                return [Notice("touches_border", text)]
-    return []
+        for end, outer, inner in (("first", layers[0], layers[1]), ("last", layers[-1], layers[-2])):
+            count = int(np.count_nonzero(outer))
+            if count > max(_LEAST_VOXELS, 0.8 * np.count_nonzero(inner)):
+                found.append(_border_cut(axis, end, count, spacing_mm))
+    return [cut_notice(found, "label volume")] if found else []
+
+
+def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut:
+    """Return the cut in a layer across an axis of an array [z, y, x]."""
+    across = 2 - axis
+    return BorderCut("xyz"[across], end, float(count * np.prod(np.delete(spacing_mm, across))))
 
 
 def _cut_by_labels(
@@ -185,7 +190,8 @@ def _cut_by_labels(
 
     for axis in range(3):
         start, count = int(offset[2 - axis]), labels.array.shape[axis]
-        for layer, beyond in ((0, start - _BEYOND), (count - 1, start + count - 1 + _BEYOND)):
+        ends = (("first", 0, start - _BEYOND), ("last", count - 1, start + count - 1 + _BEYOND))
+        for name, layer, beyond in ends:
             if not 0 <= beyond < volume.array.shape[axis]:
                 continue
             end = np.take(labels.array, layer, axis=axis) == options.stapes_label
@@ -197,11 +203,13 @@ def _cut_by_labels(
             rest.insert(axis, slice(beyond, beyond + 1))
             further = finite(np.asarray(volume.array[tuple(rest)]), volume).squeeze(axis) > middle
             if np.count_nonzero(end & further) > max(_LEAST_END, 0.5 * np.count_nonzero(end)):
+                there = _border_cut(axis, name, int(np.count_nonzero(end)), labels.spacing_mm)
                 text = (
-                    "The stapes touches the border of the label volume while its bone goes on in the scan: "
-                    "what lies beyond is missing from volume and mass. Draw the labels to its end."
+                    f"The stapes touches the border of the label volume at {there.told} while its bone goes "
+                    f"on in the scan: what lies beyond is missing from volume and mass, and the uncertainty "
+                    f"does not hold it. Draw the labels to its end."
                 )
-                return [Notice("touches_border", text)]
+                return [Notice(CODE, text)]
     return []
 
 
@@ -237,7 +245,7 @@ def _grid(volume: Volume) -> str:
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies:
     """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
     from ct_inertia.coarse import finite
-    from ct_inertia.measure import border_notices, measure
+    from ct_inertia.measure import measure
 
     offset = _offset(volume, labels)
     stapes_low, stapes_high = _reach(labels, options.stapes_label)

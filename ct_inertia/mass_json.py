@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.border import CODE as CUT_BY_BORDER
 from ct_inertia.budget import budget, not_included
 from ct_inertia.native import which
 from ct_inertia.surface import Surface, write_surface
@@ -82,7 +83,11 @@ def mass_json(
         },
         "uncertainty": {
             **budget(matrix),
-            "not_included": not_included(matrix.contributions, result.options.mass_known_by),
+            "not_included": not_included(
+                matrix.contributions,
+                result.options.mass_known_by,
+                any(notice.code == CUT_BY_BORDER for notice in result.notices),
+            ),
         },
         "mass_known_by": result.options.mass_known_by,
         "mass_alternatives": [way.as_json(matrix) for way in result.ways[1:]],

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.bone_level import Bone, as_levels, measure_bone
+from ct_inertia.cupping import Cupping, cupping_notice
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.grids import gaussian
@@ -99,11 +100,19 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     parted = part_from_neighbours(cut, distance, reach, spacing, (air.level, bone.level), blur[0])
     share = _share(cut, parted, air, bone, blur[:2])
     moments = partial_volume_moments(share, volume.scan_from_index)
+    sloped = np.zeros(10)
     if np.any(bone.slope):
         bone = bone.moved_to(_unweighted_centre(moments, bone, air.level, volume, cut))
         share = replace(share, bone=bone.level)
         moments = partial_volume_moments(share, volume.scan_from_index)
-        moments = with_contribution(moments, "inhomogeneity", _by_slope(share, bone, volume, moments))
+        sloped = _by_slope(share, bone, volume, moments)
+        moments = with_contribution(moments, "inhomogeneity", np.outer(sloped, sloped))
+    notices = bone.notices
+    if bone.cupping is not None:
+        step = _by_cupping(share, bone.cupping, volume, cut, moments)
+        moments = with_contribution(moments, "cupping", np.outer(step, step))
+        # A slope beside the paraboloid is that of its flank.
+        notices = (*notices, cupping_notice(bone.cupping, _shares(step + sloped, moments)))
     if any(air.slope):
         covariance = moments.contributions["levels"] + _by_air(share, air, volume, moments)
         moments = with_contribution(moments, "levels", covariance)
@@ -126,7 +135,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         face,
         air.correlation,
         air.clipped,
-        (*bone.notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
+        (*notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
     )
 
 
@@ -177,14 +186,28 @@ def _unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume,
 
 
 def _by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:
-    """Return the covariance (10, 10) from taking bone of sloping grey values as it is, not as uniform."""
+    """Return what taking bone of sloping grey values as it is, not as uniform, adds to the moments (10,)."""
     away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
     contrast = share.bone - share.air
     along = (share.index * volume.spacing_mm) @ bone.slope
     w = (share.grey - share.air) / contrast
     change = w * (along - (w @ along) / w.sum()) / contrast
-    step = sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3
-    return np.outer(step, step)
+    return np.asarray(sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3)
+
+
+def _by_cupping(share: Share, cupping: Cupping, volume: Volume, cut: Cut, moments: Moments) -> Array:
+    """Return what cupping adds to the moments (10,) of bone that is uniform."""
+    away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
+    contrast = share.bone - share.air
+    w = (share.grey - share.air) / contrast
+    change = w * cupping.at((share.index - cut.first) * volume.spacing_mm) / contrast
+    return np.asarray(sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3)
+
+
+def _shares(step: Array, moments: Moments) -> tuple[float, float, float]:
+    """Return a change of the moments (10,) as a share of the volume, mm, and a share of the inertia."""
+    spread = abs(float(step[4:7].sum())) / float(np.trace(moments.second_mm5))
+    return abs(float(step[0])) / moments.volume_mm3, float(np.linalg.norm(step[1:4])), spread
 
 
 def _by_air(share: Share, air: Air, volume: Volume, moments: Moments) -> Array:
@@ -316,22 +339,3 @@ def _air_notices(air: Air, bone: Bone) -> list[Notice]:
         f"that keeps air above 0."
     )
     return [Notice("air_clipped", text)]
-
-
-def border_notices(volume: Volume, cut: Cut) -> list[Notice]:
-    """Warn when the stapes reaches the first or last voxel of the scan."""
-    index = np.stack(np.nonzero(cut.stapes)[::-1], axis=1)
-    low, high = index.min(axis=0) + cut.first, index.max(axis=0) + cut.first
-    if cut.working is None:
-        cut_off = np.any(low <= 0) or np.any(high >= volume.size - 1)
-    else:
-        begins, ends = cut.working.at_border(volume)
-        last = np.array(cut.stapes.shape[::-1]) - 1
-        cut_off = np.any(begins & (low <= 0)) or np.any(ends & (high >= last))
-    if not cut_off:
-        return []
-    text = (
-        "The stapes touches the border of the scan: what lies beyond it is missing from volume and mass. "
-        "Scan or export a larger field of view."
-    )
-    return [Notice("touches_border", text)]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Bodies
+from ct_inertia.border import border_notices
 from ct_inertia.coarse import Glance, calmed, take_glance
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
@@ -18,7 +19,7 @@ from ct_inertia.frame_surface import frame_surface
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
-from ct_inertia.measure import Measured, border_notices, measure
+from ct_inertia.measure import Measured, measure
 from ct_inertia.partial_volume import with_voxel_size
 from ct_inertia.plate_region import PlateRegion, PlateSurface, find_plate, surface_with_planes
 from ct_inertia.progress import Tell, untold

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from ct_inertia.bodies import LabelledVolume
+from ct_inertia.border import border_notices
 from ct_inertia.coarse import coarse_scan, material_levels, noise_of
 from ct_inertia.cutting import Cut
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.interior import interior
 from ct_inertia.levels import Surroundings, measure_air, unclipped
-from ct_inertia.measure import border_notices
 from ct_inertia.read import read_volume
 from ct_inertia.segmentation import find_bodies
 from ct_inertia.volume import Volume
