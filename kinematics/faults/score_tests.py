@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.fault_kinds import across
-from kinematics.faults.fault_model import Places, State
+from kinematics.faults.fault_model import State
+from kinematics.faults.refit import Places
 from kinematics.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
