@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 from kinematics.errors import StapeskitError, sentence
 from kinematics.notices import Notice
 
+_CHOICE = re.compile(r"argument (\S+): invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 
 
@@ -60,6 +61,11 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Turn a usage fault into the one exception that ends with exit code 2."""
+        found = _CHOICE.fullmatch(message)
+        if found:
+            option, got, choices = found.groups()
+            expected = "one of " + choices.replace("'", "")
+            raise StapeskitError(f"{self.prog}: " + sentence(option.split("/")[-1], expected, got))
         raise StapeskitError(
             f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
         )

@@ -103,8 +103,21 @@ def assemble(
 def without_dc(
     recordings: Sequence[tuple[str, Recording]],
 ) -> tuple[list[tuple[str, Recording]], list[Notice]]:
-    """Drop the line at 0 Hz, which holds no motion, and say so."""
+    """Drop the line at 0 Hz, which holds no motion, and say so.
+
+    Raises
+    ------
+    KinematicsError
+        A frequency below 0.
+    """
     kept, dropped, empty = [], Counter[str](), []
+    step = "Export the lines above 0 Hz"
+    below = [
+        sentence("the frequencies", "positive", f"{np.min(one.freq_hz):g} Hz", one.where, step)
+        for _, one in recordings
+        if np.any(one.freq_hz < 0.0)
+    ]
+    raise_all(KinematicsError, below)
     for file, one in recordings:
         good = one.freq_hz > 0.0
         if np.all(good):
@@ -124,7 +137,6 @@ def without_dc(
         )
         kept.append((file, made))
     if empty and not kept:
-        step = "Export the lines above 0 Hz"
         raise KinematicsError(sentence("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
     if not dropped:
         return kept, []

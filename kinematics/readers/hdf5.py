@@ -52,6 +52,7 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MOTIONS, motion_unit
+from kinematics.readers.values import number_faults, scaled
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
@@ -116,7 +117,8 @@ def _own(file: Any, name: str) -> Recordings:
     unit = motion_unit(_attribute(file, "unit"))
     if unit is None:
         got = f'"{_attribute(file, "unit")}"' if "unit" in file.attrs else "none"
-        faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name))
+        step = "Write the attribute unit, m/s for velocities"
+        faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name, step))
     schema, amplitude = _attribute(file, "schema"), _attribute(file, "amplitude")
     if schema not in ("", SCHEMA):
         faults.append(sentence("the attribute schema", SCHEMA, schema, name))
@@ -138,6 +140,11 @@ def _own(file: Any, name: str) -> Recordings:
         faults.append(sentence("point", f"the names of {channels} channels", "none", name, step))
     if np.any(~np.isfinite(freq)) or np.any(np.diff(freq) <= 0.0):
         faults.append(sentence("freq_hz", "ascending and finite", "others", name, "Sort the lines"))
+    if faults:
+        faults += number_faults("freq_hz", freq, (freq < 0.0), "positive", name)
+        faults += number_faults("the values", value, np.isinf(value), "finite, or NaN where missing", name)
+        size = np.linalg.norm(direction, axis=1)
+        faults += number_faults("direction", direction, size == 0.0, "unit vectors", name)
     raise_all(KinematicsError, faults)
     if unit is None:
         raise KinematicsError(sentence("the attribute unit", "known", "none", name))
@@ -152,7 +159,7 @@ def _own(file: Any, name: str) -> Recordings:
                 Recording(
                     points[k],
                     freq,
-                    value[run, k] * scale,
+                    scaled(value[run, k], scale),
                     unit.order,
                     f"{name}, channel {k + 1}" + (f", run {run + 1}" if runs > 1 else ""),
                     run_names[run] or (str(run + 1) if runs > 1 else ""),

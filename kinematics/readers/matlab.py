@@ -24,6 +24,7 @@ from kinematics.readers.mat_mapping import Layout, Signal, layout_of, read_mappi
 from kinematics.readers.mat_tree import describe, read_mat
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.values import scaled
 
 Array = NDArray[np.float64]
 _LENGTH_END = r"_(mm|um|m)$"
@@ -182,7 +183,7 @@ def _from_layout(
                     Recording(
                         names[k],
                         freq,
-                        values[k, :, beam] * scale,
+                        scaled(values[k, :, beam], scale),
                         unit.order,
                         f"{where}, {name}, row {k + 1}",
                         signal.run or layout.run,

@@ -13,6 +13,7 @@ from kinematics.notices import Notice
 from kinematics.readers.options import InputOptions, is_file
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.unit_labels import LENGTHS
+from kinematics.readers.values import scaled
 from kinematics.tables.points_csv import Points
 
 DEFAULT_RUN = "1"
@@ -66,7 +67,7 @@ def _said(recording: Recording, file: Recordings, options: InputOptions) -> Reco
     if options.amplitude == "rms" and not file.amplitude_stated and not recording.per:
         root = np.sqrt(2.0)
         sd = None if recording.sd is None else recording.sd * root
-        recording = replace(recording, value=recording.value * root, sd=sd)
+        recording = replace(recording, value=scaled(recording.value, root), sd=sd)
     if options.length_unit and not file.length_stated:
         recording = replace(recording, position_mm=recording.position_mm * LENGTHS[options.length_unit])
     return recording

@@ -11,6 +11,14 @@ from kinematics.errors import sentence
 from kinematics.readers.recording import Recording
 
 
+def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:
+    """Return numbers in another unit; infinite parts leave the other part alone."""
+    made = np.array(values, dtype=complex)
+    made.real *= factor
+    made.imag *= factor
+    return made
+
+
 def value_faults(recordings: Sequence[Recording]) -> list[str]:
     """List what is wrong with the numbers of recordings, one sentence for each kind and recording."""
     faults = []
@@ -27,6 +35,18 @@ def value_faults(recordings: Sequence[Recording]) -> list[str]:
             step = "Correct the number"
             faults.append(sentence("the number of averages", "1 or more", f"{one.n_avg:g}", one.where, step))
     return faults
+
+
+def number_faults(
+    thing: str, numbers: NDArray[np.generic], bad: NDArray[np.bool_], expected: str, where: str
+) -> list[str]:
+    """Return one sentence on the bad entries of an array, with the first of them and its place from 1."""
+    if not np.any(bad):
+        return []
+    first = tuple(int(place) for place in np.argwhere(bad)[0])
+    more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+    place = ", ".join(str(entry + 1) for entry in first)
+    return [sentence(thing, expected, f"{numbers[first]} at place {place}{more}", where, "Export it again")]
 
 
 def _told(

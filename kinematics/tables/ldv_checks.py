@@ -18,7 +18,7 @@ _SHORT = {
     for sign in ("", "+", "-")
     for axis in "xyz"
 }
-_MOST = 2000
+_MOST = 1_000_000
 
 
 def each(

@@ -245,7 +245,7 @@ class TestFaults:
             ("--mass-mg 300", "--mass-mg must be a mass that gives the volume"),
             ("--density 1900 --anterior 1,0", "--anterior must be 3 finite numbers"),
             ("--density 1900 --anterior 0,0,0", "--anterior must be a non-zero direction"),
-            ("--density 1900 --side up", "invalid choice: 'up'"),
+            ("--density 1900 --side up", "--side must be one of left, right; got up"),
             ("--density 1900 --spacing 0.02", "--spacing must be left out when the input is a surface mesh"),
             ("--density 1900 --threshold 5", "--threshold must be left out"),
             ("--density 1900 --seed 1,2,3", "--seed must be left out"),

@@ -39,7 +39,7 @@ def test_minus_lists_in_both_forms(parser):
         (["s.tif", "--anterior", "1,0"], "3 finite numbers"),
         (["s.tif", "--anterior", "1,0,nan"], "3 finite numbers"),
         (["s.tif", "--anterior", "a,b,c"], "3 finite numbers"),
-        (["s.tif", "--side", "middle"], "invalid choice"),
+        (["s.tif", "--side", "middle"], "--side must be one of left, right; got middle"),
         ([], "required"),
         (["s.tif", "--anterior"], "expected one argument"),
         (["s.tif", "--config", "nowhere.toml"], "an existing TOML file"),

@@ -138,6 +138,25 @@ def test_what_is_wrong_is_said(tmp_path, change, message):
         read(path)
 
 
+def test_all_that_is_wrong_is_said_at_once(tmp_path):
+    path = written(tmp_path / "ldv.h5")
+    with h5py.File(path, "a") as file:
+        file.attrs["unit"] = "furlong"
+        file["direction"][3] = 0.0
+        file["freq_hz"][0] = -5.0
+        file["re"][2, 1] = np.inf
+    with pytest.raises(KinematicsError) as caught:
+        read(path)
+    said = str(caught.value).splitlines()
+    assert [line.split(" must be")[0] for line in said] == [
+        "the attribute unit",
+        "freq_hz",
+        "the values",
+        "direction",
+    ]
+    assert "at place 1, 3, 2" in said[2]
+
+
 def _replace(file, name, values):
     if name in file:
         del file[name]

@@ -198,7 +198,7 @@ def test_refusals_of_the_command(tmp_path):
     with pytest.raises(KinematicsError) as caught:
         run(tmp_path, tmp_path / "none.uff", tmp_path / "nor.uff")
     assert len(str(caught.value).splitlines()) == 2
-    with pytest.raises(StapeskitError, match="invalid choice: 'pp'"):
+    with pytest.raises(StapeskitError, match="--amplitude must be one of peak, rms; got pp"):
         run(tmp_path, tmp_path / "ldv.csv", "--amplitude", "pp")
     with pytest.raises(KinematicsError, match="--beam must be x, y, z"):
         run(tmp_path, tmp_path / "ldv.csv", "--beam", "up")

@@ -12,6 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers import InputOptions
 from kinematics.readers.assemble import assemble
 from kinematics.readers.recording import Recording, Recordings
+from kinematics.readers.values import scaled
 from kinematics.tables.points_csv import read_points
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
@@ -334,3 +335,18 @@ def test_displacement_and_velocity_are_joined():
     places = [made.bodies[0].points.index(str(n)) for n in range(1, 7)]
     plain = assemble([recordings()]).bodies[0]
     np.testing.assert_allclose(made.bodies[0].displacement[0][places], plain.displacement[0][::3], rtol=1e-12)
+
+
+def test_frequencies_below_zero_are_no_dc_line():
+    made = recordings([0])
+    freq = np.concatenate([[-5.0], F[1:]])
+    turned = Recordings(
+        tuple(replace(one, freq_hz=freq) for one in made.recordings), file="a.uff", amplitude_stated=True
+    )
+    with pytest.raises(KinematicsError, match="the frequencies must be positive; got -5 Hz"):
+        assemble([turned])
+
+
+def test_scaling_leaves_the_other_part_of_an_infinite_number_alone():
+    made = scaled(np.array([complex(np.inf, 0.0), 1.0 + 2.0j]), 0.5)
+    assert made.tolist() == [complex(np.inf, 0.0), 0.5 + 1.0j]

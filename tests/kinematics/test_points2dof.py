@@ -190,14 +190,14 @@ def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
     ("options", "match"),
     [
         (["--frame", "scan"], "--frame scan must be given with --mass mass.json"),
-        (["--frame", "moon"], "invalid choice"),
+        (["--frame", "moon"], "--frame must be one of footplate, plate, scan; got moon"),
         (["--frame", "plate", "--fiducials", "f.csv"], "left out beside --fiducials"),
         (["--out", "dof.xlsx"], "--out must be a name that ends in"),
         (["--points", "nowhere.csv"], "--points must be an existing file"),
         (["--mass", "nowhere.json"], "--mass must be an existing file"),
         (["--dof", "y,roll"], "--dof must be a list"),
         (["--reference", "base:y"], "--reference must be BODY:DOF"),
-        (["--robust", "median"], "invalid choice"),
+        (["--robust", "median"], "--robust must be one of none, huber, t4; got median"),
         (["--calibration"], "--calibration must be a known option"),
     ],
 )
