@@ -14,6 +14,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -44,12 +45,10 @@ def judged(made: Scene, seed: int, stated: bool = True, position_sd_mm: float = 
     return points2dof(data, options=Options(("y", "alpha", "gamma")) if flat else None)
 
 
-def table(arguments: argparse.Namespace) -> list[str]:
-    """Return the markdown table of one setting."""
-    rows = [
-        "| geometry | fault | found | bound | culprit named | right kind | accused beside it |",
-        "|-|-|-|-|-|-|-|",
-    ]
+def table(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield the lines of the markdown table of one setting as they come."""
+    yield "| geometry | fault | found | bound | culprit named | right kind | accused beside it |"
+    yield "|-|-|-|-|-|-|-|"
     sd = arguments.position_um * 1e-3
     for geometry in GEOMETRIES:
         for fault in FAULTS:
@@ -74,11 +73,10 @@ def table(arguments: argparse.Namespace) -> list[str]:
                     told = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
                     print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {told}")
             n = arguments.scenes
-            rows.append(
+            yield (
                 f"| {geometry} | {fault} | {found / n:.3f} | {np.mean(best):.3f} | {named / n:.3f} | "
                 f"{right / n:.3f} | {beside / n:.2f} |"
             )
-    return rows
 
 
 def clean(arguments: argparse.Namespace) -> list[str]:
@@ -125,7 +123,8 @@ def main() -> None:
     arguments = parser.parse_args()
     start = time.process_time()
     if arguments.scenes:
-        print("\n".join(table(arguments)))
+        for line in table(arguments):
+            print(line, flush=True)
     if arguments.clean:
         print("\n".join(["", *clean(arguments)]))
     print(f"\n{time.process_time() - start:.0f} s of processor time, seed {arguments.seed}.")

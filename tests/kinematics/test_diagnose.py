@@ -194,3 +194,11 @@ def test_runs_are_judged_apart():
     counts = Counter((v.run, v.verdict) for v in result.channels)
     assert counts == {("a", "ok"): 27, ("b", "ok"): 26, ("b", "sign"): 1}
     assert "in run b" in result.notices[0].text
+
+
+def test_directions_that_fit_nothing_are_no_turn_of_all_beams():
+    made = scene(12)
+    made.directions = np.tile([0.0, 1.0, 0.0], (27, 1))
+    result, found = judged(made, options=Options(("y", "alpha", "gamma")))
+    assert found == {"flexible": list(range(27))}
+    assert "non-rigid motion" in result.channels[0].estimate

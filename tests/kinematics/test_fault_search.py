@@ -12,7 +12,8 @@ from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
 from kinematics.faults.compact import compact
 from kinematics.faults.fault_kinds import gain
-from kinematics.faults.fault_model import Places, fit_fault, solve, static
+from kinematics.faults.fault_model import fit_fault, solve, static
+from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, batches
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.fault_scenes import scene as drawn
+from benchmarks.points_faults import judged as run
 from kinematics.errors import KinematicsError
 from kinematics.frames import RigidTransform, rotation_from_vector
 from kinematics.geometry.placement import Placement
@@ -58,6 +60,13 @@ def test_when_both_are_mirrored_no_residual_shows_it():
 def test_other_faults_are_not_taken_for_mirrored_axes(fault):
     for seed in range(3):
         points2dof(measured(seed, fault), Placement(POSE))
+
+
+@pytest.mark.parametrize("fault", ["sign", "label swap", "position 200 um", "point sign"])
+def test_one_fault_beside_position_errors_on_a_small_plate_is_not_taken_for_mirrored_axes(fault):
+    for seed in range(1000, 1004):
+        made = drawn(seed, "footplate, 5 points 3D", fault, position_sd_mm=0.02)
+        run(made, seed, True, 0.02)
 
 
 def test_flat_sets_of_points_and_parallel_beams_are_left_alone():
