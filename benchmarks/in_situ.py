@@ -1,10 +1,12 @@
 """How well is the stapes parted from the bone it stands in? Hard ears, each in two poses, and their truth.
 
     python benchmarks/in_situ.py [WORD ...]        only the cases whose names hold one of the words
+    python benchmarks/in_situ.py --peer [WORD ...]       beside a marker watershed (scikit-image)
 
 Simulated scans of a real stapes: PSF 1.2 voxels, noise 4 % of the contrast between bone and air. ``stated``
 is the standard deviation that the program gives with its volume; M is the largest error over sqrt(Mii Mjj)
-of the mass matrix about the true footplate centre, so that the cut alone shows.
+of the mass matrix about the true footplate centre, so that the cut alone shows. The watershed is told levels,
+blur, place and true volume (benchmarks/peers/watershed.py).
 """
 
 from __future__ import annotations
@@ -38,19 +40,23 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-def row(settings: dict[str, Any], seed: int) -> str:
-    """Return one line of the table behind the case's name."""
+def scanned(settings: dict[str, Any], seed: int) -> tuple[Any, Any, dict[str, Any]]:
+    """Return the placed bodies, the voxels, and the truth behind them."""
+    from sample_volumes.phantom import Ear, render, scene, truth
+
+    placed = scene(Ear(pose_seed=seed, noise_seed=seed, **{"voxel_mm": (0.02,) * 3, **settings}))
+    return placed, render(placed), truth(placed)
+
+
+def ours(placed: Any, grey: Any, behind: dict[str, Any]) -> str:
+    """Return one line of the table behind the case's name: find_bodies."""
     from ct_inertia.errors import CtInertiaError
     from ct_inertia.mass_properties import footplate_mass_matrix, from_density
     from ct_inertia.segmentation import find_bodies
     from ct_inertia.volume import Volume
     from kinematics.frames import RigidTransform
-    from sample_volumes.phantom import Ear, render, scene, truth
 
-    voxel = settings.get("voxel_mm", (0.02,) * 3)
-    placed = scene(Ear(pose_seed=seed, noise_seed=seed, **{"voxel_mm": voxel, **settings}))
-    behind = truth(placed)
-    volume = Volume(render(placed), np.array(voxel), np.zeros(3), np.eye(3))
+    volume = Volume(grey, np.array(placed.ear.voxel_mm), np.zeros(3), np.eye(3))
     started = time.process_time()
     try:
         bodies = find_bodies(volume)
@@ -73,16 +79,42 @@ def row(settings: dict[str, Any], seed: int) -> str:
     )
 
 
+def peer(placed: Any, grey: Any, behind: dict[str, Any]) -> str:
+    """Return one line of the table behind the case's name: a marker watershed on the box of the stapes."""
+    from benchmarks.ct_accuracy import against
+    from benchmarks.peers.watershed import watershed_integral
+
+    ear, spacing = placed.ear, placed.ear.voxel_mm[0]
+    stapes, reach = placed.solids[0][0].vertices / spacing, int(np.ceil(0.5 / spacing))
+    low = np.maximum(np.floor(stapes.min(axis=0)).astype(int) - reach, 0)
+    high = np.ceil(stapes.max(axis=0)).astype(int) + reach
+    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    started = time.process_time()
+    levels, sigma = (ear.levels[0], ear.levels[2]), ear.psf_voxels * spacing
+    size, centre, second, depth = watershed_integral(
+        grey[box], spacing, levels, sigma, behind["volume_m3"] * 1e9
+    )
+    seconds = time.process_time() - started
+    off = against(behind, size, centre + low * spacing, second)
+    return (
+        f"{off['volume']:+.3f} % | none | {off['centre']:.2f} um | {off['matrix']:.3f} % | "
+        f"eroded by {depth:g} voxels | {seconds:.1f} s |"
+    )
+
+
 def main() -> None:
     """Print the table."""
-    words = sys.argv[1:]
+    words = [word for word in sys.argv[1:] if word != "--peer"]
     print("| case | pose | volume | stated | centre of mass | M | warnings | CPU |")
     print("|-|-|-|-|-|-|-|-|")
     for name, settings in CASES.items():
         if words and not any(word in name for word in words):
             continue
         for seed in (1, 2):
-            print(f"| {name} | {seed} | {row(settings, seed)}", flush=True)
+            placed, grey, behind = scanned(settings, seed)
+            print(f"| {name} | {seed} | {ours(placed, grey, behind)}", flush=True)
+            if "--peer" in sys.argv:
+                print(f"| {name}: watershed | {seed} | {peer(placed, grey, behind)}", flush=True)
 
 
 if __name__ == "__main__":

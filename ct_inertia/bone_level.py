@@ -171,7 +171,7 @@ def _bone_of(
         text = (
             f"The grey value of bone varies inside the stapes by {varies:.1f} % (standard deviation), more "
             f"than noise: its density is not uniform, or the scan is shaded. The mass matrix weights bone by "
-            f"its grey value; the budget holds what uniform density would change."
+            f"its grey value; without a calibration the budget holds what uniform density would change."
         )
         notices = (Notice("bone_inhomogeneous", text),)
     cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping))

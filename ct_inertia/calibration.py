@@ -185,6 +185,9 @@ def from_calibration(
     com_m = parameters[1:4] / parameters[0]
     linear = parameter_transfer(np.eye(3), com_m)
     contributions = {name: linear @ part @ linear.T for name, part in main.contributions.items()}
+    if "cupping" not in contributions:
+        # Calibrated grey values are densities: where nothing shades them, uneven bone is no doubt.
+        contributions.pop("inhomogeneity", None)
     parameters = linear @ parameters
     if line.sd_kg_m3 is not None:
         step = parameters * (line.sd_kg_m3 / density)

@@ -49,6 +49,30 @@ def test_exact_moments_have_no_error_and_a_wrong_frame_has():
     assert against(exact, *found, off)["matrix"] > 0.3
 
 
+def test_the_watershed_parts_two_boxes_and_sums_the_one_of_the_true_volume():
+    from benchmarks.peers.watershed import watershed_integral
+    from ct_inertia.grids import gaussian
+
+    grey = np.zeros((40, 50, 60), dtype=np.float32)
+    grey[10:30, 10:40, 10:30] = 1.0
+    grey[10:30, 10:40, 33:45] = 1.0
+    exact, levels = 20 * 30 * 20 * 0.02**3, (8000.0, 30000.0)
+    seen = 8000.0 + 22000.0 * gaussian(grey, 1.0)
+    volume, centre, second, _ = watershed_integral(seen, 0.02, levels, 0.02, exact)
+    assert volume == pytest.approx(exact, rel=2e-3)
+    np.testing.assert_allclose(centre, np.array([19.5, 24.5, 19.5]) * 0.02, atol=5e-4)
+    np.testing.assert_allclose(np.diag(second), exact * np.array([0.4, 0.6, 0.4]) ** 2 / 12, rtol=0.01)
+
+
+def test_a_row_of_the_conditions_holds_errors_and_warnings(tmp_path):
+    from benchmarks.ct_conditions import made, row
+
+    cells = row(tmp_path, made(tmp_path, 40, ("--cupping", "10"), seed=2), False).split(" | ")
+    volume, stated = (float(cell.rstrip(" %")) for cell in cells[:2])
+    assert abs(volume) < 3.0 * stated < 1.0
+    assert "bone_cupping" in cells[-1]
+
+
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory):
     path = tmp_path_factory.mktemp("scan") / "scan.ome.tif"
