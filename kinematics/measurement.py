@@ -146,6 +146,9 @@ class Measurement:
     common_sd : ndarray, (run, freq), or None
         Relative standard deviation of the real (= imaginary) part of an error that all channels of a run
         share: noise of the signal that the readings refer to. It is not in the sd of the channels.
+    line_spread : float
+        By what factor the variance of slowly varying sums over lines exceeds that of independent lines, as
+        windows of spectra make it; static faults are judged by such sums.
     """
 
     frame: str
@@ -157,6 +160,7 @@ class Measurement:
     notices: tuple[Notice, ...] = ()
     takes: tuple[Take, ...] = ()
     common_sd: Array | None = None
+    line_spread: float = 1.0
 
     def __post_init__(self) -> None:
         faults = []

@@ -266,7 +266,7 @@ def _diagnosed(
     whole = fit
     if len(dof) < 6:
         whole = refitted(extended_beams(body, dof), fit)
-    data = compact(whole, body, placed.freq_hz, known)
+    data = compact(whole, body, placed.freq_hz, known, placed.line_spread)
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
     return diagnose(data, body.position_sd_mm * 1e-3, known, alarm)
 

@@ -223,7 +223,9 @@ class Compact:
         return _packed(self.source, self)
 
 
-def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool = True) -> Compact:
+def compact(
+    fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool = True, line_spread: float = 1.0
+) -> Compact:
     """Pack the fit of a body in one run.
 
     Parameters
@@ -234,6 +236,9 @@ def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool 
     freq_hz : ndarray, (freq,)
     noise_known : bool
         The sd are absolute.
+    line_spread : float
+        By what factor noise that neighbouring lines have in common widens the packed lines, which are slowly
+        varying mixtures.
 
     Notes
     -----
@@ -251,14 +256,14 @@ def compact(fit: LineFit, body: BodyChannels, freq_hz: Array, noise_known: bool 
         body.directions,
         body.points,
         nothing,
-        source.channel,
+        source.channel / np.sqrt(line_spread),
         none,
         np.zeros(0),
         np.zeros(0),
         nothing,
         none,
         np.ones((count, parts), dtype=complex),
-        np.ones(count),
+        np.full(count, np.sqrt(line_spread)),
         source,
     )
     return _packed(source, empty, first=True)
@@ -319,7 +324,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     if first and not source.even:
         total = float(sum(number_of))
         with np.errstate(divide="ignore", invalid="ignore"):
-            lift = np.where(seen > 0.0, total / seen, 1.0)
+            lift = data.lift * np.where(seen > 0.0, total / seen, 1.0)
             channel = np.where(seen > 0.0, np.sqrt(total / variance) / lift, 0.0)
     middle = [slice(start, stop) for start, stop in pairwise(edges)]
     tau = np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.zeros(1)

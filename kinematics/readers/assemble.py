@@ -96,7 +96,15 @@ def assemble(
     notices += said
     runs = tuple(take.name for take in places.takes)
     return Measurement(
-        frame, runs, places.lines, bodies, order, notices=unique(notices), takes=takes, common_sd=common
+        frame,
+        runs,
+        places.lines,
+        bodies,
+        order,
+        notices=unique(notices),
+        takes=takes,
+        common_sd=common,
+        line_spread=max(one.line_spread for one in flat),
     )
 
 

@@ -67,6 +67,8 @@ class Recording:
         Which repetition of the same run, empty with a single one.
     level : float
         Level of the excitation, in any unit; NaN when unknown.
+    line_spread : float
+        By what factor the variance of slowly varying sums over lines exceeds that of independent lines.
     common_sd : ndarray, (freq,), or None
         Relative standard deviation of the real (= imaginary) part of an error that all recordings made at
         the same time share: noise of their reference. It is not in ``sd``.
@@ -95,6 +97,7 @@ class Recording:
     repeat: str = ""
     level: float = float("nan")
     common_sd: Array | None = None
+    line_spread: float = 1.0
 
     def __post_init__(self) -> None:
         faults = []

@@ -291,6 +291,7 @@ def _recordings(
             None if np.isnan(frf.n_avg) else frf.n_avg,
             per="" if reference is None else reference.unit,
             common_sd=frf.common_sd[kept],
+            line_spread=frf.line_spread,
         )
         for k, (one, point) in enumerate(zip(group.channels, group.points, strict=True))
     ]

@@ -114,6 +114,17 @@ def effective_averages(taper: Array, hop: int, segments: int) -> float:
     return segments / total
 
 
+def line_spread(taper: Array) -> float:
+    """Return the variance of slowly varying sums over lines over that of independent lines.
+
+    Notes
+    -----
+    Spectra of white signals at lines m apart have the correlation R_m = DFT(w^2)_m / DFT(w^2)_0, products
+    of reference and noise R_m^2; summed over all m that is N sum w^4 / (sum w^2)^2 by Parseval.
+    """
+    return float(len(taper) * np.sum(taper**4) / np.sum(taper**2) ** 2)
+
+
 def segment_for(samples: int, averages: int, overlap: float) -> int:
     """Return the longest even segment of which so many fit into a record."""
     length = int(samples / (1.0 + (averages - 1) * (1.0 - overlap)))
@@ -202,6 +213,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         common_sd,
         np.sqrt(gxx) * np.sqrt(2.0) / np.sqrt(how.segment * np.sum(taper**2)),
         tuple(_notices(common_sd, common / gxx, averages, how)),
+        line_spread(taper),
     )
 
 

@@ -38,6 +38,9 @@ class Frf:
     common_sd : ndarray, (freq,)
         Relative standard deviation of the real (= imaginary) part of the factor (1 + e) that multiplies
         the responses of all channels recorded together: noise of the reference. 0 where none is seen.
+    line_spread : float
+        By what factor the variance of slowly varying sums over lines exceeds that of independent lines: a
+        window correlates the noise of neighbouring lines.
     reference : ndarray, (freq,)
         Size of the reference: peak amplitude of a line, or root mean square in a resolution band.
     notices : tuple of Notice
@@ -57,6 +60,7 @@ class Frf:
     common_sd: Array
     reference: Array
     notices: tuple[Notice, ...] = ()
+    line_spread: float = 1.0
 
 
 def split_noise(

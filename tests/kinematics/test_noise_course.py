@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
+from kinematics.signals.frf import line_spread
 from kinematics.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
@@ -54,3 +57,32 @@ def test_noise_of_velocities_in_other_quantities_is_no_flexible_body(order: int)
     }
     found = points2dof(from_arrays({"stapes": body}, FREQ, order=order))
     assert {channel.verdict for channel in found.channels} == {"ok"}
+
+
+def test_noise_that_windows_share_between_lines_is_no_fault() -> None:
+    window = np.hanning(65)[:64]
+    spread = line_spread(window)
+    assert spread == pytest.approx(1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0), rel=1e-3)
+    assert line_spread(np.ones(64)) == pytest.approx(1.0)
+    freq = np.linspace(100.0, 4000.0, 300)
+    found, plain = [], []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 11])
+        places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(three_beams(20.0), (9, 1))
+        white = rng.normal(size=(27, 2 * 302)).view(complex)
+        noise = white[:, :-2] + 1.46 * white[:, 1:-1] + white[:, 2:]
+        noise *= 1e-10 / np.sqrt(2.0 + 1.46**2)
+        body = {
+            "points": [str(c // 3) for c in range(27)],
+            "positions_mm": places,
+            "directions": beams,
+            "value": readings(places, beams, smooth_motion(rng, freq)) + noise,
+            "sd": 1e-10,
+        }
+        made = from_arrays({"stapes": body}, freq, order=0)
+        shared = (2.0 + 1.46) ** 2 / (2.0 + 1.46**2)
+        for out, factor in ((plain, 1.0), (found, shared)):
+            judged = points2dof(replace(made, line_spread=factor)).channels
+            out.append(any(channel.verdict != "ok" for channel in judged))
+    assert sum(found) == 0
+    assert sum(plain) > 1
