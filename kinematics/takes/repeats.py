@@ -19,6 +19,8 @@ ALARM = 0.05
 _WIDER = 1.1
 _CERTAIN = 1e-3
 _EXPLAINED = 0.3
+_APART = 0.03
+_FURTHER = 10.0
 
 
 @dataclass(frozen=True)
@@ -128,10 +130,30 @@ class RunRepeats:
         """Return one warning for each finding."""
         where = f" of run {self.run}" if several else ""
         many = _counted(self.takes)
-        return [
+        notices = [
             Notice(code_of(test), f"{many}{where}: {self.said(test)}. {_ADVICE[code_of(test)]}")
             for test in self.found
         ]
+        apart = self._apart()
+        return notices + ([Notice("repeat_outlier", f"{many}{where}: {apart}")] if apart else [])
+
+    def _apart(self) -> str:
+        """Say which take stands apart in its gain, far beyond the others, when no test has said so."""
+        if any(test.name not in SHAPE and test.name != "shape_scatter" for test in self.found):
+            return ""
+        size, turn = self.gain / np.median(self.gain), self.phase_deg - np.median(self.phase_deg)
+        turn = (turn + 180.0) % 360.0 - 180.0
+        far = np.hypot(np.log(size), np.radians(turn))
+        worst = int(np.argmax(far))
+        others = np.delete(far, worst)
+        if len(others) < 2 or far[worst] < _APART or far[worst] < _FURTHER * np.max(others):
+            return ""
+        fate = "the mean of all was taken, and its scatter" if self.were_pooled else "the scatter"
+        return (
+            f"{self.takes[worst].name} differs by {100.0 * (size[worst] - 1.0):+.2g} % in amplitude and "
+            f"{turn[worst]:+.3g} degrees in phase, in all channels alike, from the middle of them; {fate} "
+            "stands as an error that all lines share. Responses per reference do not contain it."
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return the form in which the comparison stands in JSON."""

@@ -272,3 +272,14 @@ def test_takes_kept_separate_are_compared_all_the_same(tmp_path, monkeypatch):
     assert "repeat_creep" in [notice.code for notice in outcome.notices]
     with pytest.raises(ValueError, match="--repeats must be one of pool, separate; got mean"):
         Options(repeats="mean")
+
+
+@pytest.mark.parametrize(("gain", "percent", "degrees"), [(1.06, 6.0, 0.0), (-1.0, 0.0, 180.0)])
+def test_one_of_three_repeats_that_stands_apart_is_named(gain, percent, degrees):
+    measurement, _ = measured(6, repeats(3), gain=np.array([1.0, 1.0003, gain], dtype=complex))
+    (notice,) = pooled(measurement).measurement.notices
+    assert notice.code == "repeat_outlier"
+    found = re.search(r"repeat 3 differs by (\S+) % in amplitude and (\S+) degrees", notice.text)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(percent, abs=0.5)
+    assert abs(float(found[2])) == pytest.approx(degrees, abs=0.5)
