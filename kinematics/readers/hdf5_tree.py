@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.errors import KinematicsError, sentence
+from kinematics.readers.hdf5_probe import probe
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 64 << 20
@@ -37,10 +38,11 @@ def opened(path: Path, wanted: str) -> Iterator[Any]:
     Raises
     ------
     KinematicsError
-        The file is truncated or damaged.
+        The file is truncated or damaged, or holds up or crashes the HDF5 library.
     """
     import h5py
 
+    probe(path, wanted)
     step = "It is truncated or damaged: copy or export it again"
     try:
         with h5py.File(path, "r") as file:
