@@ -196,7 +196,7 @@ def points2dof(
             diagnoses[key] = _diagnosed(placed, screen, fits[key], options.dof, known)
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
-    check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
+    notices += check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
     motion = _motion(placed, fits, options.dof)
     _check_determined(motion)
     motion = replace(

@@ -11,6 +11,7 @@ from kinematics.errors import KinematicsError, sentence
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.frames import RigidTransform
 from kinematics.measurement import MIRRORS, Measurement
+from kinematics.notices import Notice
 from kinematics.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ def check_axes(
     footplate_from_source: RigidTransform,
     fits: Mapping[tuple[int, int], LineFit],
     kept: Mapping[tuple[int, int], float] | None = None,
-) -> None:
+) -> list[Notice]:
     """Refuse positions that agree with the beams only when one of their axes is turned round.
 
     Parameters
@@ -38,6 +39,11 @@ def check_axes(
     kept : mapping of (run, body) to float, optional
         Share of the misfit of each fit that a single fault of a channel, point or laser leaves; 1 where
         none explains it.
+
+    Returns
+    -------
+    list of Notice
+        ``mirrored_axes`` when an axis turned round explains the readings no better than a single fault.
 
     Raises
     ------
@@ -54,10 +60,10 @@ def check_axes(
     whole = float(sum(np.nansum(fit.chi2) for fit in fits.values()))
     loud = whole > _MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
     if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
-        return
+        return []
     given, freedom = _misfits(placed, fits, np.eye(3))
     if freedom < 20:
-        return
+        return []
     turn = footplate_from_source.rotation
     mirrored = {
         axis: _misfits(placed, fits, turn @ np.diag(signs) @ turn.T)[0] for axis, signs in MIRRORS.items()
@@ -67,8 +73,15 @@ def check_axes(
     rival = sum(
         mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
     )
-    if after > (_CURED if loud else _CURED_UNKNOWN) * rival or after > _MISFIT * freedom:
-        return
+    share = _CURED if loud else _CURED_UNKNOWN
+    if after > share * sum(given.values()) or after > _MISFIT * freedom:
+        return []
+    if after > share * rival:
+        text = (
+            f"positions whose {best} is turned round would explain the readings as well as the fault "
+            f"that was found; give --mirror-points {best} if their coordinates are left-handed."
+        )
+        return [Notice("mirrored_axes", text)]
     before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
     raise KinematicsError(
         sentence(

@@ -69,6 +69,15 @@ def test_one_fault_beside_position_errors_on_a_small_plate_is_not_taken_for_mirr
         run(made, seed, True, 0.02)
 
 
+def test_one_laser_of_opposite_sign_is_told_beside_the_mirrored_axes_that_would_be_the_same():
+    made = drawn(1000, "stapes, 10 points 3D", "laser sign")
+    result = run(made, 1000)
+    wrong = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
+    assert wrong == dict.fromkeys(made.culprits, "sign")
+    text = next(notice.text for notice in result.notices if notice.code == "mirrored_axes")
+    assert "--mirror-points" in text
+
+
 def test_flat_sets_of_points_and_parallel_beams_are_left_alone():
     data = measured(6)
     one = data.bodies[0]
