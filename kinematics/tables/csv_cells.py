@@ -17,6 +17,7 @@ from kinematics.tables.csv_text import Sheet, decoded, no_text
 
 Array = NDArray[np.float64]
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+_LINE = re.compile(r", line (\d+)[,)]")
 _ENDLESS = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 
 
@@ -80,7 +81,14 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = 
         if column in numbers
     }
     words = {column: cells[column] for column in texts}
+    faults.sort(key=_line_of)
     return Cells(values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
+
+
+def _line_of(fault: str) -> int:
+    """Return the line that a fault names, by which faults are listed."""
+    found = _LINE.search(fault)
+    return int(found[1]) if found else 0
 
 
 def _decimal(sheet: Sheet, cells: dict[str, list[str]], numbers: set[str]) -> str:

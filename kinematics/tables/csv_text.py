@@ -82,6 +82,10 @@ def open_sheet(path: Path) -> Sheet:
     header = [_plain(name) for name in next(csv.reader([text], delimiter=separator))]
     while header and not header[-1]:
         header.pop()
+    if sum(_is_number(name) for name in header) > len(header) // 2:
+        where = f"{path.name}, line {line - 1}"
+        step = "Put the names of the columns above the rows"
+        raise KinematicsError(sentence("the first line", "the header", "numbers", where, step))
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         got = ", ".join(twice) + " twice"
@@ -172,6 +176,14 @@ def _plain(name: str) -> str:
     for odd, even in (("µ", "u"), ("μ", "u"), ("²", "2"), ("^2", "2")):
         name = name.replace(odd, even)
     return re.sub(r"[\s()\[\]/_]+", "_", name).strip("_")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _end(data: bytes | mmap.mmap) -> int:

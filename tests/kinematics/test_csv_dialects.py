@@ -429,3 +429,20 @@ def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeyp
         read_ldv(path)
     assert len(lengths) == 1
     assert lengths[0] <= 1 << 15
+
+
+def test_a_table_without_header_is_told_so(tmp_path):
+    path = written(tmp_path, "\n".join(ROWS) + "\n")
+    with pytest.raises(
+        KinematicsError, match=r"the first line must be the header; got numbers \(ldv.csv, li"
+    ):
+        read_ldv(path)
+
+
+def test_bad_cells_are_listed_by_line(tmp_path):
+    rows = list(ROWS)
+    rows[4] = rows[4].replace("1.125", "left")
+    rows[1] = rows[1].replace("250.5", "1k")
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(written(tmp_path, plain(rows)))
+    assert re.findall(r"line (\d+)", str(caught.value)) == [str(1 + FIRST), str(4 + FIRST)]
