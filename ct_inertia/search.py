@@ -122,6 +122,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
     glance = glance or take_glance(volume)
     scan, levels = glance.scan, glance.levels
     tried: list[Sight] = []
+    doubtful: tuple[Sight, Sight] | None = None
     for air, plastic, bone in _readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else _between(air, plastic, bone)
         pieces, found = labelled_pieces(
@@ -138,8 +139,14 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
             parted = _parted(volume, sight, options)
             if parted is not None and (chosen is None or parted.stapes.score > chosen.stapes.score):
                 return parted
-        if chosen is not None:
+        if chosen is None:
+            continue
+        if usual and chosen.stapes.holes == 1:
             return _picked(volume, sight, options) or chosen
+        # Bone whose density changes along it can look like two materials: the next reading takes both.
+        doubtful = doubtful or (sight, chosen)
+    if doubtful is not None:
+        return _picked(volume, doubtful[0], options) or doubtful[1]
     raise CtInertiaError(_nothing(scan, tried, options.seed_mm is not None))
 
 

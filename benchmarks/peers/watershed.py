@@ -51,6 +51,7 @@ def watershed_integral(
         markers[small[markers]] = 0
         basins = watershed(-share, markers, mask=wide)
         volumes = np.bincount(basins.ravel(), share.ravel(), minlength=count + 1) * spacing**3
+        volumes[np.bincount(basins.ravel(), minlength=count + 1) == 0] = np.inf
         volumes[0] = np.inf
         name = int(np.argmin(np.abs(volumes - exact_mm3)))
         if best is None or abs(volumes[name] - exact_mm3) < abs(best[0] - exact_mm3):

@@ -203,6 +203,16 @@ def test_faulty_scans_are_named():
         find_bodies(replace(volume, array=array))
 
 
+def test_bone_so_uneven_that_it_looks_like_two_materials_is_one():
+    from sample_volumes.phantom import Ear, render, scene, truth
+
+    placed = scene(Ear(voxel_mm=(0.025,) * 3, gap_mm=0.1, gradient=0.1, pose_seed=3))
+    bodies = find_bodies(Volume(render(placed), np.full(3, 0.025), np.zeros(3), np.eye(3)))
+    assert abs(bodies.moments.volume_mm3 / (truth(placed)["volume_m3"] * 1e9) - 1.0) < 1e-3
+    assert "stapes_uncertain" not in codes(bodies)
+    assert "bone_inhomogeneous" in codes(bodies)
+
+
 def test_what_the_border_cuts_is_told():
     scan = ear(h=0.05, rays=4)
     index = np.argwhere(scan.volume.array > 11000)
