@@ -294,6 +294,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
             f"{len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}",
         ),
     ]
+    rows += [("input", text) for text in result.measurement.said[:4]]
     sd = standard_deviation(motion)
     bodies = {}
     for number, name in enumerate(motion.bodies[:6]):
@@ -327,6 +328,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
             "schema": "stapeskit.points2dof/1",
             "dof": list(motion.dof),
             "reference": motion.reference,
+            "inputs_say": list(result.measurement.said),
             "runs": list(motion.runs),
             "lines": len(motion.freq_hz),
             "bodies": bodies,

@@ -149,6 +149,8 @@ class Measurement:
     line_spread : float
         By what factor the variance of slowly varying sums over lines exceeds that of independent lines, as
         windows of spectra make it; static faults are judged by such sums.
+    said : tuple of str
+        What the files say about their coordinates, units, resolution and averages.
     """
 
     frame: str
@@ -161,6 +163,7 @@ class Measurement:
     takes: tuple[Take, ...] = ()
     common_sd: Array | None = None
     line_spread: float = 1.0
+    said: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         faults = []

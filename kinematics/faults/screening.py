@@ -65,6 +65,7 @@ def is_whole(body: BodyChannels) -> bool:
 def empty_faults(measurement: Measurement) -> list[str]:
     """List the bodies that hold nothing to fit: no usable value, or zeros throughout and no sd."""
     faults = []
+    file = ", ".join(path.name for role, path in measurement.inputs.items() if role.startswith("ldv"))
     for body in measurement.bodies:
         usable = np.isfinite(body.displacement)
         if body.sd is not None:
@@ -73,7 +74,7 @@ def empty_faults(measurement: Measurement) -> list[str]:
         if not np.any(usable):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
-            faults.append(sentence(thing, "numbers in some rows at least", got, next_step=step))
+            faults.append(sentence(thing, "numbers in some rows at least", got, file, step))
             continue
         if body.sd is not None and not body.relative:
             continue

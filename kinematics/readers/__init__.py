@@ -74,7 +74,8 @@ def read_measurement(
         from kinematics.tables.points_csv import read_points
 
         listed = read_points(points)
-    return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points))
+    said = tuple(f"{one.file}: {one.frame_units}" for one in files if one.frame_units)
+    return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=said)
 
 
 def inputs_of(paths: Sequence[Path], points: Path | None) -> dict[str, Path]:

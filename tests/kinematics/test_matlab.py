@@ -309,6 +309,9 @@ def test_the_command_reads_a_mat_file(tmp_path):
     _, outcome = work([str(tmp_path / "scan.mat"), *options])
     assert out.is_file()
     assert "dc_line" in {notice.code for notice in outcome.notices}
+    (said,) = outcome.result["inputs_say"]
+    assert said.startswith("scan.mat: ")
+    assert ("input", said) in outcome.rows
 
 
 def test_the_mapping_of_the_page_is_read(tmp_path):
