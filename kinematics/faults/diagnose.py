@@ -168,7 +168,7 @@ def _mixed(data: Compact) -> Compact:
     if found is None:
         return data
     shared = scaled(found, residual.shape[1])[0]
-    if by_chance(shared, data.points, data.live, residual.shape[1]):
+    if by_chance(shared, np.maximum(1.0 - state.h, 0.0), data.points, data.live, residual.shape[1]):
         return data
     return replace(data, mixing=Mixing.of(shared, data.live)).repacked()
 

@@ -12,9 +12,9 @@ ComplexArray = NDArray[np.complex128]
 _SAME_BEAM = float(np.cos(np.radians(8.0)))
 _LEAST_SAMPLES = 24
 _MOST_AT_POINT = 6
-_CORRECTIONS = 8
+_CORRECTIONS = 15
 _MOST_CORRECTED = 150
-_LIKELY = 1e-4
+_LIKELY = 1e-3
 _SINGULAR = 0.05
 _SHRINK = 5.0
 
@@ -136,19 +136,39 @@ def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
     return made, sd
 
 
-def by_chance(correlation: Array, points: tuple[str, ...], live: list[int], samples: int) -> bool:
+def by_chance(
+    correlation: Array, kept: Array, points: tuple[str, ...], live: list[int], samples: int
+) -> bool:
     """Tell whether independent noise may show such correlations within points.
+
+    Only the half of the points that show least is looked at: a single channel with more noise is no
+    correlation of all.
+
+    Parameters
+    ----------
+    correlation : ndarray, (channel, channel)
+    kept : ndarray, (channel,)
+        Share of each channel's noise that the residuals keep, 1 - leverage.
+    points : tuple of str, (channel,)
+    live : list of int
+    samples : int
 
     Notes
     -----
-    2 N r^2 of a correlation r of N complex values is then chi-squared with one degree of freedom.
+    2 N r^2 of a correlation r of N complex values is then chi-squared with one degree of freedom; those
+    of residuals scatter more by one over what both channels keep.
     """
     from scipy.special import chdtrc
 
-    off = np.concatenate(
-        [correlation[np.ix_(own, own)][np.triu_indices(len(own), 1)] for own in _points(points, live)]
-    )
-    return bool(chdtrc(len(off), 2.0 * samples * float(np.sum(off**2))) > _LIKELY)
+    own_of = _points(points, live)
+    shown = [2.0 * samples * (correlation**2 * np.outer(kept, kept))[np.ix_(own, own)] for own in own_of]
+    each = [
+        (float(np.sum(np.triu(held, 1))), len(own) * (len(own) - 1) // 2)
+        for held, own in zip(shown, own_of, strict=True)
+    ]
+    each.sort(key=lambda entry: entry[0] / entry[1])
+    least = each[: (len(each) + 1) // 2]
+    return bool(chdtrc(sum(size for _, size in least), sum(value for value, _ in least)) > _LIKELY)
 
 
 def _points(points: tuple[str, ...], live: list[int]) -> list[NDArray[np.intp]]:

@@ -204,6 +204,8 @@ class Search:
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
+            scored = self._noisy(self.energy())
+        if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
@@ -373,18 +375,23 @@ class Search:
         p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self._number(owner))
         return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
 
-    def _noisy(self) -> list[tuple[float, Finding]]:
-        """Return channels whose noise is larger than stated, with their log evidence."""
+    def _noisy(self, ratios: Array | None = None) -> list[tuple[float, Finding]]:
+        """Return channels whose noise is larger than stated, with their log evidence.
+
+        ``ratios`` (channel,) are mean energies, those on the lines without motion unless given: noise of a
+        channel that holds much of the motion is taken for motion in part, and missed there.
+        """
         from scipy.special import chdtrc
 
         made = []
         limit = NOISY_KNOWN if self.known else NOISY_UNKNOWN
         margin = 1.0 if self.known else 1.2**2
+        ratios = self.ratios if ratios is None else ratios
         count = self.samples if self.samples >= 8 else self.samples + self.state.e.shape[1]
         whole = self.samples + self.state.e.shape[1]
         energy = self.energy() / self.scale
-        for channel in sorted(self.live, key=lambda c: -self.ratios[c])[:3]:
-            ratio, h = self.ratios[channel] / self.scale, self.h[channel]
+        for channel in sorted(self.live, key=lambda c: -ratios[c])[:3]:
+            ratio, h = ratios[channel] / self.scale, self.h[channel]
             if ratio < _QUIET or h > 0.98 or energy[channel] - h < limit**2 * (1.0 - h):
                 continue
             number = len(self.live) / _ALARM_NOISE
