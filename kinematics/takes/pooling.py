@@ -132,6 +132,7 @@ def _shapes(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArr
     value, sd, known = _stacked(measurement, places)
     shapes = shapes_of(value, sd)
     if not known and (noise := _noise_of(shapes)) is not None:
+        del shapes
         sd = sd * noise[None]
         shapes = shapes_of(value, sd)
     return value, sd, known, shapes
@@ -174,7 +175,8 @@ def _pool(
     scale = shapes.take_scale.T[:, None, :]
     weights = np.where(used, np.abs(gain) ** 2, 0.0)
     total = np.sum(weights, axis=0)
-    white = np.where(used, value, 0.0) / scale
+    white = np.where(used, value, 0.0)
+    white /= scale
     mean = _mean_gain(shapes, takes)
     with np.errstate(invalid="ignore", divide="ignore"):
         common = np.sum(gain.conj() * white, axis=0) / total * mean

@@ -132,11 +132,12 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
     lines = shapes.clear
     if not np.any(lines):
         return []
-    data, gain = shapes.data[lines], shapes.gain[lines]
+    pick = slice(None) if np.all(lines) else lines
+    data, gain = shapes.data[pick], shapes.gain[pick]
     count = data.shape[1]
     freedom = float(np.sum(shapes.counts[lines] - 1))
     strength = float(np.sum(shapes.strength[lines]))
-    residual = shapes.residual[lines]
+    residual = shapes.residual[pick]
     ones = [np.ones(count)]
     steps = [] if level is None else [level]
     ways: list[tuple[str, Array, list[Array]]] = []
@@ -150,7 +151,8 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
     for name, way, others in ways:
         basis = _contrasts(gain, [*others, way])
         spanned = np.einsum("ftk,ftc->fkc", basis.conj(), data, optimize=True)
-        left = residual - np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
+        left = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
+        np.subtract(residual, left, out=left)
         rest = freedom * (count - 1 - basis.shape[2])
         p, noise = _compared(spanned[:, -1:], left, freedom, rest, stated)
         if p is not None:
@@ -199,7 +201,9 @@ def _shape_outlier(
     if count - taken < 2:
         return []
     basis = _contrasts(gain, columns) if columns else np.zeros((*gain.shape, 0), dtype=complex)
-    own = residual - np.einsum("ftk,fkc->ftc", basis, np.einsum("ftk,ftc->fkc", basis.conj(), data))
+    own = residual
+    if columns:
+        own = residual - np.einsum("ftk,fkc->ftc", basis, np.einsum("ftk,ftc->fkc", basis.conj(), data))
     span = np.concatenate([gain[:, :, None], basis], axis=2)
     best: list[tuple[RepeatTest, float, float]] = []
     for take in range(count):
@@ -209,7 +213,8 @@ def _shape_outlier(
             continue
         way = way / length
         z = np.einsum("ft,ftc->fc", way.conj(), data, optimize=True)
-        left = own - way[:, :, None] * z[:, None, :]
+        left = way[:, :, None] * z[:, None, :]
+        np.subtract(own, left, out=left)
         p, noise = _compared(z[:, None, :], left, freedom, freedom * (count - taken - 1), False)
         if p is None:
             continue

@@ -54,7 +54,8 @@ class Shapes:
     def residual(self) -> ComplexArray:
         """What is left of ``data`` beside the common shape, (freq, take, channel)."""
         common = np.einsum("ft,ftc->fc", self.gain.conj(), self.data, optimize=True)
-        return np.asarray(self.data - self.gain[:, :, None] * common[:, None, :])
+        made = self.gain[:, :, None] * common[:, None, :]
+        return np.subtract(self.data, made, out=made)
 
 
 def shapes_of(value: ComplexArray, sd: Array | None) -> Shapes:
@@ -80,8 +81,10 @@ def shapes_of(value: ComplexArray, sd: Array | None) -> Shapes:
     common = np.all(used, axis=0)
     take_scale, noise_scale = _noise_scales(sd, used)
     with np.errstate(invalid="ignore", divide="ignore"):
-        data = value / noise_scale[None] / take_scale.T[:, None, :]
-    data = np.where(common[None], data, 0.0).transpose(2, 0, 1)
+        data = value / noise_scale[None]
+        data /= take_scale.T[:, None, :]
+    np.copyto(data, 0.0, where=~common[None])
+    data = data.transpose(2, 0, 1)
     counts = np.sum(common, axis=0)
     values, vectors = np.linalg.eigh(data @ data.conj().transpose(0, 2, 1))
     strength, gain = np.maximum(values[:, -1], 0.0), vectors[:, :, -1]
