@@ -50,7 +50,7 @@ def test_the_commands_of_the_guide_run_on_exports_of_the_sample(tmp_path, monkey
 
 def test_the_sections_of_the_guide_are_those_of_the_page():
     named = re.findall(r"^\| ([A-Z][\w ]+?) \|", GUIDE, re.MULTILINE)
-    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kinematics").glob("report*.py"))
+    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kinematics").rglob("report*.py"))
     assert len(named) == 7
     for heading in named:
         assert f'"{heading}"' in source
