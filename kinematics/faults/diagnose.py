@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
+from kinematics.faults.findings import Finding, can_lose
 from kinematics.faults.mixing import Mixing, axes_of, block_covariance, by_chance, scaled
-from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Finding, Search, can_lose
+from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Search
 from kinematics.faults.structure import Structure
 from kinematics.fit.beams import BeamSet
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +13,7 @@ from kinematics.faults.compact import Compact
 from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, State, fit_fault, objective, solve, static
+from kinematics.faults.findings import Finding, differ
 from kinematics.faults.mixing import Mixing, axes_of, block_covariance, scaled
 from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
@@ -32,49 +33,6 @@ _ALARM_SHARE = {"channel": 0.9, "point": 0.25, "laser": 0.2, "body": 0.3}
 _ALARM_NOISE = 0.05
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    kind : str
-        ``gain``, ``phase``, ``delay``, ``drift``, ``direction``, ``position``, ``label_swap``, ``noise``,
-        ``axes``, ``flexible``.
-    channels : list of int
-    p_value : float
-        Corrected for the number of tests.
-    fit : FaultFit or None
-    size : float
-        Of a noise or flexible finding: factor of the noise, share of the motion.
-    rivals : tuple of Finding
-        Other explanations that the data hardly tell from this one.
-    """
-
-    kind: str
-    channels: list[int]
-    p_value: float
-    fit: FaultFit | None = None
-    size: float = 0.0
-    rivals: tuple[Finding, ...] = ()
-
-    @property
-    def owner(self) -> str:
-        """What is at fault, as of a Fault."""
-        if self.fit is not None:
-            return self.fit.fault.owner
-        return "body" if self.kind == "flexible" else "channel"
-
-
-def can_lose(data: Compact, channels: list[int]) -> bool:
-    """Tell whether the other channels still determine the motion with some redundancy."""
-    basis = data.beams.basis[data.without(channels).live]
-    if len(basis) <= basis.shape[1] + 1:
-        return False
-    values = np.linalg.svd(basis, compute_uv=False)
-    return bool(values[-1] > 1e-3 * values[0])
 
 
 class Search:
@@ -210,7 +168,7 @@ class Search:
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
         near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
-        rivals = tuple(other for value, other in scored[1:] if value > near and _differ(finding, other))
+        rivals = tuple(other for value, other in scored[1:] if value > near and differ(finding, other))
         return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
 
     def _credible(self, fit: FaultFit) -> bool:
@@ -417,12 +375,3 @@ def _blame(state: State, channels: list[int]) -> float:
 
 def _sets(found: Tested) -> list[tuple[int, ...]]:
     return [tuple(int(c) for c in own) for own in found.batch.channels]
-
-
-def _differ(one: Finding, two: Finding) -> bool:
-    """Tell whether two findings are different statements: a phase includes a gain."""
-    same = {"phase": "gain", "delay": "gain"}
-    return (same.get(one.kind, one.kind), sorted(one.channels)) != (
-        same.get(two.kind, two.kind),
-        sorted(two.channels),
-    )
