@@ -1,4 +1,4 @@
-"""How noise of unknown size runs over frequency, from what a rigid fit leaves."""
+"""How noise of unknown size runs over frequency, from what neither motion nor steady faults explain."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from numpy.typing import NDArray
 from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 _LEAST_LINES = 12
+_MOST_LINES, _MOST_VALUES = 2048, 400_000
+_DRIFTING = 8
+_LEFT = 0.1
 _SURE = 20.0
 _ROUNDS = 5
+_PASSES = 6
+_SETTLED = 0.02
 _CLIP = 3.0
 
 
@@ -24,26 +30,87 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
 
     Notes
     -----
-    The logarithm of the residual level is fitted by a parabola over the logarithm of the frequency: white
-    noise of velocities that were written as displacements or accelerations falls or rises by a power of the
-    frequency. Levels are means of n squares, whose logarithm has the variance trigamma(n / 2); lines that
-    stand out by more than three standard deviations are bounded, so that motion that is not rigid at some
-    lines is not taken for noise.
+    A fault that is the same at all lines leaves residuals that are the motion times a factor of each channel,
+    however large it is; one that drifts, the motion times a line over frequency. Both are taken off first, by
+    least squares over the lines. The logarithm of the level that is left is fitted by a parabola over the
+    logarithm of the frequency: white noise of velocities that were written as displacements or accelerations
+    falls or rises by a power of the frequency. Levels are means of n squares, whose logarithm has the
+    variance trigamma(n / 2); lines that stand out by more than three standard deviations are bounded, so that
+    motion that is not rigid at some lines is not taken for noise.
     """
-    from scipy.special import digamma, polygamma
-
-    half = fit.n_dof / 2.0
-    good = (fit.n_dof > 0) & np.isfinite(fit.chi2) & (np.where(np.isfinite(fit.chi2), fit.chi2, 0.0) > 0.0)
-    if np.sum(good) < _LEAST_LINES:
+    good = np.flatnonzero(fit.solution.good & (fit.n_dof > 0))
+    if len(good) < _LEAST_LINES:
         return None
-    factor = np.ones(len(half)) if fit.noise.factor is None else fit.noise.factor
-    half, chi2 = half[good], fit.chi2[good]
-    levels = np.log(chi2 * factor[good] ** 2 / 2.0) - digamma(half)
-    sd = np.sqrt(polygamma(1, half))
+    most = int(np.clip(_MOST_VALUES // max(len(fit.value), 1), 8 * len(fit.solution.z), _MOST_LINES))
+    lines = good[np.unique(np.linspace(0, len(good) - 1, min(most, len(good))).round().astype(int))]
+    residual, sd, _ = fit.at(lines)
+    used = np.isfinite(sd)
+    factor = np.ones(len(lines)) if fit.noise.factor is None else fit.noise.factor[lines]
+    with np.errstate(divide="ignore"):
+        weight = np.where(used, factor / sd, 0.0)
+    line = np.sqrt(np.sum(weight**2, axis=0) / np.maximum(np.sum(used, axis=0), 1))
+    white, z = residual * weight, fit.solution.z[:, lines] * line
+    if len(lines) >= _DRIFTING * len(z):
+        z = np.vstack([z, z * np.linspace(-1.0, 1.0, len(lines))])
     logs = np.log(freq_hz)
     place = 2.0 * (logs - logs[0]) / max(float(logs[-1] - logs[0]), 1e-9) - 1.0
     base = np.polynomial.legendre.legvander(place, 2)
-    rows = base[good]
+    course, sure = np.zeros(len(freq_hz)), False
+    whole = np.sum(np.abs(white) ** 2, axis=0)
+    if not np.max(whole) > 0.0:
+        return None
+    loud = 0.5 * np.log(np.maximum(whole, 1e-12 * np.max(whole)) / np.mean(whole))
+    for _ in range(_PASSES):
+        flat = np.exp(-course[lines] - loud)
+        energy, left = _unexplained(white * flat, z * flat, used)
+        some = (left > _LEFT) & (energy > 0.0)
+        if np.sum(some) < _LEAST_LINES // 2:
+            return None
+        half = fit.n_dof[lines][some] / 2.0
+        energy = energy[some] / left[some] / flat[some] ** 2
+        before = course
+        course, loud[some], sure = _parabola(base, lines[some], energy, half, left[some])
+        if float(np.max(np.abs(course - before))) < _SETTLED:
+            break
+    return np.asarray(np.exp(course)) if sure else None
+
+
+def _unexplained(white: ComplexArray, motion: ComplexArray, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the energy (line,) that no factors of the motion explain, and the share of noise in it.
+
+    Parameters
+    ----------
+    white : ndarray, (channel, line), complex
+        Residuals over their noise; zero where missing.
+    motion : ndarray, (k, line), complex
+    used : ndarray, (channel, line)
+    """
+    vectors = np.linalg.svd(motion, full_matrices=False)[2]
+    size = np.abs(vectors) ** 2
+    if np.all(used):
+        rest = white - (white @ vectors.conj().T) @ vectors
+        return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(size, axis=0)
+    gram = np.einsum("cl,kl,jl->ckj", used, vectors.conj(), vectors, optimize=True)
+    inverse = np.linalg.pinv(gram, rcond=1e-6, hermitian=True)
+    factors = np.einsum("ck,ckj->cj", white @ vectors.conj().T, inverse)
+    rest = np.where(used, white - factors @ vectors, 0.0)
+    taken = np.einsum("kl,ckj,jl->cl", vectors, inverse, vectors.conj(), optimize=True).real
+    number = np.maximum(np.sum(used, axis=0), 1)
+    return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(np.where(used, taken, 0.0), axis=0) / number
+
+
+def _parabola(
+    base: Array, lines: NDArray[np.intp], energy: Array, half: Array, left: Array
+) -> tuple[Array, Array, bool]:
+    """Return the logarithm (freq,) of a smooth factor of the noise, and whether it is more than chance.
+
+    Between them stands by how much lines (line,) that stand out are above it; zero elsewhere.
+    """
+    from scipy.special import digamma, polygamma
+
+    levels = np.log(energy / 2.0) - digamma(half)
+    sd = np.sqrt(polygamma(1, half) / left)
+    rows = base[lines]
     weight = sd**-2.0
     spread = sd
     curve = np.full(len(levels), float(np.median(levels)))
@@ -54,6 +121,6 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
         wide = float(np.median(np.abs(levels - curve) / sd)) / 0.6745
         spread = sd * max(1.0, wide)
     flat = np.full(len(levels), float(np.average(curve, weights=weight)))
-    if float(np.sum(((curve - flat) / spread) ** 2)) < _SURE:
-        return None
-    return np.asarray(np.exp(0.5 * (base @ found - found[0])))
+    sure = float(np.sum(((curve - flat) / spread) ** 2)) >= _SURE
+    loud = np.where(levels - curve > _CLIP * spread, 0.5 * (levels - curve), 0.0)
+    return np.asarray(0.5 * (base @ found - found[0])), loud, sure

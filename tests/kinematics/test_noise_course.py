@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.fault_scenes import measured, scene
 from kinematics.fit.beams import beam_set
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit, fit_lines
@@ -40,6 +41,36 @@ def test_the_course_of_noise_is_found_beside_lines_that_stand_out(power: float) 
 
 def test_noise_without_a_course_has_none() -> None:
     assert [noise_course(fitted(0.0, seed), FREQ) for seed in range(8)] == [None] * 8
+
+
+@pytest.mark.parametrize("power", [0.0, -1.0, 1.0])
+@pytest.mark.parametrize("size", [-2.0, 0.3])
+def test_a_fault_however_large_is_no_course_of_the_noise(power: float, size: float) -> None:
+    rng = np.random.default_rng(3)
+    places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(np.eye(3), (9, 1))
+    value = readings(places, beams, smooth_motion(rng, FREQ))
+    value[[7, 8, 20]] *= 1.0 + size * np.array([[1.0], [1j], [0.5]])
+    sd = 0.002 * np.std(value) * (FREQ / 500.0) ** power
+    value = value + sd * rng.normal(size=(27, 2 * len(FREQ))).view(complex)
+    course = noise_course(fit_lines(beam_set("s", places, beams, DOF_NAMES), value, np.array(1e-10)), FREQ)
+    found = np.ones(len(FREQ)) if course is None else course
+    assert np.std(np.log(found * FREQ**-power)) < 0.15
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.03])
+@pytest.mark.parametrize("seed", [5001, 5003])
+def test_a_beam_of_the_wrong_sign_is_named_where_no_noise_is_stated(seed: int, missing: float) -> None:
+    made = scene(seed, "stapes, 10 points 3D", "sign")
+    value = measured(made, seed)
+    value[np.random.default_rng(seed).random(value.shape) < missing] = np.nan
+    body = {
+        "points": list(made.points),
+        "positions_mm": made.reported,
+        "directions": made.directions,
+        "value": value,
+    }
+    found = points2dof(from_arrays({"stapes": body}, made.freq_hz, order=0)).channels
+    assert {c: v.verdict for c, v in enumerate(found) if v.verdict != "ok"} == {made.culprits[0]: "sign"}
 
 
 @pytest.mark.parametrize("order", [0, 2])
