@@ -273,10 +273,7 @@ def _diagnosed(
 
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
     """Return the share of each misfit that a single fault, other than of all beams, does not explain."""
-    return {
-        key: found.kept if len(found.findings) == 1 and found.findings[0].owner != "body" else 1.0
-        for key, found in diagnoses.items()
-    }
+    return {key: found.kept for key, found in diagnoses.items()}
 
 
 def _check_determined(motion: RigidMotion) -> None:

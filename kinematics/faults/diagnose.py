@@ -48,8 +48,8 @@ class Diagnosis:
     offsets_m : ndarray, (channel, 3)
         Position errors, within their stated sd, that were allowed for.
     kept : float
-        Share of the misfit beyond noise that the findings leave, 0 to 1; 1 without a finding, and when the
-        body is not rigid.
+        Share of the misfit beyond noise that the first finding leaves by itself, 0 to 1; 1 without a finding,
+        when that concerns all beams, and when the body is not rigid.
     """
 
     findings: tuple[Finding, ...]
@@ -87,23 +87,26 @@ def diagnose(
     data = _mixed(data if noise_known else _even(_levelled(data)))
     findings: list[Finding] = []
     current = data
-    first: Search | None = None
+    searches: list[Search] = []
     while True:
         search = Search(current, prior, noise_known, alarm)
-        first = first or search
+        searches.append(search)
         found = search.best()
         if found is None:
             break
         if found.kind == "flexible":
             found = _explained(current, prior, noise_known, alarm, found)
         if found.kind == "flexible" or len(findings) >= most:
-            body = found if not findings and found.kind == "flexible" else first.flexible()
-            return _made((body,), first, search, data)
+            body = found if not findings and found.kind == "flexible" else searches[0].flexible()
+            return _made((body,), searches[0], search, data)
         findings.append(found)
         current = cleared(current, found)
+    kept = 1.0
+    if findings and findings[0].owner != "body":
+        kept = searches[1].excess() / max(searches[0].excess(), 1e-300)
     if len(findings) > 1:
         findings = _again(data, prior, noise_known, alarm, findings)
-    return _made(tuple(findings), first, search, data)
+    return _made(tuple(findings), searches[0], search, data, kept)
 
 
 def _explained(data: Compact, prior: Array, noise_known: bool, alarm: float, found: Finding) -> Finding:
@@ -191,7 +194,9 @@ def _again(
     return made
 
 
-def _made(findings: tuple[Finding, ...], first: Search, last: Search, data: Compact) -> Diagnosis:
+def _made(
+    findings: tuple[Finding, ...], first: Search, last: Search, data: Compact, kept: float = 1.0
+) -> Diagnosis:
     whole = any(finding.kind == "flexible" for finding in findings)
     energy = first.energy()
     if not whole:
@@ -205,7 +210,7 @@ def _made(findings: tuple[Finding, ...], first: Search, last: Search, data: Comp
         (first if whole else last).structure,
         np.where(data.a > 0.0, data.y.shape[1] + data.rest.shape[1], 0),
         offsets,
-        1.0 if whole or not findings else last.excess() / max(first.excess(), 1e-300),
+        1.0 if whole else kept,
     )
 
 

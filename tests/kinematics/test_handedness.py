@@ -69,11 +69,13 @@ def test_one_fault_beside_position_errors_on_a_small_plate_is_not_taken_for_mirr
         run(made, seed, True, 0.02)
 
 
-def test_one_laser_of_opposite_sign_is_told_beside_the_mirrored_axes_that_would_be_the_same():
-    made = drawn(1000, "stapes, 10 points 3D", "laser sign")
-    result = run(made, 1000)
+@pytest.mark.parametrize(("seed", "sd"), [(1000, True), (5000, False), (5001, False)])
+def test_one_laser_of_opposite_sign_is_told_beside_the_mirrored_axes_that_would_be_the_same(seed, sd):
+    made = drawn(seed, "stapes, 10 points 3D", "laser sign")
+    result = run(made, seed, sd)
     wrong = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
-    assert wrong == dict.fromkeys(made.culprits, "sign")
+    assert wrong.items() >= dict.fromkeys(made.culprits, "sign").items()
+    assert len(wrong) <= len(made.culprits) + (not sd)
     text = next(notice.text for notice in result.notices if notice.code == "mirrored_axes")
     assert "--mirror-points" in text
 
