@@ -280,6 +280,11 @@ def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) ->
         faults.append(
             sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
         )
+    for name, values in table.numbers.items():
+        infinite = np.flatnonzero(np.isinf(values)) if "_re_" in name or "_im_" in name else ()
+        for row in infinite:
+            where = table.where(int(row))
+            faults.append(sentence(name, "finite, or empty", f"{values[row]:g}", where))
     for row in np.flatnonzero(body < 0):
         faults.append(sentence("body", "a name", "an empty cell", table.where(int(row))))
     return faults

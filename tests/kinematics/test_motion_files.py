@@ -147,6 +147,7 @@ GOOD = "run,body,freq_hz,y_re_m,y_im_m,y_sd_m,chi2,n_dof"
         (GOOD, "1,s,0,1,1,1,1,1", r"freq_hz must be positive and finite; got 0 \(dof.csv, line 3\)"),
         (GOOD, "1,s,2,x,1,1,1,1", r'y_re_m must be a number; got "x" \(dof.csv, line 3\)'),
         (GOOD, "1,s,2,1,1,-1,1,1", "a standard deviation must be positive and finite"),
+        (GOOD, "1,s,2,inf,1,1,1,1", r"_re_m must be finite, or empty; got inf \(dof.csv, line 3\)"),
         (GOOD, "1,,2,1,1,1,1,1", "body must be a name"),
         (GOOD, "1,s,1,1,1,1,1,1", "the only one of its run, body and frequency"),
         (GOOD.replace("y_sd_m,", ""), "1,s,2,1,1,1,1", "no column y_sd_m"),
