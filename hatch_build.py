@@ -10,18 +10,20 @@ numbers, more slowly, in numpy, scipy and VTK. `STAPESKIT_KERNELS=numpy` leaves 
 from __future__ import annotations
 
 import os
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tempfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 FOLDERS = (ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
+# The loader's own rule for the file name, so that what is built is what is looked for.
+library_name = runpy.run_path(str(ROOT / "kinematics" / "native.py"))["library_name"]
 FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror"]
 
@@ -45,15 +47,6 @@ def compiler() -> list[str] | None:
             return None
         found = [sys.executable, "-m", "ziglang", "cc"]
     return found
-
-
-def library_name(folder: Path) -> str:
-    """Return the file name of a folder's library, which carries a check sum of its sources."""
-    total = 0
-    for source in sorted(folder.glob("*.[ch]")):
-        total = zlib.crc32(source.read_bytes().replace(b"\r\n", b"\n"), total)
-    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    return f"kernels-{total:08x}{ending}"
 
 
 def build(strict: bool = False) -> list[Path]:

@@ -55,7 +55,7 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
     runs : tuple of int
         At most four.
     """
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import LogFormatter
 
     count = len(motion.dof)
     figure = new_figure(11.0, 1.85 * count + 0.8)
@@ -77,7 +77,8 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
         amplitude.set_yscale("log")
         per = f" / {motion.reference}" if motion.reference else ""
         amplitude.set_ylabel(f"|{name}{per}| ({label})", fontsize=9)
-        amplitude.yaxis.set_minor_formatter(NullFormatter())
+        amplitude.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.0, 0.4)))
+        amplitude.tick_params(axis="y", which="minor", labelsize=7)
         phase.set_ylabel(f"phase of {name} (°)", fontsize=9)
         phase.set_ylim(-190, 190)
         phase.set_yticks([-180, -90, 0, 90, 180])

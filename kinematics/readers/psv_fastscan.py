@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
-from kinematics.readers.psv_text import Block, Signal, blocks, fields_of, frequency_hz, signals
+from kinematics.readers.psv_text import Block, Signal, fields_of, frequency_hz, read_blocks, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 
 Array = NDArray[np.float64]
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
-_SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 _SAME_PLACE_MM = 1e-3
 
 
@@ -65,19 +64,7 @@ def read(path: Path) -> Recordings:
     (or Real and Imaginary of a single head). Positions are in metres unless their column names a unit.
     """
     path = Path(path)
-    files = [path]
-    if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in _SUFFIXES)
-    lines, faults = [], []
-    for file in files:
-        try:
-            lines += [_line(block) for block in blocks(file)]
-        except KinematicsError as fault:
-            faults.append(str(fault))
-    raise_all(KinematicsError, faults)
-    if not lines:
-        step = "Give the folder of the exported text files"
-        raise KinematicsError(sentence("the folder", "one with text exports", "none", path.name, step))
+    lines = read_blocks(path, _line)
     lines, notices = _one_quantity(lines, path.name)
     lines.sort(key=lambda line: line.freq_hz)
     _check_once(lines)

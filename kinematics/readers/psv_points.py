@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_fastscan import axes_notice, axis_vector
-from kinematics.readers.psv_text import Block, blocks, fields_of, signals
+from kinematics.readers.psv_text import Block, fields_of, read_blocks, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 _POINT = ("point index", "punktindex", "punkt-index")
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _TIME = ("time", "zeit", "temps")
-_SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 _PLACE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
 _COMPONENT = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
 _IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
@@ -56,25 +55,13 @@ def read(path: Path) -> Recordings:
     component; positions without unit are in metres.
     """
     path = Path(path)
-    files = [path]
-    if path.is_dir():
-        files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in _SUFFIXES)
-    made: list[tuple[Recording, str]] = []
-    faults: list[str] = []
-    stated = True
-    for file in files:
-        try:
-            for block in blocks(file):
-                recordings, unit_stated = _recordings(block)
-                stated &= unit_stated
-                source = block.fields.get("source file name", "") or block.file
-                made += [(recording, source) for recording in recordings]
-        except KinematicsError as fault:
-            faults.append(str(fault))
-    raise_all(KinematicsError, faults)
-    if not made:
-        step = "Give the folder of the exported text files"
-        raise KinematicsError(sentence("the folder", "one with text exports", "none", path.name, step))
+    found = read_blocks(path, lambda block: (block, *_recordings(block)), deep=True)
+    stated = all(unit_stated for _, _, unit_stated in found)
+    made = [
+        (recording, block.fields.get("source file name", "") or block.file)
+        for block, recordings, _ in found
+        for recording in recordings
+    ]
     kept, notices = _one_quantity(made, path.name)
     axes = {(one.point, one.direction.tobytes()) for one, _ in kept}
     if len(axes) > len({point for point, _ in axes}):

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+T = TypeVar("T")
+_SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 _FIELD = re.compile(r"^\s*([^\t:]{2,40}?)\s*:\s*(.*)$")
 _PARTS = {
     "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
@@ -78,6 +81,40 @@ def fields_of(text: str) -> dict[str, str]:
         elif _is_numbers(line):
             break
     return found
+
+
+def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> list[T]:
+    """Read every table of a file, or of the text exports in a folder.
+
+    Parameters
+    ----------
+    path : Path
+    read : callable
+        What to make of one table.
+    deep : bool
+        Whether folders of the folder count.
+
+    Raises
+    ------
+    KinematicsError
+        The faults of all files together, or there is no text export.
+    """
+    files = [path]
+    if path.is_dir():
+        found = path.rglob("*") if deep else path.iterdir()
+        files = sorted(one for one in found if one.is_file() and one.suffix.lower() in _SUFFIXES)
+    made: list[T] = []
+    faults: list[str] = []
+    for file in files:
+        try:
+            made += [read(block) for block in blocks(file)]
+        except KinematicsError as fault:
+            faults.append(str(fault))
+    raise_all(KinematicsError, faults)
+    if not made:
+        step = "Give the folder of the exported text files"
+        raise KinematicsError(sentence("the folder", "one with text exports", "none", path.name, step))
+    return made
 
 
 def blocks(path: Path) -> list[Block]:

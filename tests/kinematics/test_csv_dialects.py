@@ -3,48 +3,15 @@
 from __future__ import annotations
 
 import re
-import time
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinematics.errors import KinematicsError
-from kinematics.tables import csv_cells, csv_fast
 from kinematics.tables.ldv_csv import read_ldv
-
-HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
-ROWS = [
-    f"{body},{point},{0.5 * point},0.25,{z},{axis},{freq},{point + 0.125},{-freq * 1e-3}"
-    for body, z in (("stapes", 0.0), ("base", -1.5))
-    for point in (1, 2)
-    for axis in ("y", "-z")
-    for freq in (100.0, 250.5, 1e4)
-]
-FIRST = 2
-
-
-def written(folder, data, name="ldv.csv"):
-    path = folder / name
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return path
-
-
-def plain(rows=ROWS, head=HEAD, end="\n"):
-    return end.join([head, *rows]) + end
-
-
-def same(one, two):
-    """Compare two measurements to the last bit."""
-    assert (one.runs, one.order) == (two.runs, two.order)
-    assert np.array_equal(one.freq_hz, two.freq_hz)
-    assert [body.body for body in one.bodies] == [body.body for body in two.bodies]
-    for a, b in zip(one.bodies, two.bodies, strict=True):
-        assert a.points == b.points
-        for name in ("positions_mm", "directions", "displacement"):
-            assert np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True), name
+from tests.kinematics.written_csv import FIRST, HEAD, ROWS, plain, same, written
 
 
 @pytest.fixture(scope="module")
@@ -246,31 +213,6 @@ def test_unknown_bodies_and_names_in_other_letters(tmp_path):
     assert [notice.code for notice in read_ldv(table).notices] == ["names_alike"]
 
 
-def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
-    rng = np.random.default_rng(8)
-    rows = []
-    for point in range(40):
-        for freq in np.linspace(100.0, 5000.0, 20).tolist():
-            re_, im = (rng.normal(size=2) * 10.0 ** rng.integers(-12, 3)).tolist()
-            rows.append(f"s{point % 3},p{point},{point / 7!r},0,1,y,{freq!r},{re_!r},{im!r}")
-    path = written(tmp_path, plain(rows))
-    whole = read_ldv(path)
-    monkeypatch.setattr(csv_fast, "_PIECE", 2000)
-    same(read_ldv(path), whole)
-    monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
-    import kinematics.tables.csv_table as csv_table
-
-    monkeypatch.setattr(csv_table, "read_fast", lambda *_: None)
-    same(read_ldv(path), whole)
-    rng.shuffle(rows)
-    mixed = read_ldv(written(tmp_path, plain(rows)))
-    body = {b.body: b for b in mixed.bodies}
-    for one in whole.bodies:
-        other = body[one.body]
-        order = [other.points.index(point) for point in one.points]
-        assert np.array_equal(other.displacement[:, order], one.displacement)
-
-
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=st.floats(-1e300, 1e300))
 def test_numbers_are_read_to_the_nearest(tmp_path, value):
@@ -332,105 +274,6 @@ def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
     assert len(got - values) <= touched
 
 
-def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
-    from kinematics.tables import csv_text
-
-    monkeypatch.setattr(csv_text, "_LARGE", 10)
-    for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):
-        same(read_ldv(written(tmp_path, DIALECTS[name], f"{name}.csv")), expected)
-    with pytest.raises(KinematicsError, match="UTF-16 or binary"):
-        read_ldv(written(tmp_path, plain() + "\x00"))
-    with pytest.raises(KinematicsError, match="an empty file"):
-        read_ldv(written(tmp_path, " " * 50 + "\n"))
-    with pytest.raises(KinematicsError, match="another encoding"):
-        read_ldv(written(tmp_path, plain([*ROWS, ROWS[0].replace("stapes", "st\xe4pes")]).encode("latin-1")))
-
-
-def test_reading_costs_little_more_than_the_bare_parser(tmp_path):
-    rng = np.random.default_rng(3)
-    rows = [
-        f"stapes,{point},{point},0.25,-1.5,y,{freq!r},{a!r},{b!r}"
-        for point in range(60)
-        for freq, (a, b) in zip(
-            np.linspace(1e2, 1e4, 1000).tolist(), rng.normal(size=(1000, 2)).tolist(), strict=True
-        )
-    ]
-    path = written(tmp_path, plain(rows))
-    bare = checked = np.inf
-    for _ in range(5):
-        start = time.process_time()
-        pd.read_csv(path)
-        middle = time.process_time()
-        read_ldv(path)
-        bare, checked = min(bare, middle - start), min(checked, time.process_time() - middle)
-    assert checked < 1.8 * bare
-
-
-SPOILS = (
-    lambda row: row.replace("0.25", "x.25"),
-    lambda row: row.replace("0.25", ""),
-    lambda row: "# " + row,
-    lambda row: "",
-    lambda row: row + ",1",
-    lambda row: row[: row.rfind(",")],
-    lambda row: row.replace("0.25", '"0.25"'),
-    lambda row: row + "\n" + row.replace("0.25", "0.5e"),
-    lambda row: "  ,,,,,,,,",
-    lambda row: row.replace(",y,", ",Y,"),
-    lambda row: row.replace("0.25", "1,5"),
-)
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("mark", [",", ";"])
-def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkeypatch, seed, mark):
-    import kinematics.tables.csv_table as csv_table
-
-    rng = np.random.default_rng(seed)
-    rows = [f"s,p{k // 100},{k // 100},0.25,1,y,{100 + k % 100},1.5,{k}" for k in range(1000)]
-    kinds = range(len(SPOILS)) if seed % 3 else (2, 3, 8, 9)
-    for place in rng.choice(len(rows), 1 + seed % 4, replace=False):
-        rows[place] = SPOILS[rng.choice(kinds)](rows[place])
-    path = written(tmp_path, plain(rows).replace(",", mark))
-
-    def read():
-        try:
-            return read_ldv(path)
-        except KinematicsError as fault:
-            return sorted(str(fault).splitlines())
-
-    with monkeypatch.context() as patch:
-        patch.setattr(csv_table, "read_fast", lambda *_: None)
-        slow = read()
-    monkeypatch.setattr(csv_fast, "_SHORT", 600)
-    monkeypatch.setattr(csv_fast, "_PIECE", 9000)
-    fast = read()
-    if isinstance(slow, list):
-        assert fast == slow
-        return
-    same(fast, slow)
-    assert [n.code for n in fast.notices] == [n.code for n in slow.notices]
-
-
-def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeypatch):
-    import kinematics.tables.csv_table as csv_table
-
-    rows = [f"s,p{k // 1000},{k // 1000},0.25,1,y,{100 + k % 1000},1.5,{k}" for k in range(8000)]
-    rows[5000] = rows[5000].replace("1.5", "one")
-    path = written(tmp_path, plain(rows))
-    lengths = []
-
-    def counted(sheet, *rest):
-        lengths.append(sheet.stop - sheet.start)
-        return csv_cells.read_cells(sheet, *rest)
-
-    monkeypatch.setattr(csv_table, "read_cells", counted)
-    with pytest.raises(KinematicsError, match=r're_m_s must be a number; got "one" \(ldv.csv, line 5002\)'):
-        read_ldv(path)
-    assert len(lengths) == 1
-    assert lengths[0] <= 1 << 15
-
-
 def test_a_table_without_header_is_told_so(tmp_path):
     path = written(tmp_path, "\n".join(ROWS) + "\n")
     with pytest.raises(
@@ -446,3 +289,17 @@ def test_bad_cells_are_listed_by_line(tmp_path):
     with pytest.raises(KinematicsError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     assert re.findall(r"line (\d+)", str(caught.value)) == [str(1 + FIRST), str(4 + FIRST)]
+
+
+def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
+    from kinematics.tables import csv_text
+
+    monkeypatch.setattr(csv_text, "_LARGE", 10)
+    for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):
+        same(read_ldv(written(tmp_path, DIALECTS[name], f"{name}.csv")), expected)
+    with pytest.raises(KinematicsError, match="UTF-16 or binary"):
+        read_ldv(written(tmp_path, plain() + "\x00"))
+    with pytest.raises(KinematicsError, match="an empty file"):
+        read_ldv(written(tmp_path, " " * 50 + "\n"))
+    with pytest.raises(KinematicsError, match="another encoding"):
+        read_ldv(written(tmp_path, plain([*ROWS, ROWS[0].replace("stapes", "st\xe4pes")]).encode("latin-1")))
