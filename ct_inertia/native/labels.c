@@ -177,7 +177,6 @@ API int64_t packed(uint8_t *memory, int64_t stage, const uint8_t *data, int64_t 
     } else
         memcpy(&p, memory, sizeof p);
     if (stage == 2) {
-        put_run(&p, length, code, &at);
         put(&p, code[256], length[256], &at);
         put(&p, 0, 7, &at);
         for (int k = 0; k < 4; k++)
@@ -205,6 +204,8 @@ API int64_t packed(uint8_t *memory, int64_t stage, const uint8_t *data, int64_t 
             i++;
         p.run += i - start;
     }
+    put_run(&p, length, code, &at); /* a run never waits for the next piece: there is room for this one's alone */
+    p.value = -1;
     p.check = checked(p.check, data, count);
     p.total += count;
     memcpy(memory, &p, sizeof p);

@@ -314,6 +314,19 @@ def test_labels_and_their_packing(monkeypatch, dtype):
         assert ours.partition(b"\n\n")[0] == theirs.partition(b"\n\n")[0]
 
 
+def test_a_run_over_many_pieces_keeps_to_the_room_of_each():
+    """Nothing is written behind count + 1024 bytes, however long one value goes on before the end."""
+    kernels = compiled()
+    memory, piece, packed = np.zeros(64, dtype=np.uint8), np.zeros(70_001, dtype=np.uint8), b""
+    for stage, data in ((0, piece), *((1, piece),) * 60, (2, piece[:0])):
+        out = np.full(len(data) + 1024 + 4096, 77, dtype=np.uint8)
+        count = kernels.packed(memory.ctypes.data, stage, data.ctypes.data, len(data), out.ctypes.data)
+        assert count <= len(data) + 1024
+        assert np.all(out[len(data) + 1024 :] == 77)
+        packed += out[:count].tobytes()
+    assert gzip.decompress(packed) == bytes(61 * len(piece))
+
+
 def test_labels_above_three_are_packed_too():
     from ct_inertia.bodies import LabelledVolume
     from ct_inertia.label_file import packed_labels
