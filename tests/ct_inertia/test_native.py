@@ -316,7 +316,10 @@ def test_labels_and_their_packing(monkeypatch, dtype):
 
 def test_a_run_over_many_pieces_keeps_to_the_room_of_each():
     """Nothing is written behind count + 1024 bytes, however long one value goes on before the end."""
+    from ct_inertia.native import compiled
+
     kernels = compiled()
+    assert kernels is not None
     memory, piece, packed = np.zeros(64, dtype=np.uint8), np.zeros(70_001, dtype=np.uint8), b""
     for stage, data in ((0, piece), *((1, piece),) * 60, (2, piece[:0])):
         out = np.full(len(data) + 1024 + 4096, 77, dtype=np.uint8)
