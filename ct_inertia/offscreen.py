@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from ct_inertia.pictures import Body
+    from ct_inertia.drawn_body import Body
 
 Array = NDArray[np.float64]
 Panel = tuple[Sequence["Body"], Array, Array, float]

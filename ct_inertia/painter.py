@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ct_inertia.pictures import Body
+    from ct_inertia.drawn_body import Body
 
 Array = NDArray[np.float64]
 _LIGHT = np.array([-0.35, 0.45, 0.82])

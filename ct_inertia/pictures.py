@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.drawn_body import Body
 from ct_inertia.errors import CtInertiaError
 from kinematics.errors import sentence
 from kinematics.frames import RigidTransform
@@ -23,49 +24,6 @@ Array = NDArray[np.float64]
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2256a5")
 _PIXELS = 720
 _MARGIN = 1.22
-
-
-@dataclass(frozen=True)
-class Body:
-    """One surface to draw.
-
-    Attributes
-    ----------
-    vertices_mm : ndarray, (n, 3)
-        Scan coordinates.
-    faces : ndarray, (m, 3), int
-        Outward by the right-hand rule.
-    color : str
-        Any matplotlib colour.
-    opacity : float
-        1 is opaque.
-    name : str
-        For the legend.
-    smooth : bool
-        Shade over edges (bone), or leave them sharp (a plate).
-    """
-
-    vertices_mm: NDArray[np.floating]
-    faces: NDArray[np.integer]
-    color: str = "#d9c7a5"
-    opacity: float = 1.0
-    name: str = "stapes"
-    smooth: bool = True
-
-    def __post_init__(self) -> None:
-        vertices, faces = np.asarray(self.vertices_mm), np.asarray(self.faces)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise CtInertiaError(
-                sentence("a body to draw", "(n, 3) vertices and (m, 3) faces", (vertices.shape, faces.shape))
-            )
-        if len(faces) == 0 or not np.all(np.isfinite(vertices)):
-            raise CtInertiaError(
-                sentence("a body to draw", "at least one face and finite vertices", f"{len(faces)} faces")
-            )
-        if np.min(faces) < 0 or np.max(faces) >= len(vertices):
-            raise CtInertiaError(
-                sentence("the faces of a body to draw", f"indices below {len(vertices)}", int(np.max(faces)))
-            )
 
 
 @dataclass(frozen=True)

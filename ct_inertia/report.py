@@ -199,7 +199,8 @@ def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
 def _bodies_section(
     content: Mapping[str, Any], pictured: Pictured
 ) -> tuple[page.Section, tuple[Notice, ...]]:
-    from ct_inertia.pictures import Body, Scene, render_scenes
+    from ct_inertia.drawn_body import Body
+    from ct_inertia.pictures import Scene, render_scenes
 
     footplate = _frame(content, "footplate")
     if footplate is None:

@@ -10,7 +10,8 @@ import matplotlib.image
 import numpy as np
 from matplotlib.figure import Figure
 
-from ct_inertia.pictures import Body, render_views
+from ct_inertia.drawn_body import Body
+from ct_inertia.pictures import render_views
 from ct_inertia.surface import read_surface
 from fitting.kd import fit_kd
 from fitting.responses import responses

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from fitting.beam import STEEL_DENSITY, Beam, element_mass, element_stiffness, transport_to_tip
 from fitting.experiment import Layout
-from fitting.kd import KDFit, KDOptions, fit_kd
+from fitting.kd import fit_kd
+from fitting.kd_fit import KDFit, KDOptions
 from kinematics.motion import RigidMotion
 
 Array = NDArray[np.float64]

@@ -153,7 +153,7 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         ]
         made.error(f"the following arguments are required: {', '.join(missing)}")
     from fitting.dof2kd import dof2kd
-    from fitting.kd import KDOptions
+    from fitting.kd_fit import KDOptions
     from fitting.report import summary_rows
     from kinematics.spatial import parse_dof
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.kd import KDFit
+from fitting.kd_fit import KDFit
 from fitting.model import NORMALISATION
 
 SCHEMA = "stapeskit.kd/1"

@@ -16,7 +16,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from fitting.estimators import estimator
-from fitting.kd import KDFit
+from fitting.kd_fit import KDFit
 from fitting.lines import Lines, motion_rows
 from fitting.model import modes
 from fitting.problem import Problem

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from fitting.damping import VISCOUS, DampingLaw
 from fitting.experiment import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
-from fitting.kd import KDFit, KDOptions, fit_kd
+from fitting.kd import fit_kd
+from fitting.kd_fit import KDFit, KDOptions
 from fitting.model import simulate
 from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from kinematics.mass_record import MassMatrix

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.bands import FrequencyDependence
 from fitting.figures import frequency_figure, principal_figure, residual_figure, response_figure
-from fitting.kd import KDFit
+from fitting.kd_fit import KDFit
 from fitting.kd_json import principal_axes_json
 from fitting.model import NORMALISATION
 from fitting.responses import responses

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import ml
-from fitting.kd import KDFit
+from fitting.kd_fit import KDFit
 from fitting.model import dynamic_stiffness, simulate
 from fitting.symmetric import basis
 

@@ -11,7 +11,7 @@ from fitting.identifiability import relative_sizes
 from kinematics.notices import Notice
 
 if TYPE_CHECKING:
-    from fitting.kd import KDFit
+    from fitting.kd_fit import KDFit
 
 Array = NDArray[np.float64]
 # Published stiffness of the human annular ligament in piston direction, N/m.

@@ -21,7 +21,7 @@ from sample_volumes.density import height_range, relative_density
 from sample_volumes.scanner import add_noise, cup, stored
 
 if TYPE_CHECKING:
-    from sample_volumes.phantom import Scene
+    from sample_volumes.ear import Scene
 
 _TRUNCATE = 5.0
 _PITCH_MM = 0.003

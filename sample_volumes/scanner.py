@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from sample_volumes.phantom import Ear
+    from sample_volumes.ear import Ear
 
 Floats = NDArray[np.float32]
 DTYPES = ("uint8", "int16", "uint16", "float32")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from kinematics.geometry.mesh_distance import TriangleSurface
 from kinematics.geometry.placement import Placement
 from kinematics.geometry.scan_surfaces import ScanSurfaces
 from kinematics.geometry.slides import OPEN, open_motions, undetermined
+from kinematics.geometry.surface_check import SurfaceCheck, shift_words
 from kinematics.mass_record import MassRecord
 from kinematics.measurement import Measurement
 from kinematics.notices import Notice
@@ -28,55 +29,6 @@ _PLAUSIBLE = 1e-2
 _VOXEL_SHARE = 0.15
 _LEAST_SD_MM = 1e-4
 _SURE_MM = 0.1
-
-
-@dataclass(frozen=True)
-class SurfaceCheck:
-    """Measured points of one body against the surface that they must lie on.
-
-    Attributes
-    ----------
-    body, surface : str
-    points : tuple of str, (n,)
-    distance_mm : ndarray, (n,)
-        Signed distance from the surface, outside positive.
-    expected_sd_mm : ndarray, (n,)
-        What position, surface and registration let expect.
-    chi2, n_dof, p_value : float, int, float
-        Of all distances with their joint covariance; with estimated sd (``stated`` False) the p-value is that
-        of the shift against the scatter around it.
-    stated : bool
-    shift_mm : ndarray, (3,)
-        Translation of the points relative to the surface that explains the distances, in footplate axes, at
-        the centroid of the points; without what is open.
-    turn_deg : ndarray, (3,)
-    shift_sd_mm, turn_sd_deg : ndarray, (3,)
-    size_mm : (float, float)
-        Length of the shift, and its standard deviation along itself.
-    open_motions : tuple of str
-        Motions that these distances do not show.
-    off : tuple of str
-        Points that alone lie off the surface.
-    notices : tuple of Notice
-    """
-
-    body: str
-    surface: str
-    points: tuple[str, ...]
-    distance_mm: Array
-    expected_sd_mm: Array
-    chi2: float
-    n_dof: int
-    p_value: float
-    stated: bool
-    shift_mm: Array
-    turn_deg: Array
-    shift_sd_mm: Array
-    turn_sd_deg: Array
-    size_mm: tuple[float, float]
-    open_motions: tuple[str, ...] = ()
-    off: tuple[str, ...] = ()
-    notices: tuple[Notice, ...] = ()
 
 
 def check_surfaces(
@@ -330,15 +282,6 @@ def _size(shift: Array, covariance: Array) -> tuple[float, float]:
     length = float(np.linalg.norm(shift))
     along = shift / length if length > 0.0 else np.zeros(3)
     return length, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-
-
-def shift_words(made: SurfaceCheck) -> str:
-    """Write the shift of a check: its size, its sd and its direction in footplate axes."""
-    size, sd = (1e3 * value for value in made.size_mm)
-    if size == 0.0:
-        return "none seen"
-    along = ", ".join(f"{value:.2f}" for value in made.shift_mm / made.size_mm[0])
-    return f"{size:.0f} ± {sd:.0f} um along ({along})"
 
 
 def _told(made: SurfaceCheck, alone: list[str]) -> SurfaceCheck:

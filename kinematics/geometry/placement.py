@@ -18,7 +18,7 @@ from kinematics.notices import Notice
 from kinematics.spatial import DOF_NAMES
 
 if TYPE_CHECKING:
-    from kinematics.geometry.moved import SurfaceCheck
+    from kinematics.geometry.surface_check import SurfaceCheck
 
 Array = NDArray[np.float64]
 _STEP = 1e-5

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from kinematics.geometry.calibrate import Calibration
-    from kinematics.geometry.moved import SurfaceCheck
+    from kinematics.geometry.surface_check import SurfaceCheck
     from kinematics.pages.page import Section
     from kinematics.points2dof import Points2Dof
 
@@ -117,7 +117,7 @@ def sections(result: Points2Dof) -> list[Section]:
 
 
 def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
-    from kinematics.geometry.moved import shift_words
+    from kinematics.geometry.surface_check import shift_words
     from kinematics.pages import page
     from kinematics.pages.page import Section
 
