@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
-_PLACE = re.compile(r"\(([^()]+), line (\d+)")
+_PLACE = re.compile(r"\(([^()]+?)(?:, dataset \d+)?, (line|dataset|row|channel|record|step) (\d+)")
 
 
 class StapeskitError(ValueError):
-    """Base of every error that the user's input can cause; the commands end with exit code 2 on it."""
+    """Base of every error that the user's input can cause; the commands end with exit code 2 on it.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        Every fault, also those that the message only counts; empty when the message is the one fault.
+    """
+
+    faults: tuple[str, ...] = ()
 
 
 class KinematicsError(StapeskitError):
@@ -56,15 +65,36 @@ def raise_all(error: type[StapeskitError], faults: Iterable[str], most: int = 40
     listed = list(faults)
     if not listed:
         return
+    made = error(_message(listed, most))
+    made.faults = tuple(listed)
+    raise made
+
+
+def faults_of(error: StapeskitError) -> list[str]:
+    """Return every fault of an error, one sentence each."""
+    return list(error.faults) if error.faults else str(error).splitlines()
+
+
+@contextmanager
+def collecting(faults: list[str]) -> Iterator[None]:
+    """Add the faults of what goes wrong inside to a list, and go on behind the block."""
+    try:
+        yield
+    except StapeskitError as error:
+        faults += faults_of(error)
+
+
+def _message(listed: list[str], most: int) -> str:
+    """Write faults below each other, of long lists some of every kind and a count of the rest."""
     if len(listed) <= most:
-        raise error("\n".join(listed))
+        return "\n".join(listed)
     kinds: dict[str, list[int]] = {}
     for number, fault in enumerate(listed):
         kinds.setdefault(_kind(fault), []).append(number)
     turn = sorted((rank, number) for members in kinds.values() for rank, number in enumerate(members))
     shown = sorted(number for _, number in turn[:most])
     rest = [listed[number] for _, number in turn[most:]]
-    raise error("\n".join([*(listed[number] for number in shown), _counted(rest)]))
+    return "\n".join([*(listed[number] for number in shown), _counted(rest)])
 
 
 def _kind(fault: str) -> str:
@@ -75,21 +105,22 @@ def _kind(fault: str) -> str:
 
 def _counted(faults: list[str]) -> str:
     """Count faults and name the lines they stand in."""
-    places: dict[tuple[str, str], list[int]] = {}
+    places: dict[tuple[str, str, str], list[int]] = {}
     for fault in faults:
         found = _PLACE.search(fault)
         if found:
             thing = fault.partition(" must be ")[0]
-            places.setdefault((thing if len(thing) < 40 else "rows", found[1]), []).append(int(found[2]))
+            thing = thing if len(thing) < 40 else "rows"
+            places.setdefault((thing, found[1], found[2]), []).append(int(found[3]))
     parts = [
-        f"{thing} in {_ranges(lines)} of {file}"
-        for (thing, file), lines in sorted(places.items(), key=lambda item: -len(item[1]))[:8]
+        f"{thing} in {_ranges(numbers, unit)} of {file}"
+        for (thing, file, unit), numbers in sorted(places.items(), key=lambda item: -len(item[1]))[:8]
     ]
     return f"... and {len(faults)} more faults" + (f": {'; '.join(parts)}." if parts else ".")
 
 
-def _ranges(lines: list[int], most: int = 30) -> str:
-    """Write line numbers, neighbours as ranges."""
+def _ranges(lines: list[int], unit: str = "line", most: int = 30) -> str:
+    """Write numbers of lines (or data sets, rows, ...), neighbours as ranges."""
     ranges: list[list[int]] = []
     for line in sorted(set(lines)):
         if ranges and line == ranges[-1][1] + 1:
@@ -98,4 +129,4 @@ def _ranges(lines: list[int], most: int = 30) -> str:
             ranges.append([line, line])
     words = [f"{first}" if first == last else f"{first} to {last}" for first, last in ranges[:most]]
     more = f" and {len(ranges) - most} more places" if len(ranges) > most else ""
-    return f"line{'s' if len(set(lines)) > 1 else ''} {', '.join(words)}{more}"
+    return f"{unit}{'s' if len(set(lines)) > 1 else ''} {', '.join(words)}{more}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff_sets import CUT, Dataset, data_form
 
@@ -27,6 +27,7 @@ KINDS = {
     SPECTRUM: "spectrum",
     26: "multiple coherence",
 }
+_HEADER_LINES = 11
 _WIDTHS = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
 
 
@@ -62,6 +63,8 @@ class Function:
     abscissa, ordinate, denominator : Axis
     place : int
         Which dataset of the file.
+    names : tuple of str
+        The first two lines of identification.
     """
 
     kind: int
@@ -81,6 +84,7 @@ class Function:
     ordinate: Axis
     denominator: Axis
     place: int
+    names: tuple[str, str] = ("", "")
 
     @property
     def kind_name(self) -> str:
@@ -96,24 +100,41 @@ def read_function(dataset: Dataset, file: str) -> Function:
     KinematicsError
         The header is not as the format says, or the values are fewer than it says or no numbers.
     """
-    where = f"{file}, dataset {dataset.place}"
     head = dataset.lines
     if len(head) < 11:
+        where = f"{file}, dataset {dataset.place}"
         raise KinematicsError(
             sentence("the header of a function", "of 11 lines", f"{len(head)} lines", where, CUT)
         )
-    identity = _identity(head[5], where)
-    kind, count, even = data_form(head, where)
-    # Values that the bytes cannot hold are refused before anything of their size is made.
-    if not dataset.binary and count * (1 if even else 2) > len(dataset.data):
-        got = f"{len(dataset.data)} characters"
-        raise KinematicsError(sentence("a function", f"of {count} values, as it says", got, where, CUT))
-    x, y = _values(dataset, kind, count, even, where)
+    faults: list[str] = []
+    identity, spacing = None, (0.0, 1.0)
+    kind, count, even = 0, 0, False
+    x, y = np.empty(0), np.empty(0, dtype=complex)
+    with collecting(faults):
+        identity = _identity(head[5], dataset.at(file, 6))
+    with collecting(faults):
+        kind, count, even = data_form(head, dataset.at(file, 7))
+        if even:
+            with collecting(faults):
+                spacing = _spacing(head[6], dataset.at(file, 7))
+        x, y = _values(dataset, kind, count, even, file)
+    if identity is None or faults:
+        raise_all(KinematicsError, faults)
+        raise KinematicsError(sentence("a function", "with a record 6", "none", file, CUT))
     if even:
-        first, step = _spacing(head[6], where)
-        x = np.asarray(first + step * np.arange(count), dtype=float)
+        x = np.asarray(spacing[0] + spacing[1] * np.arange(count), dtype=float)
     abscissa, ordinate, denominator = (_axis(line) for line in head[7:10])
-    return Function(*identity, x, y, kind in (2, 4), abscissa, ordinate, denominator, dataset.place)
+    return Function(
+        *identity,
+        x,
+        y,
+        kind in (2, 4),
+        abscissa,
+        ordinate,
+        denominator,
+        dataset.place,
+        names=(head[0].strip(), head[1].strip()),
+    )
 
 
 def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, int, str, int, int]:
@@ -183,14 +204,14 @@ def _number(text: str) -> float:
 
 
 def _values(
-    dataset: Dataset, kind: int, count: int, even: bool, where: str
+    dataset: Dataset, kind: int, count: int, even: bool, file: str
 ) -> tuple[Array, NDArray[np.complex128]]:
     """Return the abscissa (empty when even) and the ordinate."""
     parts = 2 if kind in (5, 6) else 1
     if dataset.binary:
         rows = _binary(dataset, kind, count, even, parts)
     else:
-        rows = _text(dataset.data, kind, count, even, parts, where)
+        rows = _text(dataset, kind, count, even, parts, file)
     x = np.empty(0) if even else rows[:, 0]
     columns = rows if even else rows[:, 1:]
     y = np.zeros(count, dtype=complex)
@@ -205,29 +226,34 @@ def _binary(dataset: Dataset, kind: int, count: int, even: bool, parts: int) -> 
     value = f"{mark}f{4 if kind in (2, 5) else 8}"
     if even:
         numbers = np.frombuffer(dataset.data, value, count * parts)
-        return numbers.astype(float).reshape(count, parts)
+        with np.errstate(invalid="ignore"):
+            return numbers.astype(float).reshape(count, parts)
     wide = value.endswith("8") and len(dataset.data) >= count * 8 * (parts + 1)
     layout = np.dtype([("x", f"{mark}f8" if wide else f"{mark}f4"), ("y", value, (parts,))])
     rows = np.frombuffer(dataset.data, layout, count)
-    return np.column_stack([rows["x"].astype(float), rows["y"].astype(float)])
+    with np.errstate(invalid="ignore"):
+        return np.column_stack([rows["x"].astype(float), rows["y"].astype(float)])
 
 
-def _text(data: bytes, kind: int, count: int, even: bool, parts: int, where: str) -> Array:
+def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file: str) -> Array:
     columns = parts + (0 if even else 1)
     wanted = count * columns
-    words = data.replace(b"D", b"E").split()
+    formats = _formats(kind, even)
+    words = dataset.data.replace(b"D", b"E").split()
     found, numbers = len(words), np.empty(0)
+    # Values that the bytes cannot hold are refused before anything of their size is made.
     if found >= wanted:
         try:
             numbers = np.array(words[:wanted], dtype=np.bytes_).astype(float)
         except ValueError:
             found = 0
     if numbers.size < wanted:
-        numbers = np.array(_fixed(data, _formats(kind, even), where))
+        numbers = np.array(_by_line(dataset, formats, file))
         found = numbers.size
     # Some writers fill the last line with zeros.
-    if found < wanted or found - wanted >= len(_formats(kind, even)):
+    if found < wanted or found - wanted >= len(formats):
         got = f"{found // columns}"
+        where = f"{file}, dataset {dataset.place}"
         raise KinematicsError(sentence("a function", f"of {count} values, as it says", got, where, CUT))
     return np.asarray(numbers[:wanted], dtype=float).reshape(count, columns)
 
@@ -241,21 +267,30 @@ def _formats(kind: int, even: bool) -> tuple[int, ...]:
     return (13, 20, 13, 20) if kind == 4 else (13, 20, 20)
 
 
-def _fixed(data: bytes, widths: tuple[int, ...], where: str) -> list[float]:
-    """Read numbers by their columns, where they stand without blanks between them."""
-    numbers = []
-    for line in lines_of(data.decode("latin-1")):
-        start = 0
-        for width in widths:
-            cell = line[start : start + width]
-            start += width
+def _by_line(dataset: Dataset, widths: tuple[int, ...], file: str) -> list[float]:
+    """Read numbers line by line: by words where a line has as many as columns, else by the columns.
+
+    Raises
+    ------
+    KinematicsError
+        Every cell that is no number, by line and column.
+    """
+    ends = np.cumsum(widths)
+    numbers: list[float] = []
+    faults: list[str] = []
+    for row, line in enumerate(lines_of(dataset.data.decode("latin-1")), _HEADER_LINES + 1):
+        cells = line.split()
+        if len(cells) != len(widths):
+            cells = [line[end - width : end] for end, width in zip(ends, widths, strict=True)]
+        for column, cell in enumerate(cells, 1):
             if not cell.strip():
                 continue
             try:
                 numbers.append(_number(cell))
-            except ValueError as fault:
-                step = "Export it again"
-                raise KinematicsError(
-                    sentence("a value of a function", "a number", shown(cell), where, step)
-                ) from fault
+            except ValueError:
+                where = f"{dataset.at(file, row)}, column {column}"
+                faults.append(
+                    sentence("a value of a function", "a number", shown(cell), where, "Export it again")
+                )
+    raise_all(KinematicsError, faults)
     return numbers

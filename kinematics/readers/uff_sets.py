@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.text import lines_of, shown
 
 _RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
+_FIRST = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*|[bB][ \t]+\d[^\r\n]*)\r?\n")
 _LOOSE = re.compile(rb"[ \t]*-1[ \t]*\r?\n")
 _NUMBER = re.compile(rb"[ \t]*(\d{1,6})(b?)([^\r\n]*)\r?\n", re.IGNORECASE)
 _BINARY_TAIL = re.compile(rb"\r?\n? {4}-1[ \t]*(\r?\n|$)")
@@ -33,6 +34,8 @@ class Dataset:
         The numbers of a function: text, or binary from the end of the header on.
     binary : bool
     big_endian : bool
+    line : int
+        Of the identifier, from 1.
     """
 
     number: int
@@ -41,6 +44,15 @@ class Dataset:
     data: bytes = b""
     binary: bool = False
     big_endian: bool = False
+    line: int = 0
+
+    def at(self, file: str, record: int) -> str:
+        """Return the place of a line below the identifier, from 1, for messages.
+
+        Lines of a file with binary parts cannot be counted: there it is the record of the dataset.
+        """
+        counted = f"record {record}" if self.binary else f"line {self.line + record}"
+        return f"{file}, dataset {self.place}, {counted}"
 
 
 def looks_like_uff(head: bytes) -> bool:
@@ -49,8 +61,24 @@ def looks_like_uff(head: bytes) -> bool:
     return match is not None and _NUMBER.match(head.lstrip(b"\r\n"), match.end()) is not None
 
 
-def datasets(content: bytes, file: str) -> Iterator[Dataset]:
+def plain_content(content: bytes) -> bytes:
+    """Return a text in UTF-16 with its mark, or with carriage returns alone, as the format has it."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        content = content.decode("utf-16", errors="replace").encode("latin-1", errors="replace")
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    return content if b"\n" in content[:4096] else content.replace(b"\r", b"\n")
+
+
+def datasets(content: bytes, file: str, faults: list[str] | None = None) -> Iterator[Dataset]:
     """Go through the datasets of a universal file.
+
+    Parameters
+    ----------
+    content : bytes
+    file : str
+    faults : list of str, optional
+        What is wrong is added to it, and the reading goes on behind it; without it the faults are raised at
+        the end.
 
     Notes
     -----
@@ -64,38 +92,60 @@ def datasets(content: bytes, file: str) -> Iterator[Dataset]:
     KinematicsError
         A dataset has no end, no number, or a binary one holds fewer bytes than its header says.
     """
-    position, place = 0, 0
+    told = [] if faults is None else faults
+    position, place, counted, line = 0, 0, 0, 1
     while (start := _RULE.search(content, position)) is not None:
         place += 1
-        where = f"{file}, dataset {place}"
-        number = _NUMBER.match(content, min(start.end() + 1, len(content)))
-        if number is None:
-            rest = content[start.end() :].strip().split(b"\n")[0][:40].decode("latin-1").strip()
-            got = shown(rest) if rest else "the end of the file"
-            raise KinematicsError(sentence("the line after -1", "the number of a dataset", got, where, CUT))
-        if number[2] and int(number[1]) == 58:
-            made, position = _binary(content, number, place, where)
+        line += content.count(b"\n", counted, start.end()) + 1
+        counted = min(start.end() + 1, len(content))
+        position = counted
+        with collecting(told):
+            made, position = _dataset(content, counted, (place, line), file)
             yield made
             continue
-        end = _RULE.search(content, number.end())
-        if end is None:
-            raise KinematicsError(
-                sentence("a dataset", "closed by a line that holds -1", "the end of the file", where, CUT)
-            )
-        body = content[number.end() : end.start()]
-        position = end.end()
-        yield _text(int(number[1]), place, body)
+        position = _next_start(content, position)
     tail = content[position:].strip(b" \t\r\n\x00\x1a")
-    if tail:
+    if tail and not told:
         got = shown(lines_of(tail.decode("latin-1"))[0])
-        raise KinematicsError(sentence("the last line of a universal file", "-1", got, file, CUT))
+        told.append(sentence("the last line of a universal file", "-1", got, file, CUT))
+    if faults is None:
+        raise_all(KinematicsError, told)
 
 
-def _text(number: int, place: int, body: bytes) -> Dataset:
+def _next_start(content: bytes, position: int) -> int:
+    """Return where the next line of -1 stands that the number of a dataset follows; else the end."""
+    while (rule := _RULE.search(content, position)) is not None:
+        if _FIRST.match(content, min(rule.end() + 1, len(content))):
+            return rule.start()
+        position = min(rule.end() + 1, len(content))
+        if rule.end() == len(content):
+            break
+    return len(content)
+
+
+def _dataset(content: bytes, start: int, place: tuple[int, int], file: str) -> tuple[Dataset, int]:
+    """Read the dataset whose number stands at ``start``; return it and where the next one may begin."""
+    where = f"{file}, dataset {place[0]}, line {place[1]}"
+    number = _NUMBER.match(content, start)
+    if number is None:
+        rest = content[start : start + 80].strip().split(b"\n")[0][:40].decode("latin-1").strip()
+        got = shown(rest) if rest else "the end of the file"
+        raise KinematicsError(sentence("the line after -1", "the number of a dataset", got, where, CUT))
+    if number[2] and int(number[1]) == 58:
+        return _binary(content, number, place, f"{file}, dataset {place[0]}")
+    end = _RULE.search(content, number.end())
+    follows = None if end is None else _FIRST.match(content, min(end.end() + 1, len(content)))
+    if end is None or follows is not None:
+        got = "the end of the file" if end is None else "the beginning of the next one"
+        raise KinematicsError(sentence("a dataset", "closed by a line that holds -1", got, where, CUT))
+    return _text(int(number[1]), place, content[number.end() : end.start()]), end.end()
+
+
+def _text(number: int, place: tuple[int, int], body: bytes) -> Dataset:
     if number != 58:
-        return Dataset(number, place, tuple(lines_of(body.decode("latin-1"))))
+        return Dataset(number, place[0], tuple(lines_of(body.decode("latin-1"))), line=place[1])
     head, data = _after_lines(body, 0, _HEADER_LINES)
-    return Dataset(58, place, head, body[data:])
+    return Dataset(58, place[0], head, body[data:], line=place[1])
 
 
 def _after_lines(content: bytes, start: int, count: int) -> tuple[tuple[str, ...], int]:
@@ -110,7 +160,9 @@ def _after_lines(content: bytes, start: int, count: int) -> tuple[tuple[str, ...
     return tuple(lines), position
 
 
-def _binary(content: bytes, number: re.Match[bytes], place: int, where: str) -> tuple[Dataset, int]:
+def _binary(
+    content: bytes, number: re.Match[bytes], place: tuple[int, int], where: str
+) -> tuple[Dataset, int]:
     """Read a 58b dataset: header as text, values as bytes counted by the header."""
     fields = number[3].split()
     if len(fields) < 4 or not all(re.fullmatch(rb"\d+", field) for field in fields[:4]):
@@ -132,13 +184,13 @@ def _binary(content: bytes, number: re.Match[bytes], place: int, where: str) -> 
     head, start = _after_lines(content, number.end(), count)
     if len(head) < count:
         raise KinematicsError(sentence("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
-    needed = values_size(head, where)
+    needed = values_size(head, f"{where}, record 7")
     # The stated number of bytes only decides between possible ones: some writers state half of it.
     for length in sorted(needed, key=lambda length: (length != size, -length)):
         end = start + length
         tail = _BINARY_TAIL.match(content, end)
         if tail is not None:
-            made = Dataset(58, place, head, content[start:end], True, order == 2)
+            made = Dataset(58, place[0], head, content[start:end], True, order == 2, place[1])
             return made, tail.end()
     got = f"{len(content) - start} bytes up to the end of the file"
     if len(content) - start >= min(needed):
