@@ -161,7 +161,9 @@ def by_chance(
     from scipy.special import chdtrc
 
     own_of = _points(points, live)
-    shown = [2.0 * samples * (correlation**2 * np.outer(kept, kept))[np.ix_(own, own)] for own in own_of]
+    shown = [
+        2.0 * samples * correlation[np.ix_(own, own)] ** 2 * np.outer(kept[own], kept[own]) for own in own_of
+    ]
     each = [
         (float(np.sum(np.triu(held, 1))), len(own) * (len(own) - 1) // 2)
         for held, own in zip(shown, own_of, strict=True)
