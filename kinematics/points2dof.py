@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.faults.compact import compact
-from kinematics.faults.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
-from kinematics.faults.neglected import extended_beams, neglected_notice
+from kinematics.faults.across import diagnosed, told_across
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.phase import phase_notice
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import with_noise
 from kinematics.fit.ratio import parse_reference, per_reference
-from kinematics.fit.rigid_fit import LineFit, refitted
+from kinematics.fit.rigid_fit import LineFit
 from kinematics.fit.shared_errors import pose_derivatives, position_errors
 from kinematics.geometry.calibrate import Calibration
 from kinematics.geometry.calibrated_fit import calibrated, calibration_errors
@@ -182,6 +182,7 @@ def points2dof(
         beams = _beam_sets(placed, options.dof)
     fits: dict[tuple[int, int], LineFit] = {}
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
+    known: dict[tuple[int, int], bool] = {}
     verdicts: list[ChannelVerdict] = []
     notices = [*measurement.notices, *placement.notices]
     notices += [] if calibration is None else calibration.notices
@@ -191,10 +192,14 @@ def points2dof(
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
-            fits[key], known, said = with_noise(placed, run, screen.body, beams[number], options.robust)
+            fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
-            diagnoses[key] = _diagnosed(placed, screen, fits[key], options.dof, known)
-            notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known)
+            diagnoses[key] = diagnosed(placed, screen.body, fits[key], known[key])
+    diagnoses |= told_across(placed, fits, diagnoses, known)
+    for run in range(len(placed.runs)):
+        for number, screen in enumerate(screens):
+            key = (run, number)
+            notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known[key])
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
     notices += check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
     motion = _motion(placed, fits, options.dof)
@@ -253,22 +258,6 @@ def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
             faults.append(str(fault))
     raise_all(KinematicsError, faults)
     return made
-
-
-def _diagnosed(
-    placed: Measurement, screen: Screened, fit: LineFit, dof: tuple[str, ...], known: bool
-) -> Diagnosis:
-    """Search for faults with all degrees of freedom that the beams observe, fitted or not."""
-    body = screen.body
-    lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
-    if lines < 3 or fit.is_rounding():
-        return nothing_found(fit.beams, fit.sd)
-    whole = fit
-    if len(dof) < 6:
-        whole = refitted(extended_beams(body, dof), fit)
-    data = compact(whole, body, placed.freq_hz, known, placed.line_spread)
-    alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
-    return diagnose(data, body.position_sd_mm * 1e-3, known, alarm)
 
 
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:

@@ -27,6 +27,8 @@ class Finding:
         Of a noise or flexible finding: factor of the noise, share of the motion.
     rivals : tuple of Finding
         Other explanations that the data hardly tell from this one.
+    text : str
+        The estimate in words, where it is not made from ``fit`` or ``size``.
     """
 
     kind: str
@@ -35,6 +37,7 @@ class Finding:
     fit: FaultFit | None = None
     size: float = 0.0
     rivals: tuple[Finding, ...] = ()
+    text: str = ""
 
     @property
     def owner(self) -> str:

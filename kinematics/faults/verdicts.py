@@ -68,6 +68,8 @@ def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
 
 def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     fit = finding.fit
+    if finding.text:
+        return finding.kind, finding.text
     if finding.kind == "noise":
         return "noise", f"noise {finding.size:.3g} times that of its sd"
     if finding.kind == "flexible" or fit is None:

@@ -1,0 +1,189 @@
+"""The motion of a body without the channels that spoil it, to compare with what any other rows hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.beams import BeamSet
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels
+from kinematics.spatial import dof_indices, point_rows
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Lines = NDArray[np.intp]
+_WHOLE = 300
+_BLOCKS, REACH = 43, 3
+_FALL, _TIMES = 0.3, 4.0
+_ALONE = 0.97
+_HELD = 1e-3
+
+
+@dataclass(frozen=True)
+class Cleared:
+    """One body in one run.
+
+    Attributes
+    ----------
+    run : int
+    number : int
+        Of the body.
+    body : BodyChannels
+    lines : ndarray, (n,), int
+        The lines that were looked at.
+    value, variance : ndarray, (channel, n)
+        Readings, m, and variance of a complex reading, m^2; zero and infinite where missing.
+    q : ndarray, (n, 6), complex
+        Motion without the suspects; zero where the beams do not observe it.
+    covariance : ndarray, (n, 6, 6)
+        Complex covariance E[dq dq^H].
+    suspects : tuple of tuple of int
+        Channels of a point, or single ones, without which the others agree much better.
+    level : float
+        Residual energy of the others over that of the stated noise.
+    """
+
+    run: int
+    number: int
+    body: BodyChannels
+    lines: Lines
+    value: ComplexArray
+    variance: Array
+    q: ComplexArray
+    covariance: Array
+    suspects: tuple[tuple[int, ...], ...]
+    level: float
+
+    def rows(self, arms_m: Array, directions: Array) -> Array:
+        """Return observation rows (k, 6) of beams at a place (3,) on this body."""
+        return point_rows(np.broadcast_to(arms_m, directions.shape), directions)
+
+
+def chosen_lines(good: NDArray[np.bool_]) -> Lines:
+    """Return the determined lines, or, of many, evenly spread groups of neighbours."""
+    lines = np.flatnonzero(good)
+    if len(lines) <= _WHOLE:
+        return lines
+    starts = np.linspace(REACH, len(lines) - 1 - REACH, _BLOCKS).round().astype(int)
+    return np.asarray(lines[np.unique(starts[:, None] + np.arange(-REACH, REACH + 1))])
+
+
+def cleared(
+    key: tuple[int, int], fit: LineFit, body: BodyChannels, beams: BeamSet, sd: Array, lines: Lines
+) -> Cleared:
+    """Leave out one point after the other as long as that explains much of what is left.
+
+    Parameters
+    ----------
+    key : (int, int)
+        Run and body.
+    fit : LineFit
+        Holds the readings.
+    body : BodyChannels
+    beams : BeamSet
+        For all degrees of freedom that are observed.
+    sd : ndarray, (channel, n)
+        Standard deviations of the lines, m.
+    lines : ndarray, (n,), int
+    """
+    value = fit.value[:, lines]
+    used = np.isfinite(value) & np.isfinite(sd)
+    value = np.where(used, value, 0.0)
+    variance = np.where(used, 2.0 * sd**2, np.inf)
+    weight = 1.0 / variance
+    basis = beams.basis
+    sums = _Sums(basis, weight, value)
+    groups = {name: [c for c, own in enumerate(body.points) if own == name] for name in body.points}
+    suspects: list[tuple[int, ...]] = []
+    out: list[int] = []
+    for _ in range(max(1, len(groups) // 3)):
+        before, freedom = sums.left(out), sums.freedom(out)
+        if freedom <= 0:
+            break
+        left = {
+            name: sums.left([*out, *own])
+            for name, own in groups.items()
+            if not set(own) & set(out) and sums.determined([*out, *own])
+        }
+        if not left:
+            break
+        best = min(left, key=lambda name: left[name])
+        own = groups[best]
+        fall = before - left[best]
+        noise = max(left[best] / max(sums.freedom([*out, *own]), 1), 1e-300)
+        if fall < _FALL * before or fall < _TIMES * noise * len(own) * len(lines):
+            break
+        for channel in own if len(own) > 1 else ():
+            if before - sums.left([*out, channel]) > _ALONE * fall:
+                own = [channel]
+                break
+        suspects.append(tuple(own))
+        out += own
+    z, inverse = sums.motion(out)
+    places = dof_indices(beams.dof)
+    q = np.zeros((len(lines), 6), dtype=complex)
+    q[:, places] = z @ beams.to_dof.T
+    covariance = np.zeros((len(lines), 6, 6))
+    covariance[np.ix_(range(len(lines)), places, places)] = beams.to_dof @ inverse @ beams.to_dof.T
+    level = sums.left(out) / max(sums.freedom(out), 1)
+    return Cleared(*key, body, lines, value, variance, q, covariance, tuple(suspects), level)
+
+
+class _Sums:
+    """Normal equations of all lines, from which channels can be taken."""
+
+    def __init__(self, basis: Array, weight: Array, value: ComplexArray) -> None:
+        self.basis, self.weight = basis, weight
+        self.start = np.zeros((weight.shape[1], basis.shape[1]), dtype=complex)
+        self.value = value
+        for _ in range(2):
+            residual = value - basis @ self.start.T
+            gram, side = self._of(range(len(basis)), residual)
+            self.start = self.start + _solved(gram, side)
+        self.value = value - basis @ self.start.T
+        self.gram, self.side = self._of(range(len(basis)), self.value)
+
+    def _of(self, channels: range | list[int], value: ComplexArray) -> tuple[Array, ComplexArray]:
+        own = list(channels)
+        rows, weight = self.basis[own], self.weight[own]
+        gram = np.einsum("cf,ca,cb->fab", weight, rows, rows, optimize=True)
+        return gram, np.einsum("cf,ca->fa", weight * value[own], rows, optimize=True)
+
+    def _without(self, out: list[int]) -> tuple[Array, ComplexArray]:
+        gram, side = self._of(out, self.value)
+        return self.gram - gram, self.side - side
+
+    def left(self, out: list[int]) -> float:
+        """Return the residual energy without some channels."""
+        gram, side = self._without(out)
+        kept = [c for c in range(len(self.basis)) if c not in set(out)]
+        whole = float(np.sum(self.weight[kept] * np.abs(self.value[kept]) ** 2))
+        return whole - float(np.real(np.sum(side.conj() * _solved(gram, side))))
+
+    def freedom(self, out: list[int]) -> int:
+        """Return how many complex values are left over."""
+        kept = [c for c in range(len(self.basis)) if c not in set(out)]
+        return int(np.sum(self.weight[kept] > 0.0)) - self.side.size
+
+    def determined(self, out: list[int]) -> bool:
+        """Tell whether the motion is still well determined without some channels."""
+        gram = self._without(out)[0]
+        weakest = np.linalg.eigvalsh(gram)[:, 0]
+        return bool(np.median(weakest / np.linalg.eigvalsh(self.gram)[:, -1]) > _HELD**2)
+
+    def motion(self, out: list[int]) -> tuple[ComplexArray, Array]:
+        """Return the motion (line, m) in the basis and the inverse normal matrices."""
+        gram, side = self._without(out)
+        inverse = np.asarray(np.linalg.pinv(gram, rcond=1e-14, hermitian=True), dtype=float)
+        return self.start + _solved(gram, side), inverse
+
+
+def _solved(gram: Array, side: ComplexArray) -> ComplexArray:
+    inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
+    return np.asarray(np.einsum("fab,fb->fa", inverse, side))
+
+
+__all__ = ["REACH", "Cleared", "chosen_lines", "cleared"]
