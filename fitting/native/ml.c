@@ -19,7 +19,7 @@
 #define EACH for (int l = 0; l < WIDE; l++)
 
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__ELF__)
-#define CLONES __attribute__((target_clones("default", "arch=haswell")))
+#define CLONES __attribute__((target_clones("default", "fma", "avx512f")))
 #else
 #define CLONES
 #endif
