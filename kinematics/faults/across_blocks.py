@@ -61,9 +61,9 @@ def label_findings(
     -----
     Rows y are held against rows p of a motion that other channels measured, with the variance of both:
     sum |y - p|^2 / var is chi-squared when they belong there. That is accepted when it is as small as noise
-    makes it, or leaves a hundredth of the misfit, and lies by more than the Bayesian information criterion (Schwarz 1978) below the best static change
-    of
-    the rows and the best course of a factor over frequency, the faults that a single point can have.
+    makes it, or a hundredth of what it was, and lies by more than the Bayesian information criterion
+    (Schwarz 1978) below the best static change of the rows and the best course of a factor over frequency,
+    the faults that a single point can have.
     """
     suspects = [
         made
