@@ -19,8 +19,8 @@ _EPILOG = """\
 Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
 they measure the same points again:
   tidy table      .csv, below
-  universal file  .uff, .unv: functions 58 and 58b (frequency responses, spectra, coherence),
-                  nodes 15 or 2411, coordinate systems 18 or 2420, units 164
+  universal file  .uff, .unv: functions 58 and 58b (frequency responses, spectra, coherence, cross and
+                  auto spectra, time responses), nodes 15 or 2411, systems 18 or 2420, units 164
   PSV text        a folder of a FastScan (one file per frequency) or of single points (Real & Imag.)
   MATLAB, HDF5    .mat (v5, v7.3), .h5
   time series     .csv with a column time_s, .npz, .wav, .mat, .h5, with --channels FILE:
@@ -148,6 +148,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     from kinematics.points2dof import Options, points2dof
     from kinematics.provenance import record
     from kinematics.readers import InputOptions, inputs_of, read_measurement
+    from kinematics.readers.kinds import describes_series
     from kinematics.spatial import parse_dof
 
     said = InputOptions(
@@ -158,7 +159,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         options.length_unit,
         options.n_avg,
         options.mapping,
-        series_options(options),
+        series_options(options, any(describes_series(path) for path in options.ldv)),
     )
     priors = geometry_options.priors(options.calibrate, options.axes_sd, options.beam_sd, options.gain_sd)
     chosen = Options(

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.measurement import Measurement
-from kinematics.readers.options import InputOptions
+from kinematics.readers.options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 
 __all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
@@ -51,29 +51,36 @@ def read_measurement(
 
     paths, options = [Path(path) for path in paths], options or InputOptions()
     _check_names(paths)
-    kinds = [kind_of(path) for path in paths]
+    kinds: list[str] = []
+    unknown: list[str] = []
+    for path in paths:
+        with collecting(unknown):
+            kinds.append(kind_of(path))
+    raise_all(KinematicsError, unknown)
     if kinds == [TIDY]:
         _refuse_options(options, paths[0])
         measurement = read_ldv(paths[0], points, frame)
         return replace(measurement, inputs=inputs_of(paths, points))
     raise_all(KinematicsError, _unused(options, kinds))
-    files, faults = [], []
+    files: list[Recordings] = []
+    faults: list[str] = []
     for path, kind in zip(paths, kinds, strict=True):
-        try:
+        with collecting(faults):
             tidy = kind == TIDY
             files.append(
                 _as_recordings(read_ldv(path, points, frame), path)
                 if tidy
                 else read_recordings(path, options)
             )
-        except KinematicsError as fault:
-            faults.append(str(fault))
-    raise_all(KinematicsError, faults)
     listed = None
     if points is not None:
         from kinematics.tables.points_csv import read_points
 
-        listed = read_points(points)
+        with collecting(faults):
+            listed = read_points(points)
+    if options.series is not None and not faults and not any(one.from_series for one in files):
+        faults.append(sentence(SERIES, "left out: no file holds time series", "them"))
+    raise_all(KinematicsError, dict.fromkeys(faults))
     said = tuple(f"{one.file}: {one.frame_units}" for one in files if one.frame_units)
     return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=said)
 
@@ -97,10 +104,14 @@ def _check_names(paths: Sequence[Path]) -> None:
 def _unused(options: InputOptions, kinds: Sequence[str]) -> list[str]:
     """List options on time series and variables that no file is for."""
     faults = []
-    if options.series is not None and not {"time", "matlab", "hdf5"} & set(kinds):
-        want = "left out: no file holds time series"
-        faults.append(sentence("--channels", want, options.series.channels.name))
-    if options.mapping is not None and (options.series is not None or not {"matlab", "hdf5"} & set(kinds)):
+    listed = options.series is not None and options.series.channels is not None
+    if options.series is not None and options.series.channels is not None:
+        if not {"time", "matlab", "hdf5"} & set(kinds):
+            want = "left out: no file holds time series that need it"
+            faults.append(sentence("--channels", want, options.series.channels.name))
+    elif options.series is not None and "uff" not in kinds:
+        faults.append(sentence(SERIES, "given with --channels FILE", "alone"))
+    if options.mapping is not None and (listed or not {"matlab", "hdf5"} & set(kinds)):
         want = "left out: no MATLAB or HDF5 file with spectra is read"
         faults.append(sentence("--mapping", want, options.mapping.name))
     return faults
@@ -116,6 +127,7 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
         "--n-avg": "column n_avg",
         "--mapping": "header",
         "--channels": "columns (those of time series have time_s)",
+        SERIES: "columns (those of time series have time_s)",
     }
     step = "Leave it out"
     raise_all(

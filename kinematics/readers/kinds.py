@@ -13,7 +13,7 @@ from kinematics.readers.psv_points import looks_like_points
 from kinematics.readers.psv_text import decoded
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
-from kinematics.readers.uff_sets import looks_like_uff
+from kinematics.readers.uff_sets import looks_like_uff, plain_content
 
 TIDY = "tidy"
 _HEAD = 1 << 16
@@ -65,7 +65,7 @@ def kind_of(path: Path) -> str:
         return "hdf5"
     if head.startswith((b"PK\x03\x04", b"RIFF", b"RIFX")):
         return "time"
-    if looks_like_uff(head):
+    if looks_like_uff(plain_content(head)):
         return "uff"
     text = decoded(head if head[:2] not in (b"\xff\xfe", b"\xfe\xff") else head[: len(head) // 2 * 2])
     if looks_like_fastscan(text):
@@ -97,6 +97,14 @@ def _kind_of_folder(path: Path) -> str:
     raise KinematicsError(sentence("a vibrometer folder", expected, path.name, next_step=step))
 
 
+def describes_series(path: Path) -> bool:
+    """Tell whether a file is of a kind whose time series need no table of channels."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as stream:
+        return looks_like_uff(plain_content(stream.read(_HEAD)))
+
+
 def _has_time(text: str) -> bool:
     """Tell whether the header of a table has a column of times."""
     lines = [line for line in lines_of(text)[:20] if line.strip() and not line.startswith("#")]
@@ -120,10 +128,15 @@ def read_recordings(path: Path, options: InputOptions | None = None) -> Recordin
 
     path, said = Path(path), options or InputOptions()
     kind = kind_of(path)
-    if kind == "time" or (said.series is not None and kind in ("matlab", "hdf5")):
+    listed = said.series is not None and said.series.channels is not None
+    if kind == "time" or (listed and kind in ("matlab", "hdf5")):
         from kinematics.readers import time_series
 
         made = time_series.read(path, said.series)
+    elif kind == "uff":
+        from kinematics.readers import uff
+
+        made = uff.read(path, said.series)
     elif kind in ("matlab", "hdf5"):
         made = import_module(_MODULES[kind]).read(path, said.mapping)
     else:

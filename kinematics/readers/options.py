@@ -16,6 +16,7 @@ from kinematics.signals.series_options import SeriesOptions
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")
 LENGTH_UNITS = ("m", "mm", "um")
+SERIES = "the options of time series"
 _AXES = {
     sign + axis: (-1.0 if sign == "-" else 1.0, "xyz".index(axis))
     for sign in ("", "+", "-")
@@ -118,7 +119,10 @@ class InputOptions:
             "--mapping": self.mapping,
             "--channels": self.series,
         }
-        return tuple(name for name, value in given.items() if value)
+        named = tuple(name for name, value in given.items() if value)
+        if self.series is not None and self.series.channels is None:
+            return tuple(SERIES if name == "--channels" else name for name in named)
+        return named
 
 
 def _body(text: str, faults: list[str]) -> tuple[str, tuple[Chosen, ...]] | None:

@@ -142,6 +142,8 @@ class Recordings:
         Whether the file says if amplitudes are peak or rms; if not, ``value`` holds its numbers as they are.
     length_stated : bool
         Whether the file says the unit of its positions; if not, they were taken as metres.
+    from_series : bool
+        Whether the values were estimated from time series.
     """
 
     recordings: tuple[Recording, ...]
@@ -150,3 +152,4 @@ class Recordings:
     file: str = ""
     amplitude_stated: bool = False
     length_stated: bool = True
+    from_series: bool = False

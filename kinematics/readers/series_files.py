@@ -113,12 +113,12 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     edges = np.concatenate([[0], np.flatnonzero(np.diff(record) != 0.0) + 1, [len(table)]])
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
     time = table.numbers["time_s"]
-    rates = [_rate(time[part], table.where(part.start)) for part in parts]
+    rates = [sampling_rate(time[part], table.where(part.start)) for part in parts]
     if max(rates) > min(rates) * (1.0 + 1e-6):
         got = f"{min(rates):g} to {max(rates):g} Hz"
         raise KinematicsError(sentence("the sampling rate", "one in all records", got, path.name))
     channels = {name: tuple(table.numbers[column][part] for part in parts) for name, column in found.items()}
-    _check_finite(channels, path.name)
+    check_finite(channels, path.name)
     steps = table.numbers.get("freq_hz")
     return Series(
         path.name,
@@ -148,7 +148,7 @@ def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str,
     return found
 
 
-def _rate(time: Array, where: str) -> float:
+def sampling_rate(time: Array, where: str) -> float:
     """Return the sampling rate of evenly spaced times."""
     if len(time) < 2 or not np.all(np.isfinite(time)) or not time[-1] > time[0]:
         raise KinematicsError(
@@ -164,7 +164,14 @@ def _rate(time: Array, where: str) -> float:
     return float(1.0 / step)
 
 
-def _check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
+def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
+    """Refuse samples that are no finite numbers; channels without any number are left alone.
+
+    Raises
+    ------
+    KinematicsError
+        Names every such channel and record.
+    """
     faults = []
     for name, rows in channels.items():
         for number, row in enumerate(rows, 1):
@@ -233,7 +240,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     start = 0.0
     if time:
         times = flat[time].astype(float).reshape(-1)
-        sampled, start = _rate(times, f"{file}, {time}"), float(times[0])
+        sampled, start = sampling_rate(times, f"{file}, {time}"), float(times[0])
     elif rate:
         sampled = float(flat[rate].reshape(-1)[0])
     else:
@@ -243,7 +250,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     if not (np.isfinite(sampled) and sampled > 0.0):
         raise KinematicsError(sentence("the sampling rate", "positive", f"{sampled:g} Hz", file))
     channels = {name: _rows(flat[key], f"{file}, {key}") for name, key in matched.items()}
-    _check_finite(channels, file)
+    check_finite(channels, file)
     set_to = next((low[name] for name in ("freq_hz", "set_freq_hz") if name in low), "")
     steps = _rows(flat[set_to], f"{file}, {set_to}") if set_to and set_to not in matched.values() else ()
     return Series(file, sampled, start, channels, steps)
@@ -284,5 +291,5 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
     known = [str(k) for k in range(1, len(data) + 1)]
     found = _matched(names, known, path.name)
     channels = {name: (data[int(key) - 1],) for name, key in found.items()}
-    _check_finite(channels, path.name)
+    check_finite(channels, path.name)
     return Series(path.name, float(rate), 0.0, channels)

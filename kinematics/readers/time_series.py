@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice, unique
 from kinematics.readers.channel_table import Channel, read_channels
 from kinematics.readers.recording import Recording, Recordings
@@ -46,7 +46,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
         estimate says.
     """
     path = Path(path)
-    if options is None:
+    if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise KinematicsError(sentence("time series", "read with --channels FILE", "none", path.name, step))
     rows = [one for one in read_channels(options.channels) if _belongs(one, path.name)]
@@ -60,25 +60,55 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
         )
     reference = _reference(rows, options)
     names = [one.name for one in responses] + ([] if reference is None else [reference.name])
-    series = read_series(path, names)
+    found = estimated(read_series(path, names), responses, reference, options)
+    if not found.recordings:
+        raise KinematicsError(empty_band(path.name))
+    return found
+
+
+def empty_band(file: str) -> str:
+    """Say that no line lies within ``--frf-band``."""
+    step = "Widen --frf-band, or record longer"
+    return sentence("the band", "with one line at least", "none", file, step)
+
+
+def estimated(
+    series: Series, responses: Sequence[Channel], reference: Channel | None, options: SeriesOptions
+) -> Recordings:
+    """Estimate the frequency responses of channels; there may be none within the band.
+
+    Parameters
+    ----------
+    series : Series
+    responses : sequence of Channel
+    reference : Channel or None
+        None is possible with a stepped sine alone.
+    options : SeriesOptions
+
+    Raises
+    ------
+    KinematicsError
+        Channels of different lengths, no reference, or what the estimate says; of all groups of channels.
+    """
     notices = _clipped(series)
     groups, said = _groups(series, responses, reference)
     recordings: list[Recording] = []
+    faults: list[str] = []
     how = ""
     for group in groups:
-        frf, how = _estimate(group, series, options)
-        recordings += _recordings(group, frf, reference, series, options)
-        notices += list(frf.notices)
-    if not recordings:
-        step = "Widen --frf-band, or record longer"
-        raise KinematicsError(sentence("the band", "with one line at least", "none", path.name, step))
+        with collecting(faults):
+            frf, how = _estimate(group, series, options)
+            recordings += _recordings(group, frf, reference, series, options)
+            notices += list(frf.notices)
+    raise_all(KinematicsError, dict.fromkeys(faults))
     return Recordings(
         tuple(recordings),
         unique([*notices, *said]),
         how,
-        path.name,
+        series.file,
         amplitude_stated=True,
         length_stated=True,
+        from_series=True,
     )
 
 
@@ -87,20 +117,19 @@ def _belongs(one: Channel, file: str) -> bool:
 
 
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:
+    table = "" if options.channels is None else options.channels.name
     found = [one for one in rows if one.role == "reference"]
     if options.reference:
         found = [one for one in rows if one.name.lower() == options.reference.lower()]
         if not found:
             known = ", ".join(dict.fromkeys(one.name for one in rows))
             raise KinematicsError(
-                sentence("--reference-channel", f"one of {known}", options.reference, options.channels.name)
+                sentence("--reference-channel", f"one of {known}", options.reference, table)
             )
     names = list(dict.fromkeys(one.name for one in found))
     if len(names) > 1:
         step = "Choose one by --reference-channel, or ignore the others"
-        raise KinematicsError(
-            sentence("the reference", "one channel", ", ".join(names), options.channels.name, step)
-        )
+        raise KinematicsError(sentence("the reference", "one channel", ", ".join(names), table, step))
     return found[0] if found else None
 
 

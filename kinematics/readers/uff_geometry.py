@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
+from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff_sets import CUT, Dataset
 
 Array = NDArray[np.float64]
+Node = tuple[Array, int, int, str]
 _NODES, _PRECISE_NODES, _UNITS, _SYSTEMS, _PRECISE_SYSTEMS = 15, 2411, 164, 18, 2420
 _FAR_M = 1e3
 _SHAPES = {0: "cartesian", 1: "cylindrical", 2: "spherical"}
@@ -52,6 +54,24 @@ class Geometry:
     length_factor: float | None = None
     notices: tuple[Notice, ...] = ()
 
+    @property
+    def units(self) -> str:
+        """What the file says about coordinates and lengths, for people."""
+        stated = self.length_factor is not None
+        units = f"lengths by dataset 164, {self.length_factor:g} per metre" if stated else "lengths as metres"
+        return f"global axes of the file, {units}"
+
+    def position_mm(self, node: int) -> Array:
+        """Return the position of a node, (3,), NaN when unknown."""
+        position = self.positions_m.get(node)
+        return unknown_vector() if position is None else position * 1e3
+
+    def direction(self, node: int, code: int) -> Array:
+        """Return the unit vector of a direction +-1..3 at a node; NaN for a scalar."""
+        if not 1 <= abs(code) <= 3:
+            return unknown_vector()
+        return np.asarray(self.axes.get(node, np.eye(3))[abs(code) - 1] * np.sign(code))
+
 
 def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geometry:
     """Read nodes, units and coordinate systems.
@@ -77,24 +97,24 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     """
     factor: float | None = None
     systems: dict[int, System] = {}
-    nodes: dict[int, tuple[Array, int, int, str]] = {}
+    nodes: dict[int, Node] = {}
     faults: list[str] = []
     for dataset in datasets:
-        where = f"{file}, dataset {dataset.place}"
         if dataset.number == _UNITS:
-            factor = _length_factor(dataset, where)
+            with collecting(faults):
+                factor = _length_factor(dataset, dataset.at(file, 2))
         elif dataset.number in (_SYSTEMS, _PRECISE_SYSTEMS):
             read = _old_systems if dataset.number == _SYSTEMS else _new_systems
-            systems |= {system.label: system for system in read(dataset, where)}
+            systems |= {system.label: system for system in read(dataset, file, faults)}
         elif dataset.number in (_NODES, _PRECISE_NODES):
-            for label, entry in _nodes(dataset, where):
+            for label, entry in _nodes(dataset, file, faults):
                 if label in nodes and not np.allclose(nodes[label][0], entry[0], rtol=1e-5, atol=1e-12):
                     faults.append(
                         sentence(
                             f"the position of node {label}",
                             "one",
                             f"{nodes[label][0].tolist()} and {entry[0].tolist()}",
-                            f"{nodes[label][3]} and {where}",
+                            f"{nodes[label][3]} and {entry[3].removeprefix(file + ', ')}",
                             "Remove the wrong one",
                         )
                     )
@@ -105,11 +125,13 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     lost: set[int] = set()
     for label in sorted(used & set(nodes)):
         position, defined_in, measured_in, where = nodes[label]
+        wrong: list[str] = []
         for number in {defined_in, measured_in} - {0}:
             if number not in systems and not systems:
                 lost.add(number)
-            faults += _system_faults(number, systems, label, where) if systems else []
-        if faults:
+            wrong += _system_faults(number, systems, label, where) if systems else []
+        faults += wrong
+        if wrong:
             continue
         with np.errstate(over="ignore", invalid="ignore"):
             turn, origin = _to_global(defined_in, systems)
@@ -167,61 +189,87 @@ def _vectors(text: str, count: int, thing: str, where: str) -> Array:
     return np.array(numbers).reshape(-1, 3)
 
 
-def _nodes(dataset: Dataset, where: str) -> list[tuple[int, tuple[Array, int, int, str]]]:
+def _nodes(dataset: Dataset, file: str, faults: list[str]) -> list[tuple[int, Node]]:
     """Return label and (position, definition system, displacement system, place) of every node."""
     found = []
-    lines = [line for line in dataset.lines if line.strip()]
+    lines = _numbered(dataset)
     if dataset.number == _NODES:
-        for line in lines:
-            label, defined, measured, _ = _wholes(line[:40], 4, "a node", where)
-            position = _vectors(line[40:], 3, f"the position of node {label}", where)[0]
-            found.append((label, (position, defined, measured, where)))
+        for row, line in lines:
+            where = dataset.at(file, row)
+            with collecting(faults):
+                label, defined, measured, _ = _wholes(line[:40], 4, "a node", where)
+                position = _vectors(line[40:], 3, f"the position of node {label}", where)[0]
+                found.append((label, (position, defined, measured, where)))
         return found
-    for head, line in zip(lines[::2], [*lines[1::2], ""][: len(lines[::2])], strict=True):
-        label, _, measured, _ = _wholes(head, 4, "a node", where)
-        position = _vectors(line, 3, f"the position of node {label}", where)[0]
-        found.append((label, (position, 0, measured, where)))
+    for (row, head), (below, line) in zip(lines[::2], [*lines[1::2], (0, "")], strict=False):
+        with collecting(faults):
+            label, _, measured, _ = _wholes(head, 4, "a node", dataset.at(file, row))
+            where = dataset.at(file, below or row)
+            position = _vectors(line, 3, f"the position of node {label}", where)[0]
+            found.append((label, (position, 0, measured, where)))
     return found
 
 
-def _old_systems(dataset: Dataset, where: str) -> list[System]:
+def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
+    """Return the lines that hold something, with their numbers from 1."""
+    return [(row, line) for row, line in enumerate(dataset.lines[start:], start + 1) if line.strip()]
+
+
+def _old_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]:
     """Read dataset 18: origin, a point on the +x axis and one in the +xz plane, all in the parent system."""
-    found = []
-    lines = [line for line in dataset.lines if line.strip()]
+    found: list[System] = []
+    lines = _numbered(dataset)
     for start in range(0, len(lines), 4):
-        part = lines[start : start + 4]
-        if len(part) < 4:
-            raise KinematicsError(sentence("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT))
-        label, shape, parent, _, _ = _wholes(part[0], 5, "a coordinate system", where)
-        thing = f"the definition of coordinate system {label}"
-        origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
-        x = on_x - origin
-        with np.errstate(over="ignore", invalid="ignore"):
-            z = (on_xz - origin) - np.dot(on_xz - origin, x) / max(np.dot(x, x), 1e-300) * x
-        if not (np.linalg.norm(x) > 0.0 and np.linalg.norm(z) > 1e-9 * np.linalg.norm(x)):
-            got = "points on one line"
-            raise KinematicsError(sentence(thing, "three points that span a plane", got, where, "Correct it"))
-        x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-        found.append(System(label, shape, parent, np.array([x, np.cross(z, x), z]), origin))
+        with collecting(faults):
+            found.append(
+                _old_system([line for _, line in lines[start : start + 4]], dataset, file, lines[start][0])
+            )
     return found
 
 
-def _new_systems(dataset: Dataset, where: str) -> list[System]:
+def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
+    where = dataset.at(file, row)
+    if len(part) < 4:
+        raise KinematicsError(sentence("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT))
+    label, shape, parent, _, _ = _wholes(part[0], 5, "a coordinate system", where)
+    thing = f"the definition of coordinate system {label}"
+    origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
+    x = on_x - origin
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = (on_xz - origin) - np.dot(on_xz - origin, x) / max(np.dot(x, x), 1e-300) * x
+        long, wide = np.linalg.norm(x), np.linalg.norm(z)
+    if not (0.0 < long < np.inf and 1e-9 * long < wide < np.inf):
+        got = "points on one line, or too far away"
+        raise KinematicsError(sentence(thing, "three points that span a plane", got, where, "Correct it"))
+    x, z = x / long, z / wide
+    return System(label, shape, parent, np.array([x, np.cross(z, x), z]), origin)
+
+
+def _new_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]:
     """Read dataset 2420: label, shape and colour, name, three rows of axes and one of the origin."""
-    found = []
-    lines = [line for line in dataset.lines[2:] if line.strip()]
+    found: list[System] = []
+    lines = _numbered(dataset, 2)
     for start in range(0, len(lines), 6):
-        part = lines[start : start + 6]
-        if len(part) < 6:
-            raise KinematicsError(sentence("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT))
-        label, shape = _wholes(part[0], 2, "a coordinate system", where)
-        thing = f"the matrix of coordinate system {label}"
-        rows = _vectors(" ".join(part[2:]), 12, thing, where)
-        if not np.allclose(rows[:3] @ rows[:3].T, np.eye(3), atol=1e-4) or np.linalg.det(rows[:3]) < 0.0:
-            got = np.array2string(rows[:3], precision=4, separator=", ").replace("\n", "")
-            raise KinematicsError(sentence(thing, "a rotation, right-handed", got, where, "Correct it"))
-        found.append(System(label, shape, 0, rows[:3], rows[3]))
+        with collecting(faults):
+            found.append(
+                _new_system([line for _, line in lines[start : start + 6]], dataset, file, lines[start][0])
+            )
     return found
+
+
+def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
+    where = dataset.at(file, row)
+    if len(part) < 6:
+        raise KinematicsError(sentence("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT))
+    label, shape = _wholes(part[0], 2, "a coordinate system", where)
+    thing = f"the matrix of coordinate system {label}"
+    rows = _vectors(" ".join(part[2:]), 12, thing, where)
+    with np.errstate(over="ignore", invalid="ignore"):
+        turned = np.allclose(rows[:3] @ rows[:3].T, np.eye(3), atol=1e-4) and np.linalg.det(rows[:3]) > 0.0
+    if not turned:
+        got = np.array2string(rows[:3], precision=4, separator=", ").replace("\n", "")
+        raise KinematicsError(sentence(thing, "a rotation, right-handed", got, where, "Correct it"))
+    return System(label, shape, 0, rows[:3], rows[3])
 
 
 def _system_faults(number: int, systems: Mapping[int, System], node: int, where: str) -> list[str]:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 
 ESTIMATORS = ("h1", "h2", "hv")
 WINDOWS = ("none", "hann", "hamming", "blackman", "flattop")
@@ -20,10 +20,10 @@ class SeriesOptions:
 
     Attributes
     ----------
-    channels : Path
-        The channel table.
+    channels : Path, optional
+        The channel table; None for universal files, which say themselves what they hold.
     reference : str
-        The reference among several of the table; empty: the only one.
+        The reference among several; empty: the only one.
     estimator : str
         ``h1``, ``h2`` or ``hv``.
     window : str
@@ -48,7 +48,7 @@ class SeriesOptions:
         A value out of its range or options that exclude each other; all together.
     """
 
-    channels: Path
+    channels: Path | None = None
     reference: str = ""
     estimator: str = "h1"
     window: str = "hann"
@@ -86,7 +86,7 @@ class SeriesOptions:
             faults.append(sentence("--frf-band", "two frequencies, the lower first", self.band_hz))
         if self.steps is not None and not self.steps.is_file():
             faults.append(sentence("--steps", "an existing file", self.steps, "", "Check its name"))
-        if not self.channels.is_file():
+        if self.channels is not None and not self.channels.is_file():
             faults.append(sentence("--channels", "an existing file", self.channels, "", "Check its name"))
         raise_all(KinematicsError, faults)
 
@@ -103,11 +103,15 @@ _FLAGS = {
 
 def add_series_arguments(made: argparse.ArgumentParser) -> None:
     """Add the options of time series to a command."""
-    group = made.add_argument_group("time series (with --channels FILE)")
+    group = made.add_argument_group(
+        "time series (with --channels FILE; universal files say themselves what their time responses are)"
+    )
     group.add_argument(
         "--channels", type=Path, metavar="FILE", help="which column is what beam at what point"
     )
-    group.add_argument("--reference-channel", metavar="NAME", help="the reference among several of the table")
+    group.add_argument(
+        "--reference-channel", metavar="NAME", help="the reference among several: a channel, or NODE+DIR"
+    )
     group.add_argument("--frf", choices=ESTIMATORS, help="estimator of responses to random excitation (h1)")
     group.add_argument("--window", choices=WINDOWS, help="window of its segments (hann)")
     group.add_argument("--overlap", type=float, metavar="SHARE", help="of neighbouring segments (0.5)")
@@ -136,13 +140,19 @@ def _band(text: str) -> tuple[float, float]:
     raise argparse.ArgumentTypeError("must be two frequencies in Hz like 400-5000")
 
 
-def series_options(given: argparse.Namespace) -> SeriesOptions | None:
-    """Return what the options of time series say; None without ``--channels``.
+def series_options(given: argparse.Namespace, described: bool = False) -> SeriesOptions | None:
+    """Return what the options of time series say; None when none of them is given.
+
+    Parameters
+    ----------
+    given : argparse.Namespace
+    described : bool
+        Whether a file may hold time series that need no ``--channels``.
 
     Raises
     ------
     KinematicsError
-        An option of time series without ``--channels``, or what SeriesOptions says.
+        An option of time series without ``--channels`` where it is needed, or what SeriesOptions says.
     """
     values = {}
     for one in fields(SeriesOptions):
@@ -150,10 +160,12 @@ def series_options(given: argparse.Namespace) -> SeriesOptions | None:
         value = getattr(given, flag[2:].replace("-", "_"))
         if value is not None:
             values[one.name] = value
-    if "channels" in values:
-        return SeriesOptions(**values)
-    raise_all(
-        KinematicsError,
-        [sentence(_FLAGS.get(name, f"--{name}"), "given with --channels FILE", "alone") for name in values],
-    )
-    return None
+    faults = []
+    if "channels" not in values and not described:
+        want = "given with --channels FILE"
+        faults = [sentence(_FLAGS.get(name, f"--{name}"), want, "alone") for name in values]
+    made = None
+    with collecting(faults):
+        made = SeriesOptions(**values) if values else None
+    raise_all(KinematicsError, faults)
+    return made

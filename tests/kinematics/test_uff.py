@@ -248,11 +248,11 @@ def test_spectra_alone_warn_of_their_phase(tmp_path):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"kind": uff.TIME, "form": 2, "abscissa": 17}, "time series as a table"),
+        ({"kind": uff.TIME, "form": 2, "abscissa": 17}, "--reference-channel"),
         ({"kind": uff.AUTO, "form": 2}, "1 auto spectrum"),
         ({"kind": uff.FRF, "form": 2}, "of real numbers, without phase"),
         ({"quantity": uff.PRESSURE, "unit": "Pa"}, "frequency response function of Velocity"),
-        ({"abscissa": 17}, "over Frequency"),
+        ({"abscissa": 17}, "over Time"),
         ({"kind": uff.COHERENCE, "form": 2}, "coherence"),
     ],
 )

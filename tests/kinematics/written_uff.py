@@ -6,7 +6,7 @@ import numpy as np
 
 RULE = "    -1"
 DISPLACEMENT, VELOCITY, ACCELERATION, FORCE, PRESSURE = 8, 11, 12, 13, 15
-FRF, COHERENCE, SPECTRUM, AUTO, TIME = 4, 6, 12, 2, 1
+FRF, COHERENCE, SPECTRUM, AUTO, CROSS, TIME = 4, 6, 12, 2, 3, 1
 
 
 def dataset(number, lines):
@@ -94,6 +94,7 @@ def function(
     x, y = np.asarray(x, dtype=float), np.asarray(y)
     start, increment = (x[0], (x[1] - x[0]) if step is None else step) if even else (0.0, 0.0)
     count = len(x) if said_count is None else said_count
+    axis, per_axis = ("Time", "s") if abscissa == 17 else ("Frequency", "Hz")
     head = [
         *names,
         "21-Nov-26 12:00:00",
@@ -102,7 +103,7 @@ def function(
         f"{kind:5d}{1:10d}{version:5d}{load_case:10d} {entity:<10s}{node:10d}{direction:4d}"
         f" {'NONE':<10s}{reference[0]:10d}{reference[1]:4d}",
         f"{form:10d}{count:10d}{int(even):10d}{start:13.5E}{increment:13.5E}{0.0:13.5E}",
-        f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {'Frequency':<20s} {'Hz':<20s}",
+        f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {axis:<20s} {per_axis:<20s}",
         f"{quantity:10d}{0:5d}{0:5d}{0:5d} {'Velocity':>20s} {unit:>20s}",
         f"{per:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20s} {per_unit:<20s}",
         f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20s} {'NONE':<20s}",
