@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
-from kinematics.signals.frf_noise import Frf, check_signals, common_notice, smoothed, split_noise
+from kinematics.signals.frf_noise import (
+    Frf,
+    check_signals,
+    common_notice,
+    smoothed,
+    split_noise,
+    steady_common,
+)
 from kinematics.signals.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
@@ -202,7 +209,9 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     variance = variance * np.minimum(share, 1.0)
     if averages < _STEADY:
         true = np.maximum(np.abs(gxy) / np.maximum(np.abs(value), tiny), tiny)
-        variance = smoothed(variance * true, int(np.ceil(1.5 * _STEADY / averages))) / true
+        width = int(np.ceil(1.5 * _STEADY / averages))
+        variance = smoothed(variance * true, width, (averages - 1.0) / line_spread(taper)) / true
+        common = steady_common(common, width)
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
     return Frf(
         freq,

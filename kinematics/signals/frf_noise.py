@@ -117,7 +117,7 @@ def split_noise(
     return own, np.maximum(common - 1.0 / np.maximum(information, floor), 0.0)
 
 
-def smoothed(spectrum: Array, width: int) -> Array:
+def smoothed(spectrum: Array, width: int, freedom: float = np.inf) -> Array:
     """Average a noise spectrum over neighbouring lines, about its trend (a cubic of its logarithm).
 
     Parameters
@@ -125,11 +125,14 @@ def smoothed(spectrum: Array, width: int) -> Array:
     spectrum : ndarray, (channel, freq)
     width : int
         Lines; fewer towards the ends, evenly to both sides.
+    freedom : float
+        Complex degrees of freedom of each value. What is made of m of them is raised by m / (m - 1), the mean
+        of one over a chi2 variable, so that chi2 of later fits keeps its mean.
     """
     lines = spectrum.shape[1]
     width = min(width, lines)
     if width <= 1:
-        return spectrum
+        return spectrum * _raised(freedom)
     trend = np.ones_like(spectrum)
     if lines >= _TREND_FROM:
         floor = np.maximum(1e-12 * np.max(spectrum, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -140,7 +143,23 @@ def smoothed(spectrum: Array, width: int) -> Array:
     place = np.arange(lines)
     half = np.minimum(width // 2, np.maximum(np.minimum(place, place[::-1]), 2))
     start, stop = np.maximum(place - half, 0), np.minimum(place + half + 1, lines)
-    return np.asarray((total[:, stop] - total[:, start]) / (stop - start)) * trend
+    mean = (total[:, stop] - total[:, start]) / (stop - start)
+    return np.asarray(mean * trend * _raised(freedom * (stop - start)))
+
+
+def steady_common(common: Array, width: int) -> Array:
+    """Average the noise (freq,) of a reference over neighbouring lines; it is one number a line."""
+    width = min(width, len(common))
+    if width <= 1 or not np.any(common > 0.0):
+        return common
+    from scipy.ndimage import uniform_filter1d
+
+    return np.asarray(uniform_filter1d(common, width, mode="nearest"))
+
+
+def _raised(freedom: Array | float) -> Array | float:
+    """Return f / (f - 1) for f complex degrees of freedom, 2 at most; 1 for infinitely many."""
+    return 1.0 / (1.0 - 1.0 / np.maximum(freedom, 2.0))
 
 
 def common_notice(common_sd: Array, what: str, more: str = "") -> list[Notice]:

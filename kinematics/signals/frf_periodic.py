@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.signals.frf import Records, checked_records
-from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise
+from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -121,7 +121,8 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     raw = np.sum([np.abs(block) ** 2 for block in residuals], axis=0) / dof
     own, common = split_noise(lambda: residuals, raw, value, dof)
     width = 1 if dof >= _STEADY_DOF else int(np.ceil(_STEADY_DOF / dof))
-    own, raw = smoothed(own, width), smoothed(raw, width)
+    own, raw = smoothed(own, width, dof), smoothed(raw, width)
+    common = steady_common(common, width)
     notices: list[Notice] = []
     if len(stacks) > 1:
         between = sum(

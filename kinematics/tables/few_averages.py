@@ -21,6 +21,7 @@ _LEAST_CHANNELS = 6
 _SEEN = 2.0
 _MEDIAN = 0.455
 _TREND_FROM = 100
+_MOTION = 6
 
 
 def steadied(
@@ -94,7 +95,8 @@ def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] 
     if _local_scatter(logs, expected, good) < _LEAST_RATIO:
         return None
     trend = _trend(logs, good)
-    trend = trend + _common(logs - trend, expected, good)
+    shared, wider = _common(logs - trend, expected, good)
+    trend = trend + shared
     level, log_level = variance / np.exp(trend), logs - trend
     centre, _ = _around(log_level, good.astype(float), _NEAR, True)
     ratio = level / np.exp(centre)
@@ -116,11 +118,11 @@ def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] 
         mean, number = _around(level, weight, half, False)
         mean = mean * number / np.maximum(number - 2.0, 1.0)
         kept = np.where(used, mean, level * freedom / np.maximum(freedom - 2.0, 1.0))
-        return kept * np.exp(trend), width
+        return kept * wider * np.exp(trend), width
     prior = np.minimum(_from_trigamma((scatter - 1.0) * float(np.mean(expected[used]))), number)
     prior = np.where(used, np.maximum(prior, 2.0), 2.0)
     kept = ((prior - 1.0) * mean + freedom * level) / np.maximum(prior + freedom - 2.0, 1.0)
-    return kept * np.exp(trend), width
+    return kept * wider * np.exp(trend), width
 
 
 def _trend(logs: Array, good: Mask) -> Array:
@@ -145,14 +147,17 @@ def _local_scatter(logs: Array, expected: Array, good: Mask) -> float:
     return float(np.median(steps**2 / expected[:, 2:-2][near])) / _MEDIAN / 1.5
 
 
-def _common(logs: Array, expected: Array, good: Mask) -> Array:
+def _common(logs: Array, expected: Array, good: Mask) -> tuple[Array, Array]:
     """Return what all channels of a line share (freq,), as with an excitation that is rough over frequency.
 
-    It is their mean, shrunk to what its scatter from line to line has beyond that of the estimates.
+    It is their mean, shrunk to what its scatter from line to line has beyond that of the estimates. With it
+    comes a factor (freq,) for the variances: what is left unknown of the shared part spreads chi2 of a line
+    as the F distribution does, and the factor brings its 95 % point back to that of known noise.
     """
     count = np.sum(good, axis=0)
+    none, even = np.zeros(logs.shape[1]), np.ones(logs.shape[1])
     if np.median(count) < _LEAST_CHANNELS:
-        return np.zeros(logs.shape[1])
+        return none, even
     safe = np.maximum(count, 1)
     mean = np.sum(np.where(good, logs, 0.0), axis=0) / safe
     own = np.sum(np.where(good, expected, 0.0), axis=0) / safe**2
@@ -161,8 +166,18 @@ def _common(logs: Array, expected: Array, good: Mask) -> Array:
     steps = (mean[2:-2] - 0.5 * (mean[4:] + mean[:-4]))[near]
     seen = float(np.median(steps**2)) / _MEDIAN / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
     if seen < _SEEN * float(np.mean(own[held])):
-        return np.zeros(len(mean))
-    return np.asarray(np.where(held, mean * (1.0 - np.minimum(own / seen, 1.0)), 0.0))
+        return none, even
+    kept = 1.0 - np.minimum(own / seen, 1.0)
+    return np.where(held, mean * kept, 0.0), np.where(held, _spread(own * kept, count), 1.0)
+
+
+def _spread(unknown: Array, count: NDArray[np.intp]) -> Array:
+    """Return the 95 % point of F over that of chi2, for the variance of a log noise (freq,) left unknown."""
+    from scipy.special import chdtri, fdtri
+
+    own = 2.0 * np.maximum(count - _MOTION, 1.0)
+    other = 2.0 / np.maximum(unknown, 1e-6)
+    return np.asarray(fdtri(own, other, 0.95) * own / chdtri(own, 0.05))
 
 
 def _around(values: Array, weight: Array, half: int, without: bool) -> tuple[Array, Array]:

@@ -79,6 +79,29 @@ def test_coherence_of_averaged_spectra_gives_the_true_noise() -> None:
     assert 0.03 < alarms < 0.07
 
 
+@pytest.mark.parametrize(("channels", "count"), [(27, 3), (27, 5), (12, 5), (9, 10)])
+def test_channels_recorded_together_share_the_roughness_of_a_random_excitation(
+    channels: int, count: int
+) -> None:
+    made_of = []
+    for seed in range(2):
+        places, beams, q, sd = (part[:channels] for part in scene(20 + seed))
+        q = scene(20 + seed)[2]
+        rng = np.random.default_rng([20 + seed, count])
+        drive = complex_noise(rng, (count, 1, LINES))
+        clean = readings(places, beams, q)
+        read = clean * drive + sd * np.sqrt(2.0 * count) * complex_noise(rng, (count, *sd.shape))
+        sxx = np.mean(np.abs(drive) ** 2, axis=0)
+        sxy = np.mean(drive.conj() * read, axis=0)
+        coherence = np.abs(sxy) ** 2 / sxx / np.mean(np.abs(read) ** 2, axis=0)
+        stated = np.abs(sxy / sxx) * np.sqrt((1.0 - coherence) / (2.0 * count * coherence))
+        made, _ = steadied(stated, count, "stapes")
+        made_of.append(covered(fit_lines(beam_set("stapes", places, beams, DOF_NAMES), sxy / sxx, made), q))
+    inside, alarms = np.mean(made_of, axis=0)
+    assert 0.94 < inside < 0.965
+    assert 0.04 < alarms < 0.06
+
+
 def test_roughness_that_all_channels_share_stays() -> None:
     rng = np.random.default_rng(6)
     course = np.exp(rng.normal(size=LINES))
