@@ -154,7 +154,7 @@ def steady_common(common: Array, width: int) -> Array:
         return common
     from scipy.ndimage import uniform_filter1d
 
-    return np.asarray(uniform_filter1d(common, width, mode="nearest"))
+    return np.maximum(uniform_filter1d(common, width, mode="nearest"), 0.0)
 
 
 def _raised(freedom: Array | float) -> Array | float:
