@@ -16,7 +16,7 @@ help:
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch])
+$(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch] */kernels/*.[ch])
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
 

@@ -15,8 +15,8 @@ from kinematics.fit.line_sums import Solution
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 SINGULAR = 1e-9
-_DOUBTFUL = 1e7
-_REFINE = 1e2
+DOUBTFUL = 1e7
+REFINE = 1e2
 _HOPELESS = 1e15
 _EXACT = 1e6
 _LINES = 1024
@@ -137,8 +137,8 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     condition = packed.condition(gram, inverse, size)
     inverse[:, ~(condition < _HOPELESS)] = 0.0
     z = packed.times(inverse, right)
-    good = condition < _DOUBTFUL
-    if np.any((condition > _REFINE) & good):
+    good = condition < DOUBTFUL
+    if np.any((condition > REFINE) & good):
         for piece in cut:
             left = (piece.y - predicted(basis, z[:, :, piece.lines])) * piece.weight
             right[:, :, piece.lines] = _right(basis, left)

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit import packed
-from kinematics.fit.line_gram import SINGULAR, determining, each_line, spans
+from kinematics.fit.line_gram import DOUBTFUL, REFINE, SINGULAR, determining, each_line, spans
+from kinematics.fit.line_kernels import SharedPass, fit_own
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+_FEW, _MANY = 64, 1024
 
 
 @dataclass(frozen=True)
@@ -76,19 +78,83 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
     Notes
     -----
     Channels whose noise keeps its ratios over frequency share one singular value decomposition per pattern
-    of missing channels; every other line has its own Gram matrix of the orthonormal columns. The data are
-    copied in pieces that stay in the processor's cache, and residuals live there only.
+    of missing channels; every other line has its own Gram matrix of the orthonormal columns. Compiled code
+    reads the data once; numpy copies them in pieces that stay in the processor's cache. Residuals live there
+    only.
     """
     channels, lines = value.shape
     out = Solution(channels, lines, basis.shape[1])
     common = noise.common()
     if common is None:
-        runs = list(spans(channels, lines))
-        room = np.empty(3 * channels * max((part.stop - part.start for part in runs), default=0))
-        for part in runs:
-            each_line(basis, value, noise, part, out, room)
+        _own(basis, value, noise, slice(0, lines), out)
         return out
+    one_pass = SharedPass.of(value, common[1], basis.shape[1])
+    if one_pass is None:
+        _blockwise(basis, value, noise, common, out)
+    else:
+        _in_one_pass(basis, noise, common, one_pass, out)
+    return out
+
+
+def _own(basis: Array, value: ComplexArray, noise: LineNoise, part: slice, out: Solution) -> None:
+    """Fit a run of lines, each with weights of its own."""
+    if fit_own(basis, value, noise, part, out, (REFINE, DOUBTFUL)):
+        left = part.start + np.flatnonzero(~out.good[part])
+        for run in spans(len(value), len(left)):
+            lines = left[run]
+            few = Solution(len(value), len(lines), basis.shape[1])
+            each_line(basis, value[:, lines], LineNoise(noise.at(lines)), slice(0, len(lines)), few)
+            out.take(lines, few)
+        return
+    runs = [slice(part.start + run.start, part.start + run.stop) for run in spans(len(value), _width(part))]
+    room = np.empty(3 * len(value) * max((_width(run) for run in runs), default=0))
+    for run in runs:
+        each_line(basis, value, noise, run, out, room)
+
+
+def _width(part: slice) -> int:
+    return int(part.stop - part.start)
+
+
+def _in_one_pass(
+    basis: Array, noise: LineNoise, common: tuple[Array, Array], one_pass: SharedPass, out: Solution
+) -> None:
+    """Fit all lines by compiled code, which stops where other channels are missing than before."""
+    value, (share, line) = one_pass.value, common
+    channels, lines = value.shape
+    everything = np.ones(channels, dtype=bool)
+    recent = factorised(basis, share, everything)
+    factors = {everything.tobytes(): recent}
+    shared = _Shared(line, one_pass.z[: basis.shape[1]], one_pass.misfit, out)
+    at, own, width = 0, 0, _FEW
+    while at < lines:
+        done, sums = one_pass.run(recent.used, recent.project, recent.back, recent.weight, at)
+        if recent.good:
+            out.energy += sums[:, 0]
+            out.scaled += sums[:, 1] * recent.weight
+        if done > at:
+            _finish(recent, slice(at, done), shared)
+        if done == lines:
+            return
+        width = min(2 * width, _MANY) if own == done else _FEW
+        at, stop = done, min(done + width, lines)
+        finite = np.isfinite(value[:, at:stop])
+        used = finite[:, 0].copy()
+        if np.all(finite == used[:, None]) and not np.array_equal(used, recent.used):
+            if used.tobytes() not in factors:
+                factors[used.tobytes()] = factorised(basis, share, used)
+            recent = factors[used.tobytes()]
+        else:
+            _own(basis, value, noise, slice(at, stop), out)
+            at = own = stop
+
+
+def _blockwise(
+    basis: Array, value: ComplexArray, noise: LineNoise, common: tuple[Array, Array], out: Solution
+) -> None:
+    """Fit all lines by linear algebra of blocks."""
     share, line = common
+    channels, lines = value.shape
     everything = np.ones(channels, dtype=bool)
     recent = factorised(basis, share, everything)
     factors = {everything.tobytes(): recent}
@@ -116,7 +182,6 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
         done.append((part, recent))
     for part, factor in done:
         _finish(factor, part, shared)
-    return out
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,15 @@ class Solution:
         self.freedom, self.weight = np.zeros(self.channels), np.zeros(self.channels)
         self.used = np.zeros(self.channels, dtype=np.int64)
 
+    def take(self, lines: NDArray[np.intp], few: Solution) -> None:
+        """Put in the solution of a few lines, which were in no sum before."""
+        for name in ("z", "inverse"):
+            getattr(self, name)[:, lines] = getattr(few, name)
+        for name in ("good", "count", "misfit", "explained"):
+            getattr(self, name)[lines] = getattr(few, name)
+        for name in ("energy", "scaled", "freedom", "weight", "used"):
+            getattr(self, name)[:] += getattr(few, name)
+
     def rescaled(self, change: Array) -> Solution:
         """Return the solution for variances that are ``change`` (freq,) times as large."""
         made = Solution(self.channels, 0, self.size)

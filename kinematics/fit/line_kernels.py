@@ -1,0 +1,227 @@
+"""One pass of compiled code over the lines; each function returns None where numpy has to do it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit import packed
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.line_sums import Solution
+from kinematics.kernels import compiled
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_SIZE, _WIDE, _TILE, _BLOCK = 6, 8, 16, 32
+
+
+def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
+    """Return the doubles from row to row of an array whose rows are without gaps; None of any other."""
+    fits = rows.ndim == 2 and rows.dtype.isnative and rows.flags.aligned and rows.itemsize == itemsize
+    if not fits or rows.strides[0] % 8 or (rows.shape[1] > 1 and rows.strides[1] != itemsize):
+        return None
+    return rows.strides[0] // 8
+
+
+def all_whole(value: ComplexArray) -> bool | None:
+    """Tell whether all values (channel, freq) are finite and none is exactly zero."""
+    kernels, stride = compiled(), _stride(value, 16)
+    if kernels is None or stride is None:
+        return None
+    return bool(kernels.whole(value.ctypes.data, len(value), stride, value.shape[1]))
+
+
+def all_finite(numbers: Array) -> bool | None:
+    """Tell whether all numbers (channel, freq) are finite."""
+    kernels, stride = compiled(), _stride(numbers, 8)
+    if kernels is None or stride is None or numbers.dtype.kind != "f":
+        return None
+    return bool(kernels.finite(numbers.ctypes.data, len(numbers), stride, numbers.shape[1]))
+
+
+def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
+    """Return value (channel, n) times vectors (n, k), complex, for a few vectors."""
+    kernels, stride = compiled(), _stride(value, 16)
+    lines, count = vectors.shape
+    if kernels is None or stride is None or count > _SIZE:
+        return np.asarray(value @ vectors)
+    given = np.ascontiguousarray(vectors, dtype=complex)
+    sums = np.empty((len(value) + 1, 2 * _SIZE * _WIDE))
+    made = np.empty((len(value), count), dtype=complex)
+    kernels.mix_lines(
+        value.ctypes.data,
+        stride,
+        len(value),
+        lines,
+        given.ctypes.data,
+        count,
+        sums.ctypes.data,
+        made.ctypes.data,
+    )
+    return made
+
+
+def _filled(rows: Array) -> Array:
+    """Return rows (n, m) with zeros up to what the kernels take."""
+    made = np.zeros((len(rows), _SIZE))
+    made[:, : rows.shape[1]] = rows
+    return made
+
+
+def projected(rows: Array, value: ComplexArray) -> ComplexArray:
+    """Return rows (m, channel), real, times value (channel, n), complex."""
+    kernels, stride = compiled(), _stride(value, 16)
+    size, lines = len(rows), value.shape[1]
+    if kernels is None or stride is None or size > _SIZE:
+        return np.asarray(rows @ value)
+    every, given = np.arange(len(value), dtype=np.int64), _filled(rows.T)
+    made, room = np.empty((_SIZE, lines), dtype=complex), np.empty((len(value), 2 * _TILE))
+    kernels.project_lines(
+        value.ctypes.data,
+        stride,
+        every.ctypes.data,
+        len(value),
+        lines,
+        given.ctypes.data,
+        made.ctypes.data,
+        2 * lines,
+        room.ctypes.data,
+        every.ctypes.data,
+    )
+    return made[:size]
+
+
+@dataclass(frozen=True)
+class SharedPass:
+    """The compiled fit of lines that share a factorisation.
+
+    Attributes
+    ----------
+    value : ndarray, (channel, freq), complex
+    even : ndarray, (freq,)
+        line^-2 by line.
+    z : ndarray, (6, 2 freq)
+        Coefficients by part; filled.
+    misfit : ndarray, (2 freq,)
+        Filled.
+    """
+
+    value: ComplexArray
+    even: Array
+    z: Array
+    misfit: Array
+
+    @classmethod
+    def of(cls, value: ComplexArray, line: Array, size: int) -> SharedPass | None:
+        """Prepare it; None where numpy has to do it."""
+        if compiled() is None or _stride(value, 16) is None or not 0 < size <= _SIZE:
+            return None
+        lines = value.shape[1]
+        return cls(value, line**-2.0, np.empty((_SIZE, 2 * lines)), np.empty(2 * lines))
+
+    def run(
+        self, used: NDArray[np.bool_], project: Array, back: Array, weight: Array, start: int
+    ) -> tuple[int, Array]:
+        """Fit lines from ``start`` on; return the first that is not done, and sums (channel, 2).
+
+        The channels ``used`` are finite at all lines that are done, and the others nowhere. Sums are those of
+        |residual|^2 and of |residual / line|^2.
+        """
+        kernels, lines = compiled(), self.value.shape[1]
+        if kernels is None:
+            return start, np.zeros((len(used), 2))
+        mine = np.flatnonzero(used)
+        rows = np.concatenate([mine, np.flatnonzero(~used)]).astype(np.int64)
+        own, room = np.arange(len(mine), dtype=np.int64), np.empty((len(mine), 2 * _TILE))
+        sums, forth = np.zeros((len(mine), 2, _WIDE)), _filled(project.T[mine])
+        there, weights = _filled(back[mine]), np.ascontiguousarray(weight[mine])
+        done = kernels.fit_shared(
+            self.value.ctypes.data,
+            self.value.strides[0] // 8,
+            rows.ctypes.data,
+            len(mine),
+            len(rows) - len(mine),
+            start,
+            lines,
+            forth.ctypes.data,
+            there.ctypes.data,
+            weights.ctypes.data,
+            sums.ctypes.data,
+            self.even.ctypes.data,
+            self.z.ctypes.data,
+            2 * lines,
+            self.misfit.ctypes.data,
+            room.ctypes.data,
+            own.ctypes.data,
+        )
+        made = np.zeros((len(used), 2))
+        made[mine] = sums.sum(axis=2)
+        return int(done), made
+
+
+def fit_own(
+    basis: Array,
+    value: ComplexArray,
+    noise: LineNoise,
+    part: slice,
+    out: Solution,
+    limits: tuple[float, float],
+) -> bool:
+    """Fit a run of lines, each with weights of its own, and add its sums; return False where numpy has to.
+
+    Lines whose condition is above the second of ``limits`` are left out of the sums and marked as not good;
+    those above the first are refined.
+    """
+    kernels, stride = compiled(), _stride(value, 16)
+    stated, size = noise.stated, basis.shape[1]
+    if kernels is None or stride is None or not 0 < size <= _SIZE:
+        return False
+    if (
+        stated.dtype != np.float64
+        or stated.strides[0] % 8
+        or stated.strides[1] % 8
+        or not stated.flags.aligned
+    ):
+        return False
+    factor, floor = (
+        None if given is None else np.ascontiguousarray(given, dtype=float)
+        for given in (noise.factor, noise.floor)
+    )
+    rows, room = _filled(basis), np.empty((len(value), 3 * _BLOCK))
+    pairs = np.ascontiguousarray(packed.products(rows))
+    sums = np.zeros((len(value), 5, _WIDE))
+    kernels.fit_lines(
+        value.ctypes.data,
+        stride,
+        len(value),
+        part.start,
+        part.stop,
+        stated.ctypes.data,
+        stated.strides[0] // 8,
+        stated.strides[1] // 8,
+        None if factor is None else factor.ctypes.data,
+        None if floor is None else floor.ctypes.data,
+        size,
+        rows.ctypes.data,
+        pairs.ctypes.data,
+        *limits,
+        room.ctypes.data,
+        sums.ctypes.data,
+        out.z.ctypes.data,
+        out.inverse.ctypes.data,
+        out.misfit.ctypes.data,
+        out.explained.ctypes.data,
+        out.count.ctypes.data,
+        out.good.ctypes.data,
+        value.shape[1],
+    )
+    energy, scaled, lever, weight, used = sums.sum(axis=2).T
+    out.energy += energy
+    out.scaled += scaled
+    out.freedom += 2.0 * (used - lever)
+    out.weight += weight
+    out.used += used.astype(np.int64)
+    return True
