@@ -18,6 +18,7 @@ from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.measurement import Measurement
 from kinematics.readers.options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
+from kinematics.readers.text import openable
 
 __all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
 
@@ -54,7 +55,7 @@ def read_measurement(
     kinds: list[str] = []
     unknown: list[str] = []
     for path in paths:
-        with collecting(unknown):
+        with collecting(unknown), openable(path):
             kinds.append(kind_of(path))
     raise_all(KinematicsError, unknown)
     if kinds == [TIDY]:
@@ -65,7 +66,7 @@ def read_measurement(
     files: list[Recordings] = []
     faults: list[str] = []
     for path, kind in zip(paths, kinds, strict=True):
-        with collecting(faults):
+        with collecting(faults), openable(path):
             tidy = kind == TIDY
             files.append(
                 _as_recordings(read_ldv(path, points, frame), path)

@@ -11,7 +11,7 @@ from typing import Any
 
 from kinematics.errors import KinematicsError, sentence
 
-_PATIENCE_S = 20.0
+_PATIENCE_S = 8.0
 _SMALL = 4 << 20
 _STEP = "It is damaged: copy or export it again"
 

@@ -82,16 +82,18 @@ def kind_of(path: Path) -> str:
 
 
 def _kind_of_folder(path: Path) -> str:
-    """Tell what the text files of a folder are by the first one that is known."""
-    for file in sorted(p for p in path.rglob("*") if p.is_file()):
+    """Tell what the text files of a folder are by the first one that is known; hidden files do not count."""
+    is_vendor = False
+    for file in sorted(p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")):
         with file.open("rb") as stream:
             text = decoded(stream.read(_HEAD))
         if looks_like_fastscan(text):
             return "fastscan"
         if looks_like_points(text):
             return "points"
-        if file.suffix.lower() in vendor.SUFFIXES:
-            return "vendor"
+        is_vendor |= file.suffix.lower() in vendor.SUFFIXES
+    if is_vendor:
+        return "vendor"
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
     raise KinematicsError(sentence("a vibrometer folder", expected, path.name, next_step=step))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_text import Block, Signal, fields_of, frequency_hz, read_blocks, signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
@@ -67,42 +67,56 @@ def read(path: Path) -> Recordings:
     lines = read_blocks(path, _line)
     lines, notices = _one_quantity(lines, path.name)
     lines.sort(key=lambda line: line.freq_hz)
-    _check_once(lines)
+    faults = [*_twice(lines), *_several_scans(lines, path.name)]
+    made = _recordings(lines, path.name, faults)
     notices += _treated(lines, path.name)
     if any(len(line.signals) > 1 for line in lines):
         notices.append(axes_notice(path.name))
-    made = _recordings(lines, path.name)
     stated = all(line.stated for line in lines)
     units = "positions as their columns say" if stated else "positions without unit, as metres"
     return Recordings(made, tuple(notices), f"coordinates of the scan, {units}", length_stated=stated)
 
 
 def _line(block: Block) -> _Line:
+    faults: list[str] = []
+    freq = float("nan")
     name = next((name for name in _FREQUENCY if name in block.fields), None)
     if name is None:
         step = "Export the bands of a FastScan with their header"
-        raise KinematicsError(
-            sentence("the header", "one with a line Frequency: <f> Hz", "none", block.where, step)
-        )
+        faults.append(sentence("the header", "one with a line Frequency: <f> Hz", "none", block.where, step))
+    else:
+        with collecting(faults):
+            freq = frequency_hz(block.fields[name], block.where)
     places = {column.lower(): place for place, column in enumerate(block.columns)}
+    numbers, positions, stated = np.empty(0), np.empty((0, 3)), True
+    found: tuple[Signal, ...] = ()
+    with collecting(faults):
+        numbers = _indices(block, places)
+    with collecting(faults):
+        positions, stated = _positions(block, places)
+    with collecting(faults):
+        found = tuple(signals(block))
+    raise_all(KinematicsError, faults)
+    return _Line(freq, block, tuple(f"{n:.0f}" for n in numbers), positions, found, stated)
+
+
+def _indices(block: Block, places: dict[str, int]) -> Array:
+    """Return the numbers of the points."""
     index = places.get("index", places.get("point index"))
     if index is None:
         step = "Export it again with the index of the points"
-        raise KinematicsError(
-            sentence(
-                "the table", "one with a column Index", shown(", ".join(block.columns)), block.where, step
-            )
-        )
+        got = shown(", ".join(block.columns))
+        raise KinematicsError(sentence("the table", "one with a column Index", got, block.where, step))
     numbers = block.numbers[:, index]
-    if not np.all(np.isfinite(numbers) & (numbers == np.round(numbers))):
-        raise KinematicsError(sentence("Index", "whole numbers", "others", block.where, "Export it again"))
+    whole = np.isfinite(numbers) & (numbers == np.round(numbers))
+    if not np.all(whole):
+        got = ", ".join(f"{n:g}" for n in numbers[~whole][:5])
+        raise KinematicsError(sentence("Index", "whole numbers", got, block.where, "Export it again"))
     if len(np.unique(numbers)) < len(numbers):
         twice = [f"{n:g}" for n in np.unique(numbers) if np.sum(numbers == n) > 1][:5]
         got = ", ".join(twice) + " twice"
         raise KinematicsError(sentence("Index", "different in each row", got, block.where, "Keep one row"))
-    positions, stated = _positions(block, places)
-    freq = frequency_hz(block.fields[name], block.where)
-    return _Line(freq, block, tuple(f"{n:.0f}" for n in numbers), positions, tuple(signals(block)), stated)
+    return np.asarray(numbers)
 
 
 def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
@@ -131,14 +145,28 @@ def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Noti
     return kept, [Notice("quantity_chosen", text)]
 
 
-def _check_once(lines: Sequence[_Line]) -> None:
+def _twice(lines: Sequence[_Line]) -> list[str]:
+    """List the frequencies that two files hold."""
     faults = []
     for one, two in pairwise(lines):
         if two.freq_hz - one.freq_hz <= 1e-9 * two.freq_hz:
             step = "Put every excitation into a folder of its own, and give all folders"
             thing = f"the frequency {two.freq_hz:g} Hz"
             faults.append(sentence(thing, "there once", f"{one.block.file} and {two.block.file}", "", step))
-    raise_all(KinematicsError, faults)
+    return faults
+
+
+def _several_scans(lines: Sequence[_Line], name: str) -> list[str]:
+    """Refuse the frequencies of several measurements mixed in one folder."""
+    scans: dict[str, str] = {}
+    for line in lines:
+        scans.setdefault(line.block.fields.get("source file name", ""), line.block.file)
+    scans.pop("", None)
+    if len(scans) < 2:
+        return []
+    got = " and ".join(f"{shown(scan)} ({file})" for scan, file in list(scans.items())[:4])
+    step = "Put the files of every measurement into a folder of its own"
+    return [sentence("the source of the files", "one measurement", got, name, step)]
 
 
 def _treated(lines: Sequence[_Line], name: str) -> list[Notice]:
@@ -159,13 +187,12 @@ def _yes(value: str | None) -> bool:
     return value is not None and value.strip().lower() in ("yes", "ja", "oui", "1", "true")
 
 
-def _recordings(lines: Sequence[_Line], name: str) -> tuple[Recording, ...]:
-    """Turn rows at frequencies into spectra at points."""
+def _recordings(lines: Sequence[_Line], name: str, faults: list[str]) -> tuple[Recording, ...]:
+    """Turn rows at frequencies into spectra at points; faults known before are told with those found here."""
     freq = np.array([line.freq_hz for line in lines])
     positions: dict[str, Array] = {}
     values: dict[tuple[str, str], NDArray[np.complex128]] = {}
     pers = {signal.unit.per for line in lines for signal in line.signals}
-    faults = []
     if len(pers) > 1:
         step = "Export it again"
         faults.append(sentence("the unit", "one for all frequencies", ", ".join(sorted(pers)), name, step))
@@ -173,7 +200,9 @@ def _recordings(lines: Sequence[_Line], name: str) -> tuple[Recording, ...]:
         for row, point in enumerate(line.names):
             place = line.positions_mm[row]
             known = positions.setdefault(point, place)
-            if np.any(np.abs(known - place) > _SAME_PLACE_MM + 1e-5 * np.abs(known)):
+            with np.errstate(invalid="ignore"):
+                moved = np.any(np.abs(known - place) > _SAME_PLACE_MM + 1e-5 * np.abs(known))
+            if moved:
                 step = "Export all frequencies of one scan"
                 got = f"{known.tolist()} and {place.tolist()} mm"
                 thing = f"the position of point {point}"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_fastscan import axes_notice, axis_vector
 from kinematics.readers.psv_text import Block, fields_of, read_blocks, signals
@@ -67,8 +67,9 @@ def read(path: Path) -> Recordings:
     if len(axes) > len({point for point, _ in axes}):
         notices.append(axes_notice(path.name))
     units = "positions in stated units" if stated else "positions without unit, as metres"
+    recordings, said = _by_source(kept, path.name)
     return Recordings(
-        _by_source(kept), tuple(notices), f"coordinates of the scan, {units}", length_stated=stated
+        recordings, (*notices, *said), f"coordinates of the scan, {units}", length_stated=stated
     )
 
 
@@ -80,30 +81,21 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
         raise KinematicsError(
             sentence("the header", "one with a line Point Index: <n>", "none", block.where, step)
         )
+    faults: list[str] = []
     text = block.fields[name]
     number = re.match(r"\s*(\d+)", text)
     if number is None:
-        raise KinematicsError(sentence("the point index", "a number", shown(text), block.where))
-    first = block.columns[0].lower()
-    if first.startswith(_TIME):
-        step = (
-            "Export spectra or frequency responses, or give the time series as a table with a column time_s"
-        )
-        raise KinematicsError(sentence("the export", "over frequency", "a time series", block.where, step))
-    if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
-        got = shown(f"{block.columns[0]} [{block.units[0]}]")
-        step = "Export spectra or frequency responses"
-        raise KinematicsError(sentence("the first column", "Frequency [Hz]", got, block.where, step))
-    freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
-    if not np.all(np.diff(freq) > 0.0) or freq[0] < 0.0:
-        raise KinematicsError(
-            sentence(
-                "the frequencies", "ascending and not negative", "others", block.where, "Export it again"
-            )
-        )
+        faults.append(sentence("the point index", "a number", shown(text), block.where))
+    freq, found = np.empty(0), []
+    with collecting(faults):
+        freq = _frequencies(block)
+        found = signals(block)
+    raise_all(KinematicsError, faults)
+    if number is None:
+        return [], True
     position, stated = _position(text[number.end() :])
     made = []
-    for signal in signals(block):
+    for signal in found:
         axis = signal.axis or _axis(block)
         made.append(
             Recording(
@@ -120,6 +112,33 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     return made, stated
 
 
+def _frequencies(block: Block) -> Array:
+    """Return the first column, Hz."""
+    first = block.columns[0].lower()
+    if first.startswith(_TIME):
+        step = (
+            "Export spectra or frequency responses, or give the time series as a table with a column time_s"
+        )
+        raise KinematicsError(sentence("the export", "over frequency", "a time series", block.where, step))
+    if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
+        got = shown(f"{block.columns[0]} [{block.units[0]}]")
+        step = "Export spectra or frequency responses"
+        raise KinematicsError(sentence("the first column", "Frequency [Hz]", got, block.where, step))
+    with np.errstate(over="ignore"):
+        freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    if np.any(bad):
+        row = int(np.flatnonzero(bad)[0])
+        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+        got = f"{freq[row]:g} in row {row + 1}{more}"
+        step = "Export it again"
+        raise KinematicsError(
+            sentence("the frequencies", "ascending and not negative", got, block.where, step)
+        )
+    return np.asarray(freq)
+
+
 def _position(text: str) -> tuple[Array, bool]:
     """Read x, y, z behind the point index, mm, and whether their unit is stated."""
     found = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
@@ -128,7 +147,8 @@ def _position(text: str) -> tuple[Array, bool]:
     numbers = [float(match[1].rstrip(",.").replace(",", ".")) for match in found if match is not None]
     units = {match[2] for match in found if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
-    return np.array(numbers) * (scale or 1.0) * 1e3, len(units) == 1
+    with np.errstate(over="ignore"):
+        return np.array(numbers) * (scale or 1.0) * 1e3, len(units) == 1
 
 
 def _axis(block: Block) -> str:
@@ -155,7 +175,7 @@ def _one_quantity(
     return made, notices
 
 
-def _by_source(made: list[tuple[Recording, str]]) -> tuple[Recording, ...]:
+def _by_source(made: list[tuple[Recording, str]], name: str) -> tuple[tuple[Recording, ...], list[Notice]]:
     """Name runs after the measurement that was exported, when a point was measured in several.
 
     Raises
@@ -170,7 +190,7 @@ def _by_source(made: list[tuple[Recording, str]]) -> tuple[Recording, ...]:
 
     counts = Counter(key(one) for one, _ in made)
     if max(counts.values()) == 1:
-        return tuple(one for one, _ in made)
+        return tuple(one for one, _ in made), _joined(made, name)
     seen: dict[tuple[object, ...], str] = {}
     faults = []
     for one, source in made:
@@ -181,4 +201,14 @@ def _by_source(made: list[tuple[Recording, str]]) -> tuple[Recording, ...]:
             faults.append(sentence(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
         seen[place] = one.where
     raise_all(KinematicsError, faults)
-    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in made)
+    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in made), []
+
+
+def _joined(made: list[tuple[Recording, str]], name: str) -> list[Notice]:
+    """Tell that points of several measurements were taken as one run."""
+    sources = list(dict.fromkeys(source for _, source in made))
+    if len(sources) < 2 or len(sources) == len({one.where for one, _ in made}):
+        return []
+    listed = ", ".join(sources[:4]) + (" ..." if len(sources) > 4 else "")
+    text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as parts of one run."
+    return [Notice("sources_joined", text)]

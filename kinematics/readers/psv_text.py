@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
@@ -97,19 +97,18 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     Raises
     ------
     KinematicsError
-        The faults of all files together, or there is no text export.
+        Every fault of every file together, or there is no text export.
     """
     files = [path]
     if path.is_dir():
         found = path.rglob("*") if deep else path.iterdir()
-        files = sorted(one for one in found if one.is_file() and one.suffix.lower() in _SUFFIXES)
+        files = sorted(one for one in found if _is_export(one))
     made: list[T] = []
     faults: list[str] = []
     for file in files:
-        try:
-            made += [read(block) for block in blocks(file)]
-        except KinematicsError as fault:
-            faults.append(str(fault))
+        for block in blocks(file, faults):
+            with collecting(faults):
+                made.append(read(block))
     raise_all(KinematicsError, faults)
     if not made:
         step = "Give the folder of the exported text files"
@@ -117,40 +116,54 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     return made
 
 
-def blocks(path: Path) -> list[Block]:
+def _is_export(path: Path) -> bool:
+    """Tell whether a file of a folder may be an export: by its ending, and not hidden."""
+    return path.is_file() and path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
+
+
+def blocks(path: Path, faults: list[str]) -> list[Block]:
     """Read every table of a file.
 
-    Raises
-    ------
-    KinematicsError
-        The file is empty, has no table, or a row of it is not as long as its header or holds no number.
+    Parameters
+    ----------
+    path : Path
+    faults : list of str
+        What is wrong is added to it: a file without table, a header that does not fit its table, rows that
+        are not as long as it, and cells that are no number.
     """
     if path.stat().st_size > _MAX_FILE:
-        raise KinematicsError(sentence("a text export", "smaller than 1 GB", "a larger one", path.name))
+        faults.append(sentence("a text export", "smaller than 1 GB", "a larger one", path.name))
+        return []
     lines = lines_of(decoded(path.read_bytes()))
     found: list[Block] = []
-    start = 0
-    while (made := _block(lines, start, path.name)) is not None:
-        block, start = made
-        found.append(block)
-    if not found:
-        raise KinematicsError(
-            sentence(
-                "a text export",
-                "a header and a table of numbers",
-                "no table",
-                path.name,
-                "Export it again as ASCII",
-            )
+    start, told = 0, len(faults)
+    while (first := _first_row(lines, start)) is not None:
+        start, named = _after_rows(lines, first), start
+        with collecting(faults):
+            found.append(_block(lines, named, (first, start), path.name, faults))
+    if not found and len(faults) == told:
+        step = "Export it again as ASCII, or take it out of the folder"
+        faults.append(
+            sentence("a text export", "a header and a table of numbers", "no table", path.name, step)
         )
     return found
 
 
-def _block(lines: list[str], start: int, file: str) -> tuple[Block, int] | None:
-    """Read the table that follows, and say where the next one may begin."""
-    first = next((n for n in range(start, len(lines)) if _is_numbers(lines[n])), None)
-    if first is None:
-        return None
+def _first_row(lines: list[str], start: int) -> int | None:
+    return next((n for n in range(start, len(lines)) if _is_numbers(lines[n])), None)
+
+
+def _after_rows(lines: list[str], first: int) -> int:
+    """Return where a table ends: at an empty line or at the header of the next one."""
+    last = first
+    while last < len(lines) and lines[last].strip() and _FIELD.match(lines[last]) is None:
+        last += 1
+    return last
+
+
+def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, faults: list[str]) -> Block:
+    """Read the table whose rows stand at ``rows``, and the header above it."""
+    first = rows[0]
     fields, names, units, named = {}, "", "", start
     for number in range(start, first):
         line = lines[number]
@@ -162,13 +175,6 @@ def _block(lines: list[str], start: int, file: str) -> tuple[Block, int] | None:
                 units = line
             else:
                 names, units, named = line, "", number
-    last = first
-    while last < len(lines) and _is_numbers(lines[last]):
-        last += 1
-    if last < len(lines) and lines[last].strip() and _FIELD.match(lines[last]) is None:
-        step = "It may be cut short: export it again"
-        got = shown(lines[last])
-        raise KinematicsError(sentence("a row", "of numbers", got, f"{file}, line {last + 1}", step))
     columns, inline = _split_names(names)
     below = _split_units(units) if units else inline
     width = len(_cells(lines[first]))
@@ -177,9 +183,8 @@ def _block(lines: list[str], start: int, file: str) -> tuple[Block, int] | None:
         raise KinematicsError(
             sentence("the table", "one name and one unit to each column", got, f"{file}, line {named + 1}")
         )
-    return Block(
-        file, named + 1, fields, columns, below, _numbers(lines[first:last], first, width, file)
-    ), last
+    numbers = _numbers(lines, rows, columns, file, faults)
+    return Block(file, named + 1, fields, columns, below, numbers)
 
 
 def _cells(line: str) -> list[str]:
@@ -200,21 +205,33 @@ def _value(cell: str) -> float | None:
     if not cell:
         return np.nan
     try:
-        return float(cell.replace(",", "."))
+        value = float(cell.replace(",", "."))
     except ValueError:
         return None
+    return value if cell.isascii() and "_" not in cell else None
 
 
-def _numbers(lines: list[str], first: int, width: int, file: str) -> Array:
-    rows = np.empty((len(lines), width))
-    for number, line in enumerate(lines):
-        cells = _cells(line)
-        if len(cells) != width:
-            place = f"{file}, line {first + number + 1}"
-            step = "It may be cut short: export it again"
-            raise KinematicsError(sentence("a row", f"of {width} numbers", len(cells), place, step))
-        rows[number] = [_value(cell) for cell in cells]
-    return rows
+def _numbers(
+    lines: list[str], rows: tuple[int, int], columns: tuple[str, ...], file: str, faults: list[str]
+) -> Array:
+    """Return the numbers of the rows that have as many as there are columns; tell the others."""
+    step = "It may be cut short: export it again"
+    good = []
+    for number in range(*rows):
+        values = [_value(cell) for cell in _cells(lines[number])]
+        if len(values) == len(columns) and None not in values:
+            good.append(values)
+            continue
+        where = f"{file}, line {number + 1}"
+        if len(values) != len(columns):
+            got = shown(lines[number]) if None in values else len(values)
+            faults.append(sentence("a row", f"of {len(columns)} numbers", got, where, step))
+            continue
+        for name, cell, value in zip(columns, _cells(lines[number]), values, strict=True):
+            if value is None:
+                place = f"{where}, column {shown(name)}"
+                faults.append(sentence("a row", "of numbers", shown(cell), place, step))
+    return np.array(good, dtype=float).reshape(-1, len(columns))
 
 
 def _only_units(line: str) -> bool:
@@ -262,9 +279,20 @@ def signals(block: Block) -> list[Signal]:
             match = _AXIS.search(name)
             axis = "" if match is None else match[1].replace("+", "") + match[2].lower()
             pairs.setdefault(axis, {})[part] = place
-    made = []
+    made: list[Signal] = []
+    faults: list[str] = []
+    unknown: dict[str, list[str]] = {}
     for axis, parts in pairs.items():
-        made.append(_signal(block, axis, parts))
+        with collecting(faults):
+            first, value = _value_of(block, axis, parts)
+            label = block.units[first]
+            unit = None if is_none(label) else motion_unit(label)
+            if unit is None:
+                unknown.setdefault(label, []).append(axis)
+            else:
+                made.append(Signal(axis, unit, scaled(value, unit.scale)))
+    faults += [_unit_fault(label, axes, block.where) for label, axes in unknown.items()]
+    raise_all(KinematicsError, faults)
     if not made:
         step = "Export Real & Imag., or Magnitude & Phase"
         expected = "columns of real and imaginary part, or magnitude and phase"
@@ -280,7 +308,17 @@ def signals(block: Block) -> list[Signal]:
     return made
 
 
-def _signal(block: Block, axis: str, parts: Mapping[str, int]) -> Signal:
+def _unit_fault(label: str, axes: list[str], where: str) -> str:
+    """Say that the unit of some axes is no motion."""
+    named = [axis for axis in axes if axis]
+    of_axes = f" of ax{'e' if len(named) > 1 else 'i'}s {', '.join(named)}" if named else ""
+    expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
+    step = "Export velocity or displacement on a linear scale, not in dB"
+    return sentence(f"the unit{of_axes}", expected, shown(label) if label else "none", where, step)
+
+
+def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
+    """Return the column that says the unit of an axis, and its complex values in that unit."""
     of_axis = f" of axis {axis}" if axis else ""
     if {"re", "im"} <= set(parts):
         first, second = parts["re"], parts["im"]
@@ -302,13 +340,7 @@ def _signal(block: Block, axis: str, parts: Mapping[str, int]) -> Signal:
         step = "Export Real & Imag., or Magnitude & Phase: motion cannot be told without its phase"
         expected = "real and imaginary part, or magnitude and phase"
         raise KinematicsError(sentence(f"the values{of_axis}", expected, got, block.where, step))
-    unit = motion_unit(block.units[first]) if not is_none(block.units[first]) else None
-    if unit is None:
-        got = shown(block.units[first]) if block.units[first] else "none"
-        expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
-        step = "Export velocity or displacement on a linear scale, not in dB"
-        raise KinematicsError(sentence(f"the unit{of_axis}", expected, got, block.where, step))
-    return Signal(axis, unit, scaled(value, unit.scale))
+    return first, value
 
 
 def _phase_factor(unit: str, where: str) -> float:

@@ -119,11 +119,15 @@ class Recording:
             )
         if self.position_mm.shape != (3,) or self.direction.shape != (3,):
             faults.append(sentence("position and direction", "three numbers each", "others", self.where))
-        elif np.all(np.isfinite(self.direction)) and abs(np.linalg.norm(self.direction) - 1.0) > 1e-3:
+        elif np.all(np.isfinite(self.direction)) and not _is_unit(self.direction):
             got = ", ".join(f"{value:g}" for value in self.direction)
             step = "Divide the direction by its length"
             faults.append(sentence("the direction", "a unit vector (within 1e-3)", got, self.where, step))
         raise_all(KinematicsError, faults)
+
+
+def _is_unit(direction: Array) -> bool:
+    return bool(np.all(np.abs(direction) < 2.0)) and abs(float(np.linalg.norm(direction)) - 1.0) <= 1e-3
 
 
 @dataclass(frozen=True)

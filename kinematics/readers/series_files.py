@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.readers.hdf5_tree import is_hdf5
+from kinematics.readers.values import LARGEST
 
 Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
@@ -176,11 +177,14 @@ def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
     for name, rows in channels.items():
         for number, row in enumerate(rows, 1):
             bad = np.flatnonzero(~np.isfinite(row))
+            place = f"{file}, {name}" + (f", record {number}" if len(rows) > 1 else "")
+            step = "Cut the record, or leave the channel out"
             if len(bad) and len(bad) < len(row):
-                place = f"{file}, {name}" + (f", record {number}" if len(rows) > 1 else "")
-                step = "Cut the record, or leave the channel out"
                 got = f"{len(bad)} NaN or infinite ones, the first in sample {bad[0] + 1}"
                 faults.append(sentence("the samples", "finite numbers", got, place, step))
+            elif not len(bad) and (large := np.flatnonzero(np.abs(row) > LARGEST)).size:
+                got = f"{row[large[0]]:g} in sample {large[0] + 1}"
+                faults.append(sentence("the samples", f"below {LARGEST:g}", got, place, step))
     raise_all(KinematicsError, faults)
 
 

@@ -61,7 +61,7 @@ def _noise(one: Recording, order: int) -> tuple[str, Array | None]:
         return ("relative" if one.relative else "absolute"), one.sd / rate
     if one.coherence is not None:
         count = one.n_avg or 1.0
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             sd = np.abs(one.value) * np.sqrt((1.0 - one.coherence) / (2.0 * count * one.coherence)) / rate
         sd[~np.isfinite(sd)] = np.nan
         return ("relative" if one.n_avg is None else "absolute"), sd

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kinematics.errors import KinematicsError, sentence
 
 _LINE = re.compile(r"\r\n|\n|\r")
 _MOST = 60
@@ -18,3 +23,21 @@ def shown(text: str) -> str:
     """Quote a text for a message: on one line, printable, shortened."""
     plain = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
     return f'"{plain if len(plain) <= _MOST else plain[: _MOST - 3] + "..."}"'
+
+
+@contextmanager
+def openable(path: Path) -> Iterator[None]:
+    """Turn what the system says of a file that cannot be opened or read into a sentence.
+
+    Raises
+    ------
+    KinematicsError
+        Such a file, by name.
+    """
+    try:
+        yield
+    except OSError as fault:
+        name = Path(fault.filename).name if isinstance(fault.filename, str) else Path(path).name
+        got = fault.strerror or type(fault).__name__
+        step = "Check the permissions and the disk it lies on"
+        raise KinematicsError(sentence("the vibrometer file", "readable", got, name, step)) from fault

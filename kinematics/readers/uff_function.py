@@ -197,6 +197,8 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
 def _number(text: str) -> float:
     """Read a Fortran number: D for E, and exponents of three digits without the letter."""
     text = text.strip().replace("D", "E").replace("d", "e")
+    if "_" in text:
+        raise ValueError(text)
     try:
         return float(text)
     except ValueError:
@@ -242,7 +244,7 @@ def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file:
     words = dataset.data.replace(b"D", b"E").split()
     found, numbers = len(words), np.empty(0)
     # Values that the bytes cannot hold are refused before anything of their size is made.
-    if found >= wanted:
+    if found >= wanted and b"_" not in dataset.data:
         try:
             numbers = np.array(words[:wanted], dtype=np.bytes_).astype(float)
         except ValueError:

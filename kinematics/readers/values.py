@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from kinematics.errors import sentence
 from kinematics.readers.recording import Recording
 
+LARGEST = 1e100
+HIGHEST_HZ = 1e12
+
 
 def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:
     """Return numbers in another unit; infinite parts leave the other part alone."""
     made = np.array(values, dtype=complex)
-    made.real *= factor
-    made.imag *= factor
+    with np.errstate(over="ignore"):
+        made.real *= factor
+        made.imag *= factor
     return made
 
 
@@ -23,11 +27,18 @@ def value_faults(recordings: Sequence[Recording]) -> list[str]:
     """List what is wrong with the numbers of recordings, one sentence for each kind and recording."""
     faults = []
     for one in recordings:
+        if len(one.freq_hz) and one.freq_hz[-1] > HIGHEST_HZ:
+            want = f"below {HIGHEST_HZ:g} Hz"
+            faults.append(sentence("the frequencies", want, f"{one.freq_hz[-1]:g} Hz", one.where))
         bad = np.isinf(one.value.real) | np.isinf(one.value.imag)
         faults += _told(one, bad, "the values", "finite, or NaN where missing", one.value)
+        bad = ~bad & ((np.abs(one.value.real) > LARGEST) | (np.abs(one.value.imag) > LARGEST))
+        faults += _told(one, bad, "the values", f"below {LARGEST:g}", one.value)
         if one.sd is not None:
             bad = (one.sd < 0.0) | np.isinf(one.sd)
             faults += _told(one, bad, "the standard deviations", "positive and finite", one.sd)
+            bad = np.isfinite(one.sd) & (one.sd > LARGEST)
+            faults += _told(one, bad, "the standard deviations", f"below {LARGEST:g}", one.sd)
         if one.coherence is not None:
             bad = (one.coherence < 0.0) | (one.coherence > 1.0)
             faults += _told(one, bad, "the coherence", "within 0 and 1", one.coherence)
