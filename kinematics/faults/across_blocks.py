@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,9 @@ class _Suspect:
         return self.home.body.points[self.channels[0]]
 
 
+_Entry = tuple[_Suspect, _Place, float]
+
+
 def label_findings(
     motions: Mapping[Key, Cleared], runs: Sequence[str], freq_hz: Array
 ) -> dict[Key, list[Finding]]:
@@ -62,7 +66,7 @@ def label_findings(
     Rows y are held against rows p of a motion that other channels measured, with the variance of both:
     sum |y - p|^2 / var is chi-squared when they belong there. That is accepted when it is as small as noise
     makes it, or a hundredth of what it was, and lies by more than the Bayesian information criterion
-    (Schwarz 1978) below the best static change of the rows and the best course of a factor over frequency,
+    (Schwarz 1978) below the best real change of the rows and the best course of a factor over frequency,
     the faults that a single point can have.
     """
     suspects = [
@@ -72,8 +76,7 @@ def label_findings(
         if (made := _suspect(home, channels, motions)) is not None
     ]
     found: dict[Key, list[Finding]] = {}
-    for number, place, score in _paired(suspects):
-        suspect = suspects[number]
+    for suspect, place, score in _with_reverse(_paired(suspects), motions):
         home = suspect.home
         text = _told(suspect, place, runs, freq_hz)
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
@@ -81,6 +84,27 @@ def label_findings(
         finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=text)
         found.setdefault((home.run, home.number), []).append(finding)
     return found
+
+
+def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[_Entry]:
+    """Add the rows that were exchanged with others, where a fault of their own would explain them as well."""
+    taken = {(s.home.run, s.home.number, c) for s, _, _ in chosen for c in s.channels}
+    made = list(chosen)
+    for suspect, place, _ in chosen:
+        other = place.at
+        if place.kind != "run" or any((other.run, other.number, c) in taken for c in suspect.channels):
+            continue
+        arms = other.body.positions_mm[suspect.channels[0]] * 1e-3
+        back = _Place("run", suspect.home, arms)
+        own = _misfit(other, suspect.channels, _Place("own", other, arms))[0]
+        score, count = _misfit(other, suspect.channels, back)
+        level = max(other.level, suspect.home.level)
+        if count and score < _NOISE * level * count and score / level < own / other.level - _MARGIN:
+            entry = _Suspect(
+                other, suspect.channels, {}, _places(other, arms, motions), own, own / other.level
+            )
+            made.append((entry, back, score / level))
+    return made
 
 
 def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cleared]) -> _Suspect | None:
@@ -156,7 +180,7 @@ def _fault_of_its_own(home: Cleared, channels: tuple[int, ...], arms: Array) -> 
     course = np.linspace(-1.0, 1.0, len(lines))[:, None] ** np.arange(3)
     observed = np.any(np.abs(home.q) > 0.0, axis=0)
     motion = home.q[lines][:, observed]
-    static, factor, price_static, price_factor = 0.0, 0.0, 0.0, 0.0
+    static, factor = 0.0, 0.0
     for k, channel in enumerate(channels):
         noise = home.variance[channel, lines]
         used = np.isfinite(noise)
@@ -166,20 +190,20 @@ def _fault_of_its_own(home: Cleared, channels: tuple[int, ...], arms: Array) -> 
         value = home.value[channel, lines][used] * root
         whole = motion[used] * root[:, None]
         single = expected[k, used, None] * course[used] * root[:, None]
-        static += _left(whole, value)
-        factor += _left(single, value)
-        price_static += whole.shape[1] * np.log(2.0 * len(value))
-        price_factor += single.shape[1] * np.log(2.0 * len(value))
-    return min(static + price_static, factor + price_factor)
+        price = 0.5 * np.log(2.0 * len(value))
+        parts = np.vstack([whole.real, whole.imag])
+        static += _left(parts, np.concatenate([value.real, value.imag])) + parts.shape[1] * price
+        factor += _left(single, value) + 2.0 * single.shape[1] * price
+    return min(static, factor)
 
 
-def _left(columns: ComplexArray, value: ComplexArray) -> float:
+def _left(columns: NDArray[Any], value: NDArray[Any]) -> float:
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     found = np.linalg.lstsq(columns / scale, value, rcond=1e-10)[0]
     return float(np.sum(np.abs(value - columns / scale @ found) ** 2))
 
 
-def _paired(suspects: list[_Suspect]) -> list[tuple[int, _Place, float]]:
+def _paired(suspects: list[_Suspect]) -> list[_Entry]:
     """Choose where each suspect belongs: two that belong to each other's places before all others."""
     made: list[tuple[float, list[tuple[int, _Place, float]]]] = []
     for number, suspect in enumerate(suspects):
@@ -195,11 +219,11 @@ def _paired(suspects: list[_Suspect]) -> list[tuple[int, _Place, float]]:
                     both = [(number, place, score), (other, one.places[back], one.scores[back])]
                     made.append((total, both))
     taken: set[int] = set()
-    chosen = []
+    chosen: list[_Entry] = []
     for _, entries in sorted(made, key=lambda entry: entry[0]):
         if not taken & {entry[0] for entry in entries}:
             taken |= {entry[0] for entry in entries}
-            chosen += entries
+            chosen += [(suspects[number], place, score) for number, place, score in entries]
     return chosen
 
 

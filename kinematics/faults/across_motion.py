@@ -18,7 +18,7 @@ Lines = NDArray[np.intp]
 _WHOLE = 300
 _BLOCKS, REACH = 43, 3
 _FALL, _TIMES = 0.3, 4.0
-_ALONE = 0.97
+_ALONE, _QUIET = 0.97, 1.4
 _HELD = 1e-3
 
 
@@ -117,7 +117,8 @@ def cleared(
         if fall < _FALL * before or fall < _TIMES * noise * len(own) * len(lines):
             break
         for channel in own if len(own) > 1 else ():
-            if before - sums.left([*out, channel]) > _ALONE * fall:
+            alone = before - sums.left([*out, channel])
+            if alone > _ALONE * fall or fall - alone < _QUIET * noise * (len(own) - 1) * len(lines):
                 own = [channel]
                 break
         suspects.append(tuple(own))

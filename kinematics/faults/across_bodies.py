@@ -1,0 +1,168 @@
+"""Whole bodies, runs or frequency columns under a wrong label, told by the ligament between two bodies.
+
+Each body by itself moves rigidly then, and no residual shows anything. What is left is that one and the same
+ligament carries the stapes in every run and at every line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.motion import RigidMotion
+from kinematics.motion_files import standard_deviation
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_MODEL = 0.02
+_BETTER, _GOOD, _BAD = 0.2, 2.0, 5.0
+_MOST_RUNS = 4
+_REACH = 5
+_LINES = 400
+
+
+@dataclass(frozen=True)
+class Label:
+    """One way in which the labels of two bodies could be wrong.
+
+    Attributes
+    ----------
+    kind : str
+        ``right``, ``conjugate`` (one body), ``sign`` (one body), ``bodies`` (exchanged), ``runs`` (of one
+        body exchanged) or ``frequency`` (of one body shifted).
+    order : tuple of int
+        For ``runs``: which run of the base belongs to each run of the structure.
+    shift : int
+        For ``frequency``: at which line later the rows of the base belong.
+    """
+
+    kind: str
+    order: tuple[int, ...] = ()
+    shift: int = 0
+
+
+@dataclass(frozen=True)
+class Ligament:
+    """How well one ligament explains the motion of two bodies, labelled in different ways.
+
+    Attributes
+    ----------
+    best : Label
+        ``right`` unless another explains what that does not.
+    misfit : dict of Label to float
+        Mean squared misfit in units of noise and of 2 % of the motion.
+    """
+
+    best: Label
+    misfit: dict[Label, float]
+
+    def explains(self, kind: str) -> bool:
+        """Tell whether labels that are wrong in some way leave little to explain."""
+        return any(label.kind == kind and value < _GOOD for label, value in self.misfit.items())
+
+
+def ligament_test(motion: RigidMotion, structure: str, base: str) -> Ligament | None:
+    """Compare ways to label two bodies; None with too few lines or without both bodies.
+
+    Notes
+    -----
+    With w^2 M q_s = (K (1 + i eta) + i w D) dq every component of dq = q_s - q_b is
+    dq = w^2 A q_s - i w B dq - i C dq with the same real A, B and C at all lines and in all runs: a linear
+    regression that needs no mass matrix. It holds for data that are both conjugated as well, with the
+    opposite damping. Misfits count in units of the noise of dq and of 2 % of the motion. Another label is
+    taken when it explains the data to twice that, the given one by less than a fifth as well.
+    """
+    if structure not in motion.bodies or base not in motion.bodies:
+        return None
+    one, two = motion.bodies.index(structure), motion.bodies.index(base)
+    good = np.all(np.isfinite(motion.q[:, [one, two]].real), axis=(0, 1, 3))
+    lines = np.flatnonzero(good)
+    if len(lines) > _LINES:
+        start = (len(lines) - _LINES) // 2
+        step = len(lines) // _LINES
+        lines = lines[start % step :: step]
+    runs, size = len(motion.runs), len(motion.dof)
+    if 2 * runs * len(lines) < 6 * size + 20:
+        return None
+    sd = standard_deviation(motion)[:, [one, two]][:, :, lines]
+    data = _Pair(motion.q[:, one][:, lines], motion.q[:, two][:, lines], sd, motion.freq_hz[lines])
+    if not np.all(np.isfinite(sd)):
+        return None
+    misfit = {label: data.misfit(label) for label in _labels(runs, len(lines))}
+    right = misfit[Label("right")]
+    best = min(misfit, key=lambda label: misfit[label])
+    if not (right > _BAD and misfit[best] < min(_GOOD, _BETTER * right)):
+        best = Label("right")
+    return Ligament(best, misfit)
+
+
+def _labels(runs: int, lines: int) -> Iterator[Label]:
+    yield Label("right")
+    yield Label("conjugate")
+    yield Label("sign")
+    yield Label("bodies")
+    if runs <= _MOST_RUNS:
+        for order in permutations(range(runs)):
+            if order != tuple(range(runs)):
+                yield Label("runs", order)
+    for shift in range(-_REACH, _REACH + 1):
+        if shift and lines > 8 * _REACH:
+            yield Label("frequency", shift=shift)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    structure: ComplexArray
+    base: ComplexArray
+    sd: Array
+    freq_hz: Array
+
+    def misfit(self, label: Label) -> float:
+        """Return the mean squared misfit of one ligament to all runs and lines."""
+        s, b, spread = self.structure, self.base, self.sd
+        freq = np.broadcast_to(self.freq_hz, s.shape[:2])
+        if label.kind == "conjugate":
+            b = b.conj()
+        elif label.kind == "sign":
+            b = -b
+        elif label.kind == "bodies":
+            s, b = b, s
+        elif label.kind == "runs":
+            order = list(label.order)
+            b, spread = b[order], np.stack([spread[:, 0], spread[order, 1]], axis=1)
+        elif label.kind == "frequency":
+            here, there = _overlap(s.shape[1], label.shift)
+            s, b, freq = s[:, there], b[:, here], freq[:, there]
+            spread = np.stack([spread[:, 0, there], spread[:, 1, here]], axis=1)
+        return _misfit(s, b, spread, freq)
+
+
+def _overlap(lines: int, shift: int) -> tuple[slice, slice]:
+    """Return lines and those ``shift`` later."""
+    if shift > 0:
+        return slice(0, lines - shift), slice(shift, lines)
+    return slice(-shift, lines), slice(0, lines + shift)
+
+
+def _misfit(s: ComplexArray, b: ComplexArray, sd: Array, freq_hz: Array) -> float:
+    size = s.shape[-1]
+    w = 2.0 * np.pi * freq_hz[..., None]
+    dq = (s - b).reshape(-1, size)
+    columns = np.concatenate([w**2 * s, -1j * w * (s - b), -1j * (s - b)], axis=-1).reshape(-1, 3 * size)
+    both = np.vstack([columns.real, columns.imag])
+    scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
+    noise = 2.0 * np.sum(sd**2, axis=1).reshape(-1, size)
+    moved = np.sqrt(0.5 * np.mean(np.abs(s) ** 2 + np.abs(b) ** 2, axis=(0, 1)))
+    total = 0.0
+    for row in range(size):
+        root = 1.0 / np.sqrt(noise[:, row] + (_MODEL * moved[row]) ** 2)
+        weight = np.concatenate([root, root])
+        target = np.concatenate([dq[:, row].real, dq[:, row].imag]) * weight
+        found = np.linalg.lstsq(both / scale * weight[:, None], target, rcond=1e-10)[0]
+        total += float(np.sum((target - both / scale @ found * weight) ** 2))
+    freedom = dq.size - 1.5 * size * size
+    return total / max(freedom, 1.0)
