@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_fastscan import axes_notice, axis_vector
-from kinematics.readers.psv_text import Block, fields_of, read_blocks, signals
+from kinematics.readers.psv_signals import signals
+from kinematics.readers.psv_text import Block, fields_of, read_blocks
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,22 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.readers.recording import scaled
 from kinematics.readers.text import lines_of, shown
-from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 T = TypeVar("T")
 _SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 _FIELD = re.compile(r"^\s*([^\t:]{2,40}?)\s*:\s*(.*)$")
-_PARTS = {
-    "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
-    "im": re.compile(r"^(imag|imaginary|im|imaginär|imaginärteil|imaginaire)\b", re.IGNORECASE),
-    "amp": re.compile(r"^(magnitude|amplitude|betrag|mag|module)\b", re.IGNORECASE),
-    "phase": re.compile(r"^phase\b", re.IGNORECASE),
-}
-_AXIS = re.compile(r"(?:^|[\s(_])([+-]?)([XYZ])\s*$", re.IGNORECASE)
 _UNIT = re.compile(r"\[([^\]]*)\]")
 _MAX_FILE = 1 << 30
 
@@ -150,7 +141,15 @@ def blocks(path: Path, faults: list[str]) -> list[Block]:
 
 
 def _first_row(lines: list[str], start: int) -> int | None:
-    return next((n for n in range(start, len(lines)) if _is_numbers(lines[n])), None)
+    """Return the first line that is a row: half of its cells at least are numbers."""
+    return next((n for n in range(start, len(lines)) if _is_row(lines[n])), None)
+
+
+def _is_row(line: str) -> bool:
+    if not line.strip() or _FIELD.match(line) is not None:
+        return False
+    cells = _cells(line)
+    return 2 * sum(bool(cell) and value_of(cell) is not None for cell in cells) >= max(len(cells), 1)
 
 
 def _after_rows(lines: list[str], first: int) -> int:
@@ -177,13 +176,14 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
                 names, units, named = line, "", number
     columns, inline = _split_names(names)
     below = _split_units(units) if units else inline
-    width = len(_cells(lines[first]))
+    table = [_cells(line) for line in lines[slice(*rows)]]
+    width = Counter(len(cells) for cells in table).most_common(1)[0][0]
     if not columns or len(columns) != width or len(below) != width:
         got = f"{len(columns)} names and {len(below)} units over {width} numbers"
         raise KinematicsError(
             sentence("the table", "one name and one unit to each column", got, f"{file}, line {named + 1}")
         )
-    numbers = _numbers(lines, rows, columns, file, faults)
+    numbers = _numbers(table, first + 1, columns, file, faults)
     return Block(file, named + 1, fields, columns, below, numbers)
 
 
@@ -198,10 +198,13 @@ def _cells(line: str) -> list[str]:
 def _is_numbers(line: str) -> bool:
     """Tell whether a line holds numbers only, two at least or one alone."""
     cells = _cells(line) if line.strip() else []
-    return bool(cells) and _value(cells[0]) is not None and all(_value(cell) is not None for cell in cells)
+    return (
+        bool(cells) and value_of(cells[0]) is not None and all(value_of(cell) is not None for cell in cells)
+    )
 
 
-def _value(cell: str) -> float | None:
+def value_of(cell: str) -> float | None:
+    """Read a number with decimal point or comma: NaN of an empty cell, None of what is no number."""
     if not cell:
         return np.nan
     try:
@@ -212,22 +215,22 @@ def _value(cell: str) -> float | None:
 
 
 def _numbers(
-    lines: list[str], rows: tuple[int, int], columns: tuple[str, ...], file: str, faults: list[str]
+    table: list[list[str]], line: int, columns: tuple[str, ...], file: str, faults: list[str]
 ) -> Array:
     """Return the numbers of the rows that have as many as there are columns; tell the others."""
     step = "It may be cut short: export it again"
     good = []
-    for number in range(*rows):
-        values = [_value(cell) for cell in _cells(lines[number])]
+    for number, cells in enumerate(table, line):
+        values = [value_of(cell) for cell in cells]
         if len(values) == len(columns) and None not in values:
             good.append(values)
             continue
-        where = f"{file}, line {number + 1}"
+        where = f"{file}, line {number}"
         if len(values) != len(columns):
-            got = shown(lines[number]) if None in values else len(values)
+            got = shown(" ".join(cells)) if None in values else len(values)
             faults.append(sentence("a row", f"of {len(columns)} numbers", got, where, step))
             continue
-        for name, cell, value in zip(columns, _cells(lines[number]), values, strict=True):
+        for name, cell, value in zip(columns, cells, values, strict=True):
             if value is None:
                 place = f"{where}, column {shown(name)}"
                 faults.append(sentence("a row", "of numbers", shown(cell), place, step))
@@ -252,118 +255,3 @@ def _split_units(line: str) -> tuple[str, ...]:
     if len(cells) == 1:
         cells = _UNIT.findall(line)
     return tuple(cell.strip().strip("[]").strip() for cell in cells)
-
-
-@dataclass(frozen=True)
-class Signal:
-    """Complex values of one axis of a block: axis ``x``, ``-y`` ... or empty, unit, values (rows,) in SI."""
-
-    axis: str
-    unit: MotionUnit
-    value: ComplexArray
-
-
-def signals(block: Block) -> list[Signal]:
-    """Pair the columns of a block to complex values.
-
-    Raises
-    ------
-    KinematicsError
-        Amplitudes without phase, amplitudes in dB, a real part without an imaginary part, a unit that is no
-        motion, or no column of values at all.
-    """
-    pairs: dict[str, dict[str, int]] = {}
-    for place, name in enumerate(block.columns):
-        part = next((part for part, pattern in _PARTS.items() if pattern.match(name)), None)
-        if part is not None:
-            match = _AXIS.search(name)
-            axis = "" if match is None else match[1].replace("+", "") + match[2].lower()
-            pairs.setdefault(axis, {})[part] = place
-    made: list[Signal] = []
-    faults: list[str] = []
-    unknown: dict[str, list[str]] = {}
-    for axis, parts in pairs.items():
-        with collecting(faults):
-            first, value = _value_of(block, axis, parts)
-            label = block.units[first]
-            unit = None if is_none(label) else motion_unit(label)
-            if unit is None:
-                unknown.setdefault(label, []).append(axis)
-            else:
-                made.append(Signal(axis, unit, scaled(value, unit.scale)))
-    faults += [_unit_fault(label, axes, block.where) for label, axes in unknown.items()]
-    raise_all(KinematicsError, faults)
-    if not made:
-        step = "Export Real & Imag., or Magnitude & Phase"
-        expected = "columns of real and imaginary part, or magnitude and phase"
-        raise KinematicsError(
-            sentence(
-                "the table",
-                expected,
-                shown(", ".join(block.columns)) if block.columns else "no names",
-                block.where,
-                step,
-            )
-        )
-    return made
-
-
-def _unit_fault(label: str, axes: list[str], where: str) -> str:
-    """Say that the unit of some axes is no motion."""
-    named = [axis for axis in axes if axis]
-    of_axes = f" of ax{'e' if len(named) > 1 else 'i'}s {', '.join(named)}" if named else ""
-    expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
-    step = "Export velocity or displacement on a linear scale, not in dB"
-    return sentence(f"the unit{of_axes}", expected, shown(label) if label else "none", where, step)
-
-
-def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
-    """Return the column that says the unit of an axis, and its complex values in that unit."""
-    of_axis = f" of axis {axis}" if axis else ""
-    if {"re", "im"} <= set(parts):
-        first, second = parts["re"], parts["im"]
-        value = np.empty(len(block.numbers), dtype=complex)
-        value.real, value.imag = block.numbers[:, first], block.numbers[:, second]
-        if block.units[first] != block.units[second]:
-            got = f"{shown(block.units[first])} and {shown(block.units[second])}"
-            raise KinematicsError(
-                sentence(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
-            )
-    elif {"amp", "phase"} <= set(parts):
-        first, second = parts["amp"], parts["phase"]
-        turn = _phase_factor(block.units[second], block.where)
-        with np.errstate(invalid="ignore", over="ignore"):
-            value = np.asarray(block.numbers[:, first] * np.exp(1j * turn * block.numbers[:, second]))
-    else:
-        names = {"re": "real part", "im": "imaginary part", "amp": "magnitude", "phase": "phase"}
-        got = " and ".join(names[part] for part in parts) + " alone"
-        step = "Export Real & Imag., or Magnitude & Phase: motion cannot be told without its phase"
-        expected = "real and imaginary part, or magnitude and phase"
-        raise KinematicsError(sentence(f"the values{of_axis}", expected, got, block.where, step))
-    return first, value
-
-
-def _phase_factor(unit: str, where: str) -> float:
-    if unit.strip().lower() in ("°", "deg", "degree", "degrees", "grad", "\ufffd"):
-        return float(np.pi / 180.0)
-    if unit.strip().lower() in ("rad", "radian", "radians"):
-        return 1.0
-    got = shown(unit) if unit else "none"
-    raise KinematicsError(sentence("the unit of the phase", "degrees or rad", got, where, "Export it again"))
-
-
-def frequency_hz(text: str, where: str) -> float:
-    """Read ``1000 Hz`` or ``1,5 kHz``.
-
-    Raises
-    ------
-    KinematicsError
-        Another unit or no number.
-    """
-    match = re.fullmatch(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(m|k|M)?Hz\s*", text)
-    value = None if match is None else _value(match[1])
-    if match is None or value is None:
-        raise KinematicsError(
-            sentence("the frequency", "a number in Hz", shown(text), where, "Export it again")
-        )
-    return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]

@@ -20,10 +20,12 @@ from kinematics.readers.channel_table import Channel, read_channels
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series_files import Series, read_series
 from kinematics.signals.frf import Welch, segment_for, welch_frf
+from kinematics.signals.frf_local import Local, local_frf
 from kinematics.signals.frf_noise import Frf
 from kinematics.signals.frf_periodic import Periodic, periodic_frf
 from kinematics.signals.lock_in import SteppedSine
-from kinematics.signals.series_options import SeriesOptions
+from kinematics.signals.sample_faults import sample_notices
+from kinematics.signals.series_options import LOCAL, SeriesOptions
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 
 Array = NDArray[np.float64]
@@ -90,7 +92,8 @@ def estimated(
     KinematicsError
         Channels of different lengths, no reference, or what the estimate says; of all groups of channels.
     """
-    notices = _clipped(series)
+    lead = () if reference is None else (reference.name,)
+    notices = sample_notices(series.channels, lead, series.file)
     groups, said = _groups(series, responses, reference)
     recordings: list[Recording] = []
     faults: list[str] = []
@@ -234,6 +237,9 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
         step = "Ask for fewer --averages or a coarser --resolution"
         got = f"{segment} samples of a record of {shortest}"
         raise KinematicsError(sentence("a segment", "8 samples long at least", got, group.where, step))
+    if options.estimator == LOCAL:
+        frf = local_frf(records, rate, Local(rate / segment), group.where)
+        return frf, f"local polynomials, resolution {frf.freq_hz[1] - frf.freq_hz[0]:.4g} Hz"
     welch = Welch(segment, options.window, options.overlap, options.estimator)
     frf = welch_frf(records, rate, welch, group.where)
     text = (
@@ -324,23 +330,3 @@ def _recordings(
         )
         for k, (one, point) in enumerate(zip(group.channels, group.points, strict=True))
     ]
-
-
-def _clipped(series: Series) -> list[Notice]:
-    """Warn of channels that stay at their largest or smallest value for several samples again and again."""
-    named = []
-    for name, rows in series.channels.items():
-        for row in rows:
-            if len(row) < 64 or row.max() == row.min():
-                continue
-            for extreme in (row.max(), row.min()):
-                at = (row == extreme).astype(np.int8)
-                runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], at, [0]]))))[::2]
-                if np.sum(runs >= 4) >= 3 and name not in named:
-                    named.append(name)
-    if not named:
-        return []
-    text = (
-        f"{', '.join(named)} of {series.file} seems clipped: it stays at its extreme value again and again."
-    )
-    return [Notice("clipped", text)]

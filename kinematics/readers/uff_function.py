@@ -122,7 +122,8 @@ def read_function(dataset: Dataset, file: str) -> Function:
         raise_all(KinematicsError, faults)
         raise KinematicsError(sentence("a function", "with a record 6", "none", file, CUT))
     if even:
-        x = np.asarray(spacing[0] + spacing[1] * np.arange(count), dtype=float)
+        with np.errstate(over="ignore"):
+            x = np.asarray(spacing[0] + spacing[1] * np.arange(count), dtype=float)
     abscissa, ordinate, denominator = (_axis(line) for line in head[7:10])
     return Function(
         *identity,
