@@ -17,7 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.mixing import Mixing
+from kinematics.faults.packing import gathering, motion_of
 from kinematics.fit.beams import BeamSet
+from kinematics.fit.line_kernels import mixed as mixed_lines
+from kinematics.fit.line_kernels import projected
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
@@ -29,7 +32,6 @@ ComplexArray = NDArray[np.complex128]
 _SEGMENTS = 12
 _REST = 512
 _HELD = 60_000
-_WHOLE = 64
 
 
 @dataclass(frozen=True)
@@ -280,7 +282,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     fit, basis = source.fit, data.beams.basis
     good = np.flatnonzero(fit.solution.good)
     whole = len(good) == fit.value.shape[1]
-    count, size = basis.shape
+    count = len(basis)
     edges = _segments(source)
     share = max(1, min(_REST, _HELD // max(count, 1)) // (len(edges) - 1))
     span, upper = np.linalg.qr(data.white(basis))
@@ -294,20 +296,19 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
         divisor = data.divisor[:, number][:, None]
         if plain:
             residual = fit.value[:, lines]
-            z = z if first else (back / divisor.T) @ residual
+            z = z if first else motion_of(back, divisor[:, 0], residual)
         else:
             residual = source.residual(lines)
             if not first:
                 for block in blocks(count, residual.shape[1]):
                     residual[:, block] += fit.beams.basis @ z[:, block]
                     residual[:, block] /= divisor
-                z = back @ residual
+                z = projected(back, residual)
                 for block in blocks(count, residual.shape[1]):
                     residual[:, block] -= basis @ z[:, block]
         moving = z * b
-        vectors = np.linalg.svd(moving, full_matrices=stop - start <= _WHOLE)[2]
-        into = vectors[: min(size, stop - start)].conj().T
-        error = residual @ (b[:, None] * into)
+        vectors, into = gathering(moving)
+        error = mixed_lines(residual, b[:, None] * into)
         if plain:
             error = error / divisor - basis @ (moving @ into)
         off = (basis, z, divisor) if plain else None

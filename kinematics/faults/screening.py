@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import sentence
 from kinematics.fit.beams import observability
+from kinematics.fit.line_kernels import all_finite, all_whole
 from kinematics.fit.line_noise import blocks
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.notices import Notice
@@ -47,6 +48,11 @@ def is_whole(body: BodyChannels) -> bool:
             if not np.all(np.isfinite(sd[tuple(slice(0, 1) if k == 0 else slice(None) for k in sd.strides)])):
                 return False
             sd = None
+        whole, sure = all_whole(value), True if sd is None else all_finite(sd)
+        if whole is not None and sure is not None:
+            if not (whole and sure):
+                return False
+            continue
         for part in blocks(*value.shape):
             block = value[:, part]
             if sd is not None and not np.isfinite(np.sum(sd[:, part])):

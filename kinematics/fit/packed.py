@@ -50,6 +50,15 @@ def congruence(matrix: Array) -> Array:
     return np.where(rows == columns, one, one + two)
 
 
+def transformed(matrix: Array, packed: Array) -> Array:
+    """Return matrix S matrix^T, (freq, n, n), of packed symmetric matrices S, (p, freq)."""
+    size = len(matrix)
+    rows, columns = places(size)
+    order = np.empty((size, size), dtype=np.intp)
+    order[rows, columns] = order[columns, rows] = np.arange(len(rows))
+    return np.asarray((packed.T @ congruence(matrix)[order.ravel()].T).reshape(-1, size, size))
+
+
 def inverse(packed: Array, size: int) -> Array:
     """Return the packed inverses (p, freq) of symmetric positive definite matrices.
 

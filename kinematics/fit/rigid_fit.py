@@ -233,10 +233,10 @@ def fit_noise(beams: BeamSet, value: ComplexArray, noise: LineNoise, robust: str
         solution, inverse, loss, turns, unsettled = robust_solve(beams.basis, value, noise, robust)
     size = len(beams.dof)
     good = solution.good
-    q = np.ascontiguousarray((beams.to_dof @ solution.z).T)
+    q = np.ascontiguousarray((beams.to_dof @ solution.z.view(float)).view(complex).T)
     q[~good] = np.nan
     base = solution.inverse if inverse is None else inverse
-    covariance = packed.unpack(packed.congruence(beams.to_dof) @ base * loss, size)
+    covariance = packed.transformed(np.sqrt(loss) * beams.to_dof, base)
     covariance[~good] = np.nan
     chi2 = np.where(good, solution.misfit, np.nan)
     n_dof = np.where(good, 2 * (solution.count - size), 0)

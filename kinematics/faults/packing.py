@@ -1,0 +1,48 @@
+"""What packing does to every line of the data: projections and mixtures, in one pass each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.line_kernels import projected
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_WHOLE = 64
+_NARROW = 1e-9
+
+
+def gathering(moving: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return mixing vectors, (k, n), and the first of them, (n, r), that gather motion (m, n) in r lines.
+
+    Notes
+    -----
+    They are the right singular vectors V of the motion: of few lines all of them, k = n, else those of the
+    motion, k = r. Of many lines they come from the eigenvectors U of the Gram matrix, V^H = S^-1 U^H M, and
+    are made orthonormal once more by its Cholesky factor (Yamamoto et al. 2015, Cholesky QR with a second
+    pass): they span the motion and are orthonormal to rounding while its singular values are within 3e4.
+    """
+    size, lines = moving.shape
+    rank = min(size, lines)
+    if lines > _WHOLE:
+        values, left = np.linalg.eigh(moving @ moving.conj().T)
+        if values[0] > _NARROW * values[-1]:
+            near = (left[:, ::-1].conj().T @ moving) / np.sqrt(values[::-1])[:, None]
+            vectors = np.linalg.inv(np.linalg.cholesky(near @ near.conj().T)) @ near
+            return vectors, vectors.conj().T
+    vectors = np.linalg.svd(moving, full_matrices=lines <= _WHOLE)[2]
+    return vectors, vectors[:rank].conj().T
+
+
+def motion_of(back: Array, divisor: ComplexArray, value: ComplexArray) -> ComplexArray:
+    """Return the motion (m, n) of readings (channel, n) that are divided by ``divisor`` (channel,).
+
+    ``back`` (m, channel) are the rows of the least-squares solution.
+    """
+    rows = back / divisor
+    made = projected(np.ascontiguousarray(rows.real), value)
+    turned = np.flatnonzero(np.any(rows.imag != 0.0, axis=0))
+    if len(turned):
+        made = made + 1j * projected(np.ascontiguousarray(rows.imag[:, turned]), value[turned])
+    return made
