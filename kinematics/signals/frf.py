@@ -28,6 +28,7 @@ from kinematics.signals.frf_noise import (
     split_noise,
     steady_common,
 )
+from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
@@ -213,15 +214,20 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         variance = smoothed(variance * true, width, (averages - 1.0) / line_spread(taper)) / true
         common = steady_common(common, width)
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
+    notices = _notices(common_sd, common / gxx, averages, how)
+    if how.window == "none":
+        notices += edge_notice([records[0][1][:, : how.segment]])
+    sd = np.sqrt(0.5 * variance)
+    notices += bend_notice(freq, value, np.hypot(sd, common_sd * np.abs(value)), taper)
     return Frf(
         freq,
         value,
-        np.sqrt(0.5 * variance),
+        sd,
         coherence,
         averages,
         common_sd,
         np.sqrt(gxx) * np.sqrt(2.0) / np.sqrt(how.segment * np.sum(taper**2)),
-        tuple(_notices(common_sd, common / gxx, averages, how)),
+        tuple(notices),
         line_spread(taper),
     )
 
@@ -231,7 +237,10 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
     more = ""
     if how.estimator == "h1":
         low = 100.0 * float(np.median(share))
-        more = f" H1 reads all of them {low:.2g} % low for it; H2 and Hv with the ratio of noises do not."
+        more = (
+            f" H1 reads all of them {low:.2g} % low for it, by one factor, which K, D and responses per "
+            "reference do not contain; Hv reads half of that, H2 none where channels have no own noise."
+        )
     notices = common_notice(common_sd, "the reference", more)
     if averages < _FEW:
         text = f"only {averages:.2g} independent averages were made: the stated noise is rough."

@@ -10,6 +10,8 @@ from pathlib import Path
 from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 
 ESTIMATORS = ("h1", "h2", "hv")
+LOCAL = "lpm"
+CHOICES = (*ESTIMATORS, LOCAL)
 WINDOWS = ("none", "hann", "hamming", "blackman", "flattop")
 AVERAGES = 30
 
@@ -25,7 +27,7 @@ class SeriesOptions:
     reference : str
         The reference among several; empty: the only one.
     estimator : str
-        ``h1``, ``h2`` or ``hv``.
+        ``h1``, ``h2`` or ``hv`` by segments, or ``lpm``: local polynomials, without windows.
     window : str
     overlap : float
     averages : int
@@ -63,8 +65,8 @@ class SeriesOptions:
 
     def __post_init__(self) -> None:
         faults = []
-        if self.estimator not in ESTIMATORS:
-            faults.append(sentence("--frf", ", ".join(ESTIMATORS), self.estimator))
+        if self.estimator not in CHOICES:
+            faults.append(sentence("--frf", ", ".join(CHOICES), self.estimator))
         if self.window not in WINDOWS:
             faults.append(sentence("--window", ", ".join(WINDOWS), self.window))
         if not 0.0 <= self.overlap <= 0.95:
@@ -112,7 +114,7 @@ def add_series_arguments(made: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--reference-channel", metavar="NAME", help="the reference among several: a channel, or NODE+DIR"
     )
-    group.add_argument("--frf", choices=ESTIMATORS, help="estimator of responses to random excitation (h1)")
+    group.add_argument("--frf", choices=CHOICES, help="estimator of responses to random excitation (h1)")
     group.add_argument("--window", choices=WINDOWS, help="window of its segments (hann)")
     group.add_argument("--overlap", type=float, metavar="SHARE", help="of neighbouring segments (0.5)")
     group.add_argument("--averages", type=int, metavar="N", help=f"segments ({AVERAGES})")

@@ -1,0 +1,162 @@
+"""What is wrong with samples themselves: clipped tops, lone spikes, stretches that stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+_LEAST = 64
+_TOP = 0.002
+_BINS = 6
+_CROWDED = 8.0
+_FEWEST = 8
+_PAIRS = 3
+_BLOCK = 256
+_SPIKE = 20.0
+_STILL = 8
+_BESIDE = 16
+_MOVING = 20.0
+
+
+def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str], file: str) -> list[Notice]:
+    """Warn of channels whose samples cannot be what was there.
+
+    Parameters
+    ----------
+    channels : mapping of str to iterable of ndarray (sample,)
+        Records of every channel.
+    leads : iterable of str
+        References. Pauses are not looked for in them, and spikes nowhere when they are pulses.
+    file : str
+    """
+    clipped, spikes, still = [], {}, {}
+    apart = set(leads)
+    held = {name: list(rows) for name, rows in channels.items()}
+    pulses = any(count_spikes(row) for name in apart for row in held.get(name, []) if len(row) >= _LEAST)
+    resting = [row for name in apart for row in held.get(name, [])]
+    for name, rows in held.items():
+        good = [row for row in rows if len(row) >= _LEAST and np.all(np.isfinite(row)) and np.ptp(row) > 0.0]
+        if any(is_clipped(row) for row in good):
+            clipped.append(name)
+        if name in apart:
+            continue
+        spikes[name] = 0 if pulses else sum(count_spikes(row) for row in good)
+        still[name] = sum(count_still(row, still_samples(resting, k)) for k, row in enumerate(good))
+    notices = []
+    if clipped:
+        text = (
+            f"{', '.join(clipped)} of {file}: clipped; samples crowd at the largest or smallest value. The "
+            "responses are too small and distorted there: lower the level or take a wider range."
+        )
+        notices.append(Notice("clipped", text))
+    if any(spikes.values()):
+        text = (
+            f"lone spikes stand out of the signal by far ({_listed(spikes, file)}), as when the laser loses "
+            "its light: they are noise in the responses and counted as such. A tracking filter or a better "
+            "spot removes them."
+        )
+        notices.append(Notice("spikes", text))
+    if any(still.values()):
+        text = (
+            f"the signal stands still for {_STILL} samples or more in the midst of motion "
+            f"({_listed(still, file)}), as when a decoder holds its last value: such responses are too "
+            "small. Measure these points again."
+        )
+        notices.append(Notice("dropouts", text))
+    return notices
+
+
+def _listed(counts: Mapping[str, int], file: str) -> str:
+    return f"{', '.join(f'{name} {n}' for name, n in counts.items() if n)} of {file}"
+
+
+def is_clipped(row: Array) -> bool:
+    """Tell whether samples crowd at an extreme: the outermost 0.2 % of the range against what lies below it.
+
+    Towards its extremes noise thins out, and a sine, the most crowded of smooth signals, has three times as
+    many samples in the outermost stretch as in the mean of the next five. A pulse rests at one extreme: a
+    crowd that holds the median is none. A signal that repeats itself reaches its largest value once a period:
+    neighbours must be in the crowd, too.
+    """
+    low, high, middle = float(np.min(row)), float(np.max(row)), float(np.median(row))
+    step = _TOP * (high - low)
+    for apart, rest in ((high - row, high - middle), (row - low, middle - low)):
+        near = apart[apart < _BINS * step]
+        top = int(np.count_nonzero(near < step))
+        below = (len(near) - top) / (_BINS - 1)
+        if rest > step and top >= _FEWEST and top > _CROWDED * max(below, 1.0):
+            crowd = apart < step
+            if np.count_nonzero(crowd[1:] & crowd[:-1]) >= _PAIRS:
+                return True
+    return False
+
+
+def count_spikes(row: Array) -> int:
+    """Count lone samples, or two or three together, that stand out of their surroundings by 20 times.
+
+    Out of the differences to the mean of the samples four before and after, in units of their median in the
+    loudest of three neighbouring stretches, so that a burst that sets in is none.
+    """
+    reach = 4
+    differences = np.abs(row[reach:-reach] - 0.5 * (row[: -2 * reach] + row[2 * reach :]))
+    count = max(1, len(differences) // _BLOCK)
+    edges = np.linspace(0, len(differences), count + 1).astype(int)
+    level = np.array([np.median(differences[a:b]) for a, b in pairwise(edges)])
+    padded = np.pad(level, 1, mode="edge")
+    loud = np.maximum(np.maximum(padded[:-2], padded[2:]), level)
+    limit = np.maximum(np.repeat(loud, np.diff(edges)), max(1e-3 * np.max(level), 1e-4 * np.std(row)))
+    out = np.flatnonzero(differences > _SPIKE * limit)
+    if not len(out):
+        return 0
+    tops = [
+        part[np.argmax(differences[part])]
+        for part in np.split(out, np.flatnonzero(np.diff(out) > 2 * reach) + 1)
+    ]
+    lone = 0
+    for top in tops:
+        start, stop = max(0, top - 12), min(len(differences), top + 13)
+        beside = differences[start:stop][np.abs(np.arange(start, stop) - top) > 5]
+        lone += bool(len(beside) and np.median(beside) < 0.2 * differences[top])
+    return lone
+
+
+def still_samples(leads: list[Array], record: int) -> NDArray[np.bool_] | None:
+    """Return where the reference of a record stands still, (sample - 1,); None without one."""
+    if not leads:
+        return None
+    return np.asarray(np.diff(leads[record if record < len(leads) else 0]) == 0.0)
+
+
+def count_still(row: Array, resting: NDArray[np.bool_] | None = None) -> int:
+    """Count stretches of eight equal samples or more with motion right before and after them.
+
+    Parameters
+    ----------
+    row : ndarray, (sample,)
+    resting : ndarray, (sample - 1,), bool, optional
+        Where the reference stands still: a pause of both is none of the channel.
+    """
+    steps = np.diff(row)
+    moving = np.abs(steps[steps != 0.0])
+    if not len(moving):
+        return 0
+    fine = float(np.min(moving))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (steps == 0.0).astype(np.int8), [0]])))
+    starts, stops = edges[::2], edges[1::2]
+    extremes = (float(np.min(row)), float(np.max(row)))
+    found = 0
+    for start, stop in zip(starts, stops, strict=True):
+        if stop - start + 1 < _STILL or row[start] in extremes:
+            continue
+        if resting is not None and len(resting) == len(steps) and np.mean(resting[start:stop]) > 0.5:
+            continue
+        before, after = row[max(0, start - _BESIDE) : start], row[stop + 1 : stop + 1 + _BESIDE]
+        if len(before) == len(after) == _BESIDE:
+            found += min(np.std(before), np.std(after)) > max(_MOVING * fine, 0.05 * np.std(row))
+    return found
