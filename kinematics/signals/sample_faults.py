@@ -158,5 +158,6 @@ def count_still(row: Array, resting: NDArray[np.bool_] | None = None) -> int:
             continue
         before, after = row[max(0, start - _BESIDE) : start], row[stop + 1 : stop + 1 + _BESIDE]
         if len(before) == len(after) == _BESIDE:
-            found += min(np.std(before), np.std(after)) > max(_MOVING * fine, 0.05 * np.std(row))
+            beside = min(float(np.std(before)), float(np.std(after)))
+            found += beside > max(_MOVING * fine, 0.05 * float(np.std(row)))
     return found
