@@ -48,10 +48,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
-from kinematics.readers.unit_labels import MOTIONS, motion_unit
+from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.values import number_faults, scaled
 
 Array = NDArray[np.float64]
@@ -110,12 +110,15 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
 
 
 def _own(file: Any, name: str) -> Recordings:
-    freq = array_of(file["freq_hz"], f"{name}, freq_hz").astype(float).reshape(-1)
-    value, turned = _value(file, name, len(freq))
-    runs, channels = value.shape[:2]
     faults: list[str] = []
-    unit = motion_unit(_attribute(file, "unit"))
-    if unit is None:
+    freq = np.empty(0)
+    value, turned = np.empty((0, 0, 0), dtype=complex), False
+    with collecting(faults):
+        freq = _frequencies(file, name)
+        value, turned = _value(file, name, len(freq))
+    runs, channels = value.shape[:2]
+    unit = motion_unit(_attribute(file, "unit")) or MotionUnit(-1, 1.0)
+    if unit.order < 0:
         got = f'"{_attribute(file, "unit")}"' if "unit" in file.attrs else "none"
         step = "Write the attribute unit, m/s for velocities"
         faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name, step))
@@ -127,6 +130,8 @@ def _own(file: Any, name: str) -> Recordings:
     sign = _attribute(file, "convention") or "+"
     if sign not in ("+", "-"):
         faults.append(sentence("the attribute convention", "+ or -", sign, name))
+    if not value.size:
+        raise_all(KinematicsError, faults)
     points = _texts(file, "point", channels, name, faults)
     bodies = _texts(file, "body", channels, name, faults) or [""] * channels
     run_names = _texts(file, "run", runs, name, faults) or [""] * runs
@@ -135,19 +140,20 @@ def _own(file: Any, name: str) -> Recordings:
     spread = _like(file, "sd", value.shape, turned, name, faults)
     coherence = _like(file, "coherence", value.shape, turned, name, faults)
     count = _like(file, "n_avg", (1, channels, 1), turned, name, faults)
-    if not points and not faults:
+    if not points and "point" not in file and "point" not in file.attrs:
         step = "Write it as a data set of texts, or as an attribute with semicolons"
         faults.append(sentence("point", f"the names of {channels} channels", "none", name, step))
-    if np.any(~np.isfinite(freq)) or np.any(np.diff(freq) <= 0.0):
-        faults.append(sentence("freq_hz", "ascending and finite", "others", name, "Sort the lines"))
     if faults:
         faults += number_faults("freq_hz", freq, (freq < 0.0), "positive", name)
         faults += number_faults("the values", value, np.isinf(value), "finite, or NaN where missing", name)
-        size = np.linalg.norm(direction, axis=1)
-        faults += number_faults("direction", direction, size == 0.0, "unit vectors", name)
+    with np.errstate(over="ignore"):
+        size = np.sqrt(np.sum(direction**2, axis=1))
+    faults += [
+        sentence("direction", "a unit vector (within 1e-3)", f"length {one:g}", f"{name}, channel {k}")
+        for k, one in enumerate(size, 1)
+        if abs(one - 1.0) > 1e-3
+    ]
     raise_all(KinematicsError, faults)
-    if unit is None:
-        raise KinematicsError(sentence("the attribute unit", "known", "none", name))
     scale = unit.scale * (np.sqrt(2.0) if amplitude == "rms" else 1.0)
     value = value.conj() if sign == "-" else value
     made = []
@@ -177,6 +183,22 @@ def _own(file: Any, name: str) -> Recordings:
     )
 
 
+def _frequencies(file: Any, name: str) -> Array:
+    freq = _real(file, "freq_hz", name).reshape(-1)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    raise_all(KinematicsError, number_faults("freq_hz", freq, bad, "ascending and finite", name))
+    return freq
+
+
+def _real(file: Any, key: str, name: str) -> Array:
+    """Return a data set of real numbers."""
+    found = array_of(file[key], f"{name}, {key}")
+    if found.dtype.kind not in "fiu":
+        raise KinematicsError(sentence(key, "real numbers", f"values of type {found.dtype}", name))
+    return found.astype(float)
+
+
 def _attribute(file: Any, name: str) -> str:
     return text_of(file.attrs[name]).strip() if name in file.attrs else ""
 
@@ -186,11 +208,12 @@ def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bo
     if "value" in file:
         found = complex_of(array_of(file["value"], f"{name}, value"))
     elif "im" in file:
-        parts = [array_of(file[part], f"{name}, {part}").astype(float) for part in ("re", "im")]
+        parts = [_real(file, part, name) for part in ("re", "im")]
         if parts[0].shape != parts[1].shape:
             got = f"{parts[0].shape} and {parts[1].shape}"
             raise KinematicsError(sentence("re and im", "of one shape", got, name))
-        found = parts[0] + 1j * parts[1]
+        found = np.empty(parts[0].shape, dtype=complex)
+        found.real, found.imag = parts
     else:
         step = "Write the imaginary part: without phase there is no motion"
         raise KinematicsError(sentence("the data set im", "in the file", "re alone", name, step))
@@ -251,6 +274,9 @@ def _like(
     if key not in file:
         return None
     found = array_of(file[key], f"{name}, {key}")
+    if found.dtype.kind not in "fiu":
+        faults.append(sentence(key, "real numbers", f"values of type {found.dtype}", name))
+        return None
     found = found.T if turned else found
     found = found.reshape(1, -1, 1) if found.ndim == 1 and found.size == shape[1] else found
     try:

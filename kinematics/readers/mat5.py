@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, raise_all, sentence
 
 _HEADER = 128
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -27,6 +27,9 @@ _BEST_PACKING = 1100
 
 class _DamageError(Exception):
     """What is wrong with the bytes."""
+
+
+_DAMAGE = (_DamageError, zlib.error, struct.error, UnicodeDecodeError, ValueError)
 
 
 def read_mat5(path: Path) -> dict[str, Any]:
@@ -47,11 +50,13 @@ def read_mat5(path: Path) -> dict[str, Any]:
     data = memoryview(path.read_bytes())
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
     found: dict[str, Any] = {}
-    try:
-        place = _HEADER
-        while place + 8 <= len(data) and bytes(data[place : place + 8]) != b"\0" * 8:
-            kind, length = struct.unpack(order + "II", data[place : place + 8])
-            body = data[place + 8 : place + 8 + length]
+    faults: list[str] = []
+    place, number = _HEADER, 0
+    while place + 8 <= len(data) and bytes(data[place : place + 8]) != b"\0" * 8:
+        kind, length = struct.unpack(order + "II", data[place : place + 8])
+        body = data[place + 8 : place + 8 + length]
+        number += 1
+        try:
             if len(body) != length:
                 raise _DamageError(f"{len(data)} bytes where {place + 8 + length} are needed")
             if kind == _COMPRESSED:
@@ -61,13 +66,20 @@ def read_mat5(path: Path) -> dict[str, Any]:
             name, value = _matrix(_Elements(body, order), 0)
             if name and value is not None:
                 found[name] = value
-            place += 8 + length
-        if place < len(data) and any(data[place:]):
-            raise _DamageError("bytes that are no variable at its end")
-    except (_DamageError, zlib.error, struct.error, UnicodeDecodeError, ValueError) as fault:
-        step = "It is truncated or damaged: copy or export it again"
-        raise KinematicsError(sentence(path.name, "a whole MATLAB file", str(fault), "", step)) from fault
+        except _DAMAGE as fault:
+            faults.append(_fault(path, f"{fault} in variable {number}"))
+            if kind not in (_MATRIX, _COMPRESSED):
+                break
+        place += 8 + length
+    if not faults and place < len(data) and any(data[place:]):
+        faults.append(_fault(path, "bytes that are no variable at its end"))
+    raise_all(KinematicsError, faults)
     return found
+
+
+def _fault(path: Path, got: str) -> str:
+    step = "It is truncated or damaged: copy or export it again"
+    return sentence(path.name, "a whole MATLAB file", got, "", step)
 
 
 def _unpacked(body: memoryview, order: str) -> tuple[int, memoryview]:

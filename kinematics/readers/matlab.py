@@ -18,18 +18,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
-from kinematics.readers.mat_mapping import Layout, Signal, layout_of, read_mapping, stacked, usd_direction
+from kinematics.readers.mat_mapping import Layout, layout_of, read_mapping
 from kinematics.readers.mat_tree import describe, read_mat
+from kinematics.readers.mat_variables import (
+    LENGTH_END,
+    companion_of,
+    count_of,
+    directions_of,
+    names_of,
+    positions_of,
+    reals,
+    unit_of,
+    values_of,
+    variable,
+)
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
-from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.unit_labels import MotionUnit
 from kinematics.readers.values import scaled
 
 Array = NDArray[np.float64]
-_LENGTH_END = r"_(mm|um|m)$"
-_SCALES = {"m": 1e3, "mm": 1.0, "um": 1e-3}
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def read(path: Path, mapping: Path | None = None) -> Recordings:
@@ -112,11 +121,15 @@ def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> lis
         if isinstance(value, dict)
     }
     good = {name: layout for name, layout in inner.items() if layout is not None}
-    blocks = []
+    blocks: list[Recordings] = []
+    faults: list[str] = []
     for name, one in good.items():
         run = name if len(good) > 1 else ""
         named = Layout(**{**vars(one), "run": run})
-        blocks.append(_from_layout(ChainMap(space[name], dict(space)), named, f"{where}, {name}", tree))
+        inside = ChainMap(space[name], dict(space))
+        with collecting(faults):
+            blocks.append(_from_layout(inside, named, f"{where}, {name}", tree))
+    raise_all(KinematicsError, dict.fromkeys(faults))
     if blocks:
         return blocks
     for name, value in space.items():
@@ -135,12 +148,15 @@ def _elements(
     parts: list[ChainMap[str, Any]], layouts: list[Layout | None], where: str, tree: Mapping[str, Any]
 ) -> list[Recordings]:
     blocks = []
+    faults: list[str] = []
     for number, (part, layout) in enumerate(zip(parts, layouts, strict=True), 1):
         if layout is None:
             text = f"element {number} holds no spectrum and is left out ({where})."
             blocks.append(Recordings((), (Notice("missing_point", text),), amplitude_stated=True))
         else:
-            blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
+            with collecting(faults):
+                blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
+    raise_all(KinematicsError, dict.fromkeys(faults))
     return blocks
 
 
@@ -148,55 +164,85 @@ def _from_layout(
     space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str = ""
 ) -> Recordings:
     if layout.each:
-        elements = _variable(space, layout.each, where, tree)
+        elements = variable(space, layout.each, where, tree)
         if not isinstance(elements, list) or not all(isinstance(one, dict) for one in elements):
             want = "a struct array or a cell array of structs"
             raise KinematicsError(sentence(layout.each, want, "something else", where))
         inside = Layout(**{**vars(layout), "each": ""})
-        parts = [ChainMap(one, dict(space)) for one in elements]
-        spots = [f"{where}, {layout.each}({k})" for k in range(1, len(parts) + 1)]
-        blocks = [
-            _from_layout(part, inside, place, tree, str(k))
-            for k, (part, place) in enumerate(zip(parts, spots, strict=True), 1)
-        ]
+        blocks: list[Recordings] = []
+        faults: list[str] = []
+        for k, one in enumerate(elements, 1):
+            spot = f"{where}, {layout.each}({k})"
+            with collecting(faults):
+                blocks.append(_from_layout(ChainMap(one, dict(space)), inside, spot, tree, str(k)))
+        raise_all(KinematicsError, dict.fromkeys(faults))
         return _joined(blocks, where)
-    freq = _reals(space, layout.frequency, where, tree).reshape(-1)
-    if not (np.all(np.isfinite(freq)) and np.all(np.diff(freq) > 0.0)):
-        step = "Say which variable holds the frequencies in a mapping"
-        raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", "others", where, step))
+    return _plain(space, layout, where, tree, point)
+
+
+def _plain(
+    space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str
+) -> Recordings:
+    """Read the signals of a layout; all that is wrong with its variables is told together."""
+    faults: list[str] = []
     recordings: list[Recording] = []
+    freq: Array | None = None
+    with collecting(faults):
+        freq = _frequencies(space, layout, where, tree)
     for signal in layout.signal:
-        values, name = _values(space, signal, len(freq), where, tree)
-        unit = _unit(space, signal, name, where, tree)
-        scale = unit.scale * (np.sqrt(2.0) if layout.amplitude == "rms" else 1.0)
-        if layout.convention == "-":
-            values = values.conj()
-        names = _names(space, layout, len(values), where, tree, point)
-        places = _positions(space, layout, len(values), where, tree)
-        coherence = _companion(space, signal.coherence, values.shape, where, tree)
-        spread = _companion(space, signal.sd, values.shape, where, tree)
-        count = _count(space, signal, where, tree)
-        for beam in range(values.shape[2]):
-            directions = _directions(space, signal, beam, values, where, tree)
-            for k in range(len(values)):
-                recordings.append(
-                    Recording(
-                        names[k],
-                        freq,
-                        scaled(values[k, :, beam], scale),
-                        unit.order,
-                        f"{where}, {name}, row {k + 1}",
-                        signal.run or layout.run,
-                        signal.body or layout.body,
-                        places[k],
-                        directions[k],
-                        None if spread is None else spread[k, :, beam] * scale,
-                        None if coherence is None else coherence[k, :, beam],
-                        count,
-                        per=unit.per,
-                    )
-                )
-    length = bool(layout.position_unit or re.search(_LENGTH_END, layout.position))
+        name = signal.value or signal.value_re
+        unit, count = MotionUnit(0, 1.0), None
+        with collecting(faults):
+            unit = unit_of(space, signal, name, where, tree)
+        with collecting(faults):
+            count = count_of(space, signal, where, tree)
+        if freq is None:
+            continue
+        with collecting(faults):
+            values = values_of(space, signal, len(freq), where, tree)
+            if layout.convention == "-":
+                values = values.conj()
+            shape, rows = values.shape, len(values)
+            scale = unit.scale * (np.sqrt(2.0) if layout.amplitude == "rms" else 1.0)
+            told = len(faults)
+            names, places, directions = [""] * rows, [unknown_vector()] * rows, [[unknown_vector()] * rows]
+            coherence = spread = None
+            with collecting(faults):
+                names = names_of(space, layout, rows, where, tree, point)
+            with collecting(faults):
+                places = positions_of(space, layout, rows, where, tree)
+            with collecting(faults):
+                coherence = companion_of(space, signal.coherence, shape, where, tree)
+            with collecting(faults):
+                spread = companion_of(space, signal.sd, shape, where, tree)
+            with collecting(faults):
+                directions = [
+                    directions_of(space, signal, beam, values, where, tree) for beam in range(shape[2])
+                ]
+            if len(faults) > told:
+                continue
+            for beam in range(shape[2]):
+                for k in range(rows):
+                    with collecting(faults):
+                        recordings.append(
+                            Recording(
+                                names[k],
+                                freq,
+                                scaled(values[k, :, beam], scale),
+                                unit.order,
+                                f"{where}, {name}, row {k + 1}",
+                                signal.run or layout.run,
+                                signal.body or layout.body,
+                                places[k],
+                                directions[beam][k],
+                                None if spread is None else spread[k, :, beam] * scale,
+                                None if coherence is None else coherence[k, :, beam],
+                                count,
+                                per=unit.per,
+                            )
+                        )
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    length = bool(layout.position_unit or re.search(LENGTH_END, layout.position))
     return Recordings(
         tuple(recordings),
         amplitude_stated=bool(layout.amplitude),
@@ -204,183 +250,14 @@ def _from_layout(
     )
 
 
-def _variable(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> Any:
-    value: Any = space
-    for part in name.split("."):
-        if not isinstance(value, Mapping) or part not in value:
-            step = f"It holds {describe(dict(tree))}"
-            raise KinematicsError(sentence(f"the variable {name}", "in the file", "no such one", where, step))
-        value = value[part]
-    return value
-
-
-def _reals(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> Array:
-    """Return an array of real numbers."""
-    value = _numbers(space, name, where, tree)
-    if np.iscomplexobj(value):
-        step = "Say which variable is what in a mapping"
-        raise KinematicsError(sentence(f"the variable {name}", "real numbers", "complex ones", where, step))
-    return value.astype(float)
-
-
-def _numbers(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> NDArray[Any]:
-    value = stacked(_variable(space, name, where, tree))
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fciub" or value.size == 0:
-        step = "Say which variable is what in a mapping"
-        raise KinematicsError(
-            sentence(f"the variable {name}", "an array of numbers", "something else", where, step)
-        )
-    return value
-
-
-def _shaped(values: NDArray[Any], count: int, name: str, where: str) -> NDArray[Any]:
-    """Return values as (point, F, beam)."""
-    if values.ndim == 1:
-        values = values[None]
-    if values.ndim == 2:
-        values = values[:, :, None]
-    if values.ndim == 3 and values.shape[1] != count and values.shape[0] == count:
-        values = np.swapaxes(values, 0, 1)
-    if values.ndim != 3 or values.shape[1] != count or values.shape[2] not in (1, 3):
-        got = " x ".join(map(str, values.shape if values.shape[-1] != 1 else values.shape[:-1]))
-        want = f"points x {count}, as many columns as frequencies"
-        raise KinematicsError(sentence(f"the variable {name}", want, got, where))
-    return values
-
-
-def _values(
-    space: Mapping[str, Any], signal: Signal, count: int, where: str, tree: Mapping[str, Any]
-) -> tuple[NDArray[np.complex128], str]:
-    if signal.value_re:
-        parts = [_numbers(space, name, where, tree) for name in (signal.value_re, signal.value_im)]
-        shaped = [_shaped(part, count, signal.value_re, where) for part in parts]
-        if shaped[0].shape != shaped[1].shape:
-            want = f"as large as {signal.value_re}"
-            raise KinematicsError(sentence(signal.value_im, want, "another size", where))
-        return np.asarray(shaped[0] + 1j * shaped[1]), signal.value_re
-    found = _numbers(space, signal.value, where, tree)
-    if not np.iscomplexobj(found):
-        if found.ndim == 2 and found.shape[1] == 2 * count:
-            found = found[:, 0::2] + 1j * found[:, 1::2]
-        else:
-            step = "Export Real & Imag., not a magnitude: without phase there is no motion"
-            raise KinematicsError(
-                sentence(f"the variable {signal.value}", "complex", "real numbers", where, step)
-            )
-    return np.asarray(_shaped(found, count, signal.value, where), dtype=complex), signal.value
-
-
-def _unit(
-    space: Mapping[str, Any], signal: Signal, name: str, where: str, tree: Mapping[str, Any]
-) -> MotionUnit:
-    label = signal.unit.removeprefix("=")
-    if not label and signal.usd:
-        usd = _variable(space, signal.usd, where, tree)
-        if isinstance(usd, dict):
-            power = np.asarray(usd.get("PowerSignal", 0))
-            if power.size == 1 and power.dtype.kind in "fiub" and bool(power.reshape(-1)[0]):
-                step = "Export the FFT or the FRF: an auto or cross power has no phase of its own"
-                raise KinematicsError(sentence(name, "an amplitude spectrum", "a power", where, step))
-            label = str(usd.get("YUnit", ""))
-    unit = motion_unit(label)
-    if unit is None:
-        got = f'"{label}"' if label else "none"
-        step = 'Give it as unit = "m/s" in a mapping'
-        raise KinematicsError(sentence(f"the unit of {name}", "; ".join(MOTIONS), got, where, step))
-    return unit
-
-
-def _names(
-    space: Mapping[str, Any], layout: Layout, count: int, where: str, tree: Mapping[str, Any], point: str
-) -> list[str]:
-    if not layout.points:
-        return [point] if point and count == 1 else [str(k) for k in range(1, count + 1)]
-    found = _variable(space, layout.points, where, tree)
-    if isinstance(found, str):
-        names = [found]
-    elif isinstance(found, list):
-        names = [_name(one, layout.points, where) for one in found]
-    else:
-        names = [f"{number:g}" for number in _reals(space, layout.points, where, tree).reshape(-1)]
-    if len(names) != count or len(set(names)) != len(names):
-        want = f"{count} different names, one a row"
-        raise KinematicsError(sentence(layout.points, want, f"{len(names)}", where))
-    return names
-
-
-def _name(one: Any, variable: str, where: str) -> str:
-    if isinstance(one, str) and one.strip():
-        return one.strip()
-    if isinstance(one, np.ndarray) and one.size == 1 and one.dtype.kind in "fiu":
-        return f"{float(one.reshape(-1)[0]):g}"
-    raise KinematicsError(sentence(variable, "a name or number for every point", "something else", where))
-
-
-def _positions(
-    space: Mapping[str, Any], layout: Layout, count: int, where: str, tree: Mapping[str, Any]
-) -> list[Array]:
-    if not layout.position:
-        return [unknown_vector()] * count
-    found = _reals(space, layout.position, where, tree)
-    if found.shape == (3, count) and count != 3:
-        found = found.T
-    found = found.reshape(1, 3) if found.size == 3 and count == 1 else found
-    if found.shape != (count, 3):
-        want = f"points x 3, here {count} x 3"
-        got = " x ".join(map(str, found.shape))
-        raise KinematicsError(sentence(layout.position, want, got, where))
-    unit = layout.position_unit
-    ending = re.search(_LENGTH_END, layout.position)
-    if unit or ending:
-        return list(found * _SCALES[unit or (ending[1] if ending else "m")])
-    return list(found * 1e3)
-
-
-def _companion(
-    space: Mapping[str, Any], name: str, shape: tuple[int, ...], where: str, tree: Mapping[str, Any]
-) -> Array | None:
-    if not name:
-        return None
-    found = _reals(space, name, where, tree)
-    shaped = _shaped(found, shape[1], name, where)
-    if shaped.shape[0] != shape[0] or shaped.shape[2] not in (1, shape[2]):
-        raise KinematicsError(sentence(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", where))
-    return np.broadcast_to(shaped, shape)
-
-
-def _count(space: Mapping[str, Any], signal: Signal, where: str, tree: Mapping[str, Any]) -> float | None:
-    if signal.n_avg == "":
-        return None
-    value = signal.n_avg
-    number = np.asarray(_variable(space, value, where, tree) if isinstance(value, str) else value)
-    if number.size != 1 or number.dtype.kind not in "fiu" or not float(number.reshape(-1)[0]) >= 1.0:
-        raise KinematicsError(sentence("n_avg", "a number from 1 on", value, where))
-    return float(number.reshape(-1)[0])
-
-
-def _directions(
-    space: Mapping[str, Any],
-    signal: Signal,
-    beam: int,
-    values: NDArray[np.complex128],
-    where: str,
-    tree: Mapping[str, Any],
-) -> list[Array]:
-    count = len(values)
-    if values.shape[2] == 3:
-        return [np.array(_AXES["xyz"[beam]])] * count
-    given = signal.direction
-    if isinstance(given, str) and given.lower().lstrip("+-") in _AXES:
-        sign = -1.0 if given.startswith("-") else 1.0
-        return [sign * np.array(_AXES[given.lower().lstrip("+-")])] * count
-    if isinstance(given, str) and given:
-        found = _reals(space, given, where, tree)
-        if found.shape not in ((count, 3), (1, 3)):
-            raise KinematicsError(sentence(given, f"{count} x 3 directions", found.shape, where))
-        return list(np.broadcast_to(found, (count, 3)))
-    if isinstance(given, list):
-        if len(given) != 3 or not all(isinstance(one, (int, float)) for one in given):
-            raise KinematicsError(sentence("direction", "x, -x, ..., or three numbers", given, where))
-        return [np.array(given, dtype=float)] * count
-    axis = usd_direction(space.get(signal.usd)) if signal.usd else None
-    return [unknown_vector() if axis is None else axis] * count
+def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any]) -> Array:
+    freq = reals(space, layout.frequency, where, tree).reshape(-1)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    if np.any(bad):
+        first = int(np.flatnonzero(bad)[0])
+        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+        got = f"{freq[first]:g} at place {first + 1}{more}"
+        step = "Say which variable holds the frequencies in a mapping"
+        raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", got, where, step))
+    return freq

@@ -16,7 +16,7 @@ from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.readers.psv_fastscan import axes_notice, axis_vector
 from kinematics.readers.psv_signals import signals
-from kinematics.readers.psv_text import Block, fields_of, read_blocks
+from kinematics.readers.psv_text import Block, fields_of, read_blocks, value_of
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
@@ -91,10 +91,13 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     with collecting(faults):
         freq = _frequencies(block)
         found = signals(block)
+    position, stated = unknown_vector(), True
+    if number is not None:
+        with collecting(faults):
+            position, stated = _position(text[number.end() :], block.where)
     raise_all(KinematicsError, faults)
     if number is None:
         return [], True
-    position, stated = _position(text[number.end() :])
     made = []
     for signal in found:
         axis = signal.axis or _axis(block)
@@ -140,16 +143,21 @@ def _frequencies(block: Block) -> Array:
     return np.asarray(freq)
 
 
-def _position(text: str) -> tuple[Array, bool]:
+def _position(text: str, where: str) -> tuple[Array, bool]:
     """Read x, y, z behind the point index, mm, and whether their unit is stated."""
     found = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
     if any(match is None for match in found):
         return unknown_vector(), True
-    numbers = [float(match[1].rstrip(",.").replace(",", ".")) for match in found if match is not None]
+    numbers = [value_of(match[1].rstrip(",.")) for match in found if match is not None]
+    if None in numbers:
+        want = "three numbers, x = .. y = .. z = .."
+        raise KinematicsError(
+            sentence("the position of a point", want, shown(text), where, "Export it again")
+        )
     units = {match[2] for match in found if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
     with np.errstate(over="ignore"):
-        return np.array(numbers) * (scale or 1.0) * 1e3, len(units) == 1
+        return np.array(numbers, dtype=float) * (scale or 1.0) * 1e3, len(units) == 1
 
 
 def _axis(block: Block) -> str:
