@@ -13,11 +13,11 @@ from kinematics.errors import KinematicsError, sentence
 from kinematics.readers.mat_mapping import Layout, Signal, stacked, usd_direction
 from kinematics.readers.mat_tree import describe
 from kinematics.readers.recording import unknown_vector
-from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.values import in_mm
 
 Array = NDArray[np.float64]
 LENGTH_END = r"_(mm|um|m)$"
-_SCALES = {"m": 1e3, "mm": 1.0, "um": 1e-3}
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -196,8 +196,8 @@ def positions_of(
     unit = layout.position_unit
     ending = re.search(LENGTH_END, layout.position)
     if unit or ending:
-        return list(found * _SCALES[unit or (ending[1] if ending else "m")])
-    return list(found * 1e3)
+        return list(in_mm(found, LENGTHS[unit or (ending[1] if ending else "m")]))
+    return list(in_mm(found, 1.0))
 
 
 def companion_of(

@@ -20,6 +20,7 @@ from kinematics.readers.psv_text import Block, fields_of, read_blocks
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
+from kinematics.readers.values import in_mm
 
 Array = NDArray[np.float64]
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
@@ -132,7 +133,7 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
         raise KinematicsError(sentence("the unit of X, Y, Z", "one length unit", got, block.where, step))
     label = min(labels)
     scale = 1.0 if is_none(label) else length_scale(label)
-    return block.numbers[:, columns] * (scale or 1.0) * 1e3, not is_none(label)
+    return in_mm(block.numbers[:, columns], scale or 1.0), not is_none(label)
 
 
 def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Notice]]:

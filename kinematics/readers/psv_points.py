@@ -20,6 +20,7 @@ from kinematics.readers.psv_text import Block, fields_of, read_blocks, value_of
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
+from kinematics.readers.values import in_mm
 
 Array = NDArray[np.float64]
 _POINT = ("point index", "punktindex", "punkt-index")
@@ -156,8 +157,7 @@ def _position(text: str, where: str) -> tuple[Array, bool]:
         )
     units = {match[2] for match in found if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
-    with np.errstate(over="ignore"):
-        return np.array(numbers, dtype=float) * (scale or 1.0) * 1e3, len(units) == 1
+    return in_mm(np.array(numbers, dtype=float), scale or 1.0), len(units) == 1
 
 
 def _axis(block: Block) -> str:

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.hdf5_tree import is_hdf5
-from kinematics.readers.values import LARGEST
+from kinematics.readers.values import HIGHEST_HZ, LARGEST
 
 Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
@@ -109,17 +109,23 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
         return set(found.values()) | extra, set()
 
     table = read_table(path, choose)
-    raise_all(KinematicsError, table.faults)
+    faults = list(table.faults)
     record = table.numbers.get("record", np.zeros(len(table)))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(record) != 0.0) + 1, [len(table)]])
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
     time = table.numbers["time_s"]
-    rates = [sampling_rate(time[part], table.where(part.start)) for part in parts]
-    if max(rates) > min(rates) * (1.0 + 1e-6):
+    rates: list[float] = []
+    for part in parts if not faults else ():
+        with collecting(faults):
+            rates.append(sampling_rate(time[part], table.where(part.start)))
+    if rates and max(rates) > min(rates) * (1.0 + 1e-6):
         got = f"{min(rates):g} to {max(rates):g} Hz"
-        raise KinematicsError(sentence("the sampling rate", "one in all records", got, path.name))
+        faults.append(sentence("the sampling rate", "one in all records", got, path.name))
     channels = {name: tuple(table.numbers[column][part] for part in parts) for name, column in found.items()}
-    check_finite(channels, path.name)
+    if not table.faults:
+        with collecting(faults):
+            check_finite(channels, path.name)
+    raise_all(KinematicsError, faults)
     steps = table.numbers.get("freq_hz")
     return Series(
         path.name,
@@ -242,19 +248,28 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     longest = max(max(flat[name].shape, default=0) for name in matched.values())
     time = next((low[name] for name in TIMES if name in low and flat[low[name]].size == longest), "")
     start = 0.0
-    if time:
-        times = flat[time].astype(float).reshape(-1)
-        sampled, start = sampling_rate(times, f"{file}, {time}"), float(times[0])
-    elif rate:
-        sampled = float(flat[rate].reshape(-1)[0])
-    else:
-        step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
-        got = f"the variables {', '.join(list(flat)[:20])}"
-        raise KinematicsError(sentence("the file", "with a sampling rate", got, file, step))
-    if not (np.isfinite(sampled) and sampled > 0.0):
-        raise KinematicsError(sentence("the sampling rate", "positive", f"{sampled:g} Hz", file))
-    channels = {name: _rows(flat[key], f"{file}, {key}") for name, key in matched.items()}
-    check_finite(channels, file)
+    faults: list[str] = []
+    sampled = float("nan")
+    with collecting(faults):
+        if time:
+            times = flat[time].astype(float).reshape(-1)
+            sampled, start = sampling_rate(times, f"{file}, {time}"), float(times[0])
+        elif rate:
+            sampled = float(flat[rate].reshape(-1)[0])
+            if not (0.0 < sampled <= HIGHEST_HZ):
+                want = f"positive, up to {HIGHEST_HZ:g} Hz"
+                faults.append(sentence("the sampling rate", want, f"{sampled:g} Hz", file))
+        else:
+            step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
+            got = f"the variables {', '.join(list(flat)[:20])}"
+            faults.append(sentence("the file", "with a sampling rate", got, file, step))
+    channels: dict[str, tuple[Array, ...]] = {}
+    for name, key in matched.items():
+        with collecting(faults):
+            channels[name] = _rows(flat[key], f"{file}, {key}")
+    with collecting(faults):
+        check_finite(channels, file)
+    raise_all(KinematicsError, faults)
     set_to = next((low[name] for name in ("freq_hz", "set_freq_hz") if name in low), "")
     steps = _rows(flat[set_to], f"{file}, {set_to}") if set_to and set_to not in matched.values() else ()
     return Series(file, sampled, start, channels, steps)

@@ -251,6 +251,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
 
 def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
     steps: list[Step] = []
+    faults: list[str] = []
     table = None if options.steps is None else read_steps(options.steps)
     for number, (lead, signals) in enumerate(group.records):
         first = np.zeros(signals.shape[1]) if lead is None else lead
@@ -261,15 +262,17 @@ def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
                 raise KinematicsError(sentence("freq_hz", want, len(column), series.file))
             steps += steps_of(column, first, signals, series.file)
             continue
-        for start, stop, freq in table:
-            a = round((start - series.start_s) * series.sample_rate_hz)
-            b = round((stop - series.start_s) * series.sample_rate_hz)
-            if a < 0 or b > signals.shape[1] + 1:
+        for row, (start, stop, freq) in enumerate(table, 1):
+            a = (start - series.start_s) * series.sample_rate_hz
+            b = (stop - series.start_s) * series.sample_rate_hz
+            if not (a >= -0.5 and b < signals.shape[1] + 1.5):
                 end = series.start_s + signals.shape[1] / series.sample_rate_hz
                 want = f"within the record, {series.start_s:g} to {end:g} s"
-                name = options.steps.name if options.steps is not None else ""
-                raise KinematicsError(sentence("a step", want, f"{start:g} to {stop:g} s", name))
-            steps.append(Step(freq, first[a:b], signals[:, a:b]))
+                place = f"{options.steps.name}, step {row}" if options.steps is not None else ""
+                faults.append(sentence("a step", want, f"{start:g} to {stop:g} s", place))
+                continue
+            steps.append(Step(freq, first[round(a) : round(b)], signals[:, round(a) : round(b)]))
+    raise_all(KinematicsError, dict.fromkeys(faults))
     return steps
 
 

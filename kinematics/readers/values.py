@@ -12,21 +12,33 @@ from kinematics.readers.recording import Recording
 
 LARGEST = 1e100
 HIGHEST_HZ = 1e12
+FARTHEST_MM = 1e9
 
 
 def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:
     """Return numbers in another unit; infinite parts leave the other part alone."""
     made = np.array(values, dtype=complex)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         made.real *= factor
         made.imag *= factor
     return made
+
+
+def in_mm(positions: NDArray[np.float64], metres: float) -> NDArray[np.float64]:
+    """Return positions in mm from those in a unit of so many metres."""
+    with np.errstate(over="ignore"):
+        return np.asarray(positions * (metres * 1e3))
 
 
 def value_faults(recordings: Sequence[Recording]) -> list[str]:
     """List what is wrong with the numbers of recordings, one sentence for each kind and recording."""
     faults = []
     for one in recordings:
+        known = ~np.isnan(one.position_mm)
+        if np.any(np.abs(one.position_mm[known]) > FARTHEST_MM) or np.sum(known) in (1, 2):
+            got = ", ".join(f"{value:g}" for value in one.position_mm) + " mm"
+            want = f"three numbers within {FARTHEST_MM:g} mm"
+            faults.append(sentence(f"the position of point {one.point}", want, got, one.where))
         if len(one.freq_hz) and one.freq_hz[-1] > HIGHEST_HZ:
             want = f"below {HIGHEST_HZ:g} Hz"
             faults.append(sentence("the frequencies", want, f"{one.freq_hz[-1]:g} Hz", one.where))
