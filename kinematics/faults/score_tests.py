@@ -104,21 +104,14 @@ class ScoreTests:
         owner = np.repeat(np.arange(count), [len(own) for own in places.owners])
         d = self.turns[channels]
         half = np.linalg.cholesky(self.t[""] + 1e-12 * np.trace(self.t[""]) * np.eye(len(self.t[""])))
-        own = np.einsum("cim,mn->cin", d, half)
-        blocks = np.zeros((count, 3, 3))
-        mixed = np.einsum("cim,mn->cin", self.mixed[channels], half)
-        np.add.at(blocks, owner, np.einsum("cin,cjn->cij", own, mixed))
-        span = np.einsum("cin,cm->cinm", own, self.state.own_span[channels]).reshape(len(channels), 3, -1)
-        seen = np.zeros((count, 3, span.shape[2]))
-        np.add.at(seen, owner, span)
-        flat = seen.reshape(3 * count, -1)
-        information = -flat @ flat.T
-        for number in range(count):
-            part = slice(3 * number, 3 * number + 3)
-            information[part, part] += blocks[number]
-        information[np.diag_indices(3 * count)] += 0.5 / np.repeat(places.sd_m, 3) ** 2
-        self.inner = np.linalg.inv(information)
-        self.half, self.flat, self.blocks = half, flat, blocks
+        own, mixed = d @ half, self.mixed[channels] @ half
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        blocks = np.add.reduceat(own @ mixed.swapaxes(1, 2), starts, axis=0)
+        span = (own[..., None] * self.state.own_span[channels][:, None, None]).reshape(len(channels), 3, -1)
+        flat = np.add.reduceat(span, starts, axis=0).reshape(3 * count, -1)
+        blocks[:, np.arange(3), np.arange(3)] += 0.5 / places.sd_m[:, None] ** 2
+        self.inner = _inverse(blocks, flat)
+        self.half, self.flat = half, flat
         self.number_of = np.full(len(self.a), -1)
         self.number_of[channels] = owner
         self.shift_score = np.zeros((count, 3))
@@ -144,27 +137,65 @@ class ScoreTests:
         names = ["", "tau"] if batch.kind == "drift" else [batch.lines]
         span = self.state.own_span[channels]
         norm = None if self.norm is None else self.norm[channels[:, :, None], channels[:, None, :]]
-        score = np.concatenate(
-            [np.real(np.einsum("bknm,bnm->bk", d.conj(), self.g[name][channels])) for name in names], axis=1
-        )
+        score = np.concatenate([self._along(d, self.g[name][channels]) for name in names], axis=1)
         blocks = [[_information(d, span, self._motion(one, two), norm) for two in names] for one in names]
         information = np.concatenate([np.concatenate(row, axis=2) for row in blocks], axis=1)
         if self.places.owners:
-            crossed = np.concatenate([self._crossed(d, channels, span, name) for name in names], axis=1)
-            held = crossed @ self.inner
-            score = score - held @ self.shift_score.ravel()
-            information = information - np.einsum("bkp,bjp->bkj", held, crossed)
+            seen = np.concatenate([self._seen(d, span, name) for name in names], axis=1)
+            owners = self.number_of[channels]
+            if np.all(owners == owners[:, :1]):
+                common = np.concatenate([self._common(d, channels, name) for name in names], axis=1)
+                taken, held = self._at_points(seen, common, owners[:, 0])
+            else:
+                crossed = np.concatenate([self._crossed(d, channels, name) for name in names], axis=1)
+                crossed -= seen @ self.flat.T
+                held = (crossed.reshape(-1, len(self.inner)) @ self.inner).reshape(crossed.shape)
+                taken = held @ crossed.swapaxes(1, 2)
+                held = held @ self.shift_score.ravel()
+            score, information = score - held, information - taken
         return score, information
+
+    @staticmethod
+    def _along(d: ComplexArray | Array, g: ComplexArray) -> Array:
+        flat = d.conj().reshape(*d.shape[:2], -1) @ g.reshape(len(g), -1, 1)
+        return np.asarray(flat[..., 0].real)
 
     def _motion(self, one: str, two: str) -> Array:
         return self.t[one + two] if one and two else self.t[one or two]
 
-    def _crossed(self, d: ComplexArray | Array, channels: NDArray[np.int64], span: Array, name: str) -> Array:
-        """Return the information (B, k, 3 point) that changes have in common with the positions."""
+    def _seen(self, d: ComplexArray | Array, span: Array, name: str) -> Array:
+        """Return what the motion can take of changes (B, k, m m), in the coordinates of ``flat``."""
+        own = np.linalg.solve(self.half, (d.real @ self.t[name]).swapaxes(2, 3))
+        return np.asarray((own @ span[:, None]).reshape(*d.shape[:2], -1))
+
+    def _common(self, d: ComplexArray | Array, channels: NDArray[np.int64], name: str) -> Array:
+        """Return the products (B, k, 3) of changes with the shifts of the one point that has the channels."""
+        moved = (d.real @ self.t[name]).reshape(*d.shape[:2], -1)
+        mixed = self.mixed[channels].swapaxes(1, 2).reshape(len(channels), 3, -1)
+        return np.asarray(moved @ mixed.swapaxes(1, 2))
+
+    def _at_points(self, seen: Array, common: Array, owner: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return what the positions take of information (B, k, k) and score (B, k) of sets at one point each.
+
+        With X = C at the point less seen F^T: X M X^T and X M s, M the covariance of the positions.
+        """
+        count = len(self.places.owners)
+        low = self.inner @ self.flat
+        at = np.arange(count)
+        own = self.inner.reshape(count, 3, count, 3)[at, :, at]
+        common = np.where((owner >= 0)[:, None, None], common, 0.0)
+        both = seen @ low.reshape(count, 3, -1)[owner].swapaxes(1, 2)
+        cross = both @ common.swapaxes(1, 2)
+        taken = (seen @ (self.flat.T @ low)) @ seen.swapaxes(1, 2)
+        taken += (common @ own[owner]) @ common.swapaxes(1, 2) - cross - cross.swapaxes(1, 2)
+        moved = self.inner @ self.shift_score.ravel()
+        held = (common @ moved.reshape(count, 3)[owner][..., None])[..., 0] - seen @ (self.flat.T @ moved)
+        return taken, held
+
+    def _crossed(self, d: ComplexArray | Array, channels: NDArray[np.int64], name: str) -> Array:
+        """Return the products (B, k, 3 point) of changes with the shifts of all points."""
         moved = d.real @ self.t[name]
-        own = np.linalg.solve(self.half, moved[..., None])[..., 0]
-        seen = np.einsum("bknq,bnr->bkqr", own, span)
-        made = -seen.reshape(*d.shape[:2], -1) @ self.flat.T
+        made = np.zeros((*d.shape[:2], self.flat.shape[0]))
         for place in range(channels.shape[1]):
             number = self.number_of[channels[:, place]]
             some = np.flatnonzero(number >= 0)
@@ -173,16 +204,32 @@ class ScoreTests:
                 made[some[:, None], np.arange(d.shape[1])[None], 3 * number[some][:, None] + axis] += common[
                     ..., axis
                 ]
-        return np.asarray(made)
+        return made
+
+
+def _inverse(blocks: Array, low: Array) -> Array:
+    """Return the inverse of the matrix of ``blocks`` (point, 3, 3) less low low^T (Woodbury 1950)."""
+    count, rank = low.shape
+    at, own = np.arange(len(blocks)), np.zeros((len(blocks), 3, len(blocks), 3))
+    if rank > count // 2:
+        own[at, :, at] = blocks
+        return np.asarray(np.linalg.inv(own.reshape(count, count) - low @ low.T))
+    inner = np.linalg.inv(blocks)
+    own[at, :, at] = inner
+    turned = (inner @ low.reshape(len(blocks), 3, -1)).reshape(low.shape)
+    return np.asarray(
+        own.reshape(count, count) + turned @ np.linalg.solve(np.eye(rank) - low.T @ turned, turned.T)
+    )
 
 
 def _information(d: ComplexArray | Array, span: Array, t: Array, norm: Array | None) -> Array:
+    sets, count = d.shape[:2]
     left = d @ t
-    mixed = d if norm is None else np.einsum("bnp,bjpm->bjnm", norm, d)
-    whole = np.einsum("bknm,bjnm->bkj", left, mixed.conj())
-    seen = np.einsum("bknm,bnr->bkmr", left, span)
-    other = np.einsum("bjnm,bnr->bjmr", d.conj(), span)
-    return np.asarray(np.real(whole - np.einsum("bkmr,bjmr->bkj", seen, other)))
+    mixed = d if norm is None else norm[:, None] @ d
+    whole = left.reshape(sets, count, -1) @ mixed.conj().reshape(sets, count, -1).swapaxes(1, 2)
+    seen = (left.swapaxes(2, 3) @ span[:, None]).reshape(sets, count, -1)
+    other = (d.conj().swapaxes(2, 3) @ span[:, None]).reshape(sets, count, -1)
+    return np.asarray(np.real(whole - seen @ other.swapaxes(1, 2)))
 
 
 def batches(
