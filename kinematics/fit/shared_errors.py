@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit import packed
+from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import Channels, LineFit
 from kinematics.frames import cross_matrix
 from kinematics.geometry.placement import Placement
@@ -89,28 +90,48 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
     From the normal equations A^T W (y - A q) = 0:
     dq = (A^T W A)^-1 (dA^T W r - A^T W dA q), with fixed weights W.
     """
+    common = fit.common if fit.complete and fit.robust == "none" else None
+    if common is not None:
+        return _derivatives_of_all(fit, changes, channels, common)
     beams = fit.beams
     count, rows, size = changes.shape
     q = np.where(np.isfinite(fit.q.real), fit.q, 0.0).T
     basis = beams.basis[channels]
     flat = np.ascontiguousarray(changes.transpose(0, 2, 1).reshape(count * size, rows))
     pairs = (basis[:, None, :, None] * changes.transpose(1, 0, 2)[:, :, None, :]).reshape(rows, -1).T
-    common = fit.common if fit.complete and fit.robust == "none" else None
-    always = np.empty((0, size))
-    if common is not None:
-        share = np.broadcast_to(common[0], len(beams.basis))[channels]
-        always = (pairs @ (0.5 / share**2)).reshape(count * size, size)
     out = np.empty((count, q.shape[1], size), dtype=complex)
     for part, residual, _sd, weights in fit.blocks(channels):
-        left = (flat @ (weights * residual)).reshape(count, size, -1)
-        left = np.einsum("ab,nbf->anf", beams.to_dof.T, left)
-        if common is not None:
-            known = (always @ q[:, part] / common[1][part] ** 2).reshape(count, size, -1)
-        else:
-            each = (pairs @ weights).reshape(count, size, size, -1)
-            known = np.einsum("nabf,bf->naf", each, q[:, part])
+        left = (flat @ (weights * residual).view(float)).view(complex).reshape(count, size, -1)
+        left = np.tensordot(beams.to_dof.T, left, axes=(1, 1))
+        each = (pairs @ weights).reshape(count, size, size, -1)
+        known = np.einsum("nabf,bf->naf", each, q[:, part])
         solved = packed.times(fit.solution.inverse[:, part], left - known.transpose(1, 0, 2))
         out[:, part] = np.tensordot(beams.to_dof, solved, axes=1).transpose(1, 2, 0)
+    out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
+    return out
+
+
+def _derivatives_of_all(
+    fit: LineFit, changes: Array, channels: Channels, common: tuple[Array, Array]
+) -> ComplexArray:
+    """Return the derivatives where all lines share their weights but for a factor, which cancels.
+
+    They are then one matrix times the readings less one times the motion.
+    """
+    beams, z = fit.beams, fit.solution.z
+    count, _, size = changes.shape
+    basis, share = beams.basis[channels], np.broadcast_to(common[0], len(beams.basis))[channels]
+    weight = 0.5 / share**2
+    inverse = packed.unpack(fit.solution.inverse[:, :1], size)[0] / common[1][0] ** 2
+    solve = beams.to_dof @ inverse
+    forward = (solve @ beams.to_dof.T) @ (changes.transpose(0, 2, 1) * weight)
+    back = forward @ basis + solve @ ((basis.T * weight) @ changes @ beams.to_dof)
+    forward, back = forward.reshape(count * size, -1), back.reshape(count * size, size)
+    out = np.empty((count, z.shape[1], size), dtype=complex)
+    for part in blocks(*fit.value.shape):
+        value = np.ascontiguousarray(fit.value[channels][:, part]).view(float)
+        found = forward @ value - back @ np.ascontiguousarray(z[:, part]).view(float)
+        out[:, part] = found.view(complex).reshape(count, size, -1).transpose(0, 2, 1)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
 
@@ -209,12 +230,13 @@ def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping
     table = np.concatenate(columns, axis=2)
     table = table / np.maximum(np.sqrt(np.mean(np.abs(table) ** 2, axis=(0, 2), keepdims=True)), 1e-300)
     flat = (np.repeat(list(sd_m.values()), 3)[:, None, None] * table).reshape(3 * len(sd_m), -1)
-    u, s, _ = np.linalg.svd(np.hstack([flat.real, flat.imag]), full_matrices=False)
-    left = 1.0 - np.cumsum(s**2) / max(float(np.sum(s**2)), 1e-300)
-    count = min(int(np.sum(left > _LEFT_OUT)) + 1, _PATTERNS, len(s))
+    energy, vectors = np.linalg.eigh(flat.real @ flat.real.T + flat.imag @ flat.imag.T)
+    energy = np.maximum(energy[::-1], 0.0)
+    left = 1.0 - np.cumsum(energy) / max(float(np.sum(energy)), 1e-300)
+    count = min(int(np.sum(left > _LEFT_OUT)) + 1, _PATTERNS, len(energy))
     size = 1.0 / np.sqrt(1.0 - min(max(float(left[count - 1]), 0.0), 0.5))
     shifts = []
-    for vector in u.T[:count]:
+    for vector in vectors.T[::-1][:count]:
         moved = size * np.repeat(list(sd_m.values()), 3) * vector
         shifts.append(np.where(chosen[:, None], moved.reshape(-1, 3)[owner], 0.0))
     return shifts
