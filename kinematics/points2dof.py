@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.faults.across import diagnosed, told_across
+from kinematics.faults.across_lines import column_offset, exchanged_lines
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.phase import phase_notice
@@ -210,7 +211,7 @@ def points2dof(
         provenance=dict(provenance or {}),
     )
     motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
-    notices += phase_notice(motion, mass)
+    notices += exchanged_lines(motion) + phase_notice(motion, mass)
     if not options.reference and (options.reference_noise > 0.0 or measurement.common_sd is not None):
         measured = 0.0 if measurement.common_sd is None else measurement.common_sd
         motion = motion.with_common_noise(np.hypot(options.reference_noise, measured))
@@ -245,6 +246,7 @@ def _uncommon_lines(placed: Measurement) -> list[Notice]:
         f"of {len(placed.freq_hz)} frequencies, {said} were measured, {common} of them on all bodies; "
         "lines are matched within 1e-6."
     )
+    text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
     return [Notice("frequencies_differ", text)]
 
 

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.faults.across_blocks import label_findings
-from kinematics.faults.across_motion import chosen_lines, cleared
+from kinematics.faults.across_lines import loud_lines
+from kinematics.faults.across_motion import Cleared, chosen_lines, cleared
 from kinematics.faults.compact import compact
 from kinematics.faults.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
+from kinematics.faults.findings import Finding
 from kinematics.faults.neglected import extended_beams
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_course import noise_course
@@ -61,19 +63,27 @@ def told_across(
     """
     if not any(found.findings for found in diagnoses.values()):
         return {}
-    motions = {}
-    for (run, number), fit in fits.items():
+    motions: dict[Key, Cleared] = {}
+    found: dict[Key, list[Finding]] = {}
+    for key, fit in fits.items():
         if fit.is_rounding() or not np.any(fit.solution.good):
             continue
-        body = placed.bodies[number]
+        body = placed.bodies[key[1]]
         beams = extended_beams(body, fit.beams.dof)
-        lines = chosen_lines(fit.solution.good)
         noise = fit.noise
-        if not known[run, number]:
+        if not known[key]:
             noise = LineNoise(noise.stated, noise_course(fit, placed.freq_hz))
-        motions[run, number] = cleared((run, number), fit, body, beams, noise.at(lines), lines)
+        lines = chosen_lines(fit.solution.good)
+        motions[key] = cleared(key, fit, body, beams, noise.at(lines), lines)
+        for pair in loud_lines(fit):
+            both = np.array(pair)
+            single = {key: cleared(key, fit, body, beams, noise.at(both), both)}
+            found |= label_findings(single, placed.runs, placed.freq_hz)
+            if key in found:
+                break
+    found = {**found, **label_findings(motions, placed.runs, placed.freq_hz)}
     made = {}
-    for key, findings in label_findings(motions, placed.runs, placed.freq_hz).items():
+    for key, findings in found.items():
         out = [c for finding in findings for c in finding.channels]
         rest = diagnosed(placed, placed.bodies[key[1]], fits[key], known[key], out)
         kept = 0.0 if not rest.findings else rest.kept

@@ -113,7 +113,7 @@ def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cle
     own, count = _misfit(home, channels, _Place("own", home, arms))
     if count == 0:
         return None
-    bar = _fault_of_its_own(home, channels, arms)
+    bar = own if len(home.lines) == 2 else _fault_of_its_own(home, channels, arms)
     places = _places(home, arms, motions)
     scores = {}
     for number, place in enumerate(places):
@@ -129,6 +129,8 @@ def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cle
 
 
 def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[_Place]:
+    if len(home.lines) == 2:
+        return [_Place("lines", home, arms)]
     made = [_Place("conjugate", home, arms)]
     made += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
     for (run, number), other in motions.items():
@@ -148,10 +150,12 @@ def _expected(
 ) -> tuple[NDArray[np.intp], ComplexArray, Array]:
     """Return which lines compare, what rows would read at a place, and its variance."""
     lines, at = home.lines, place.at
-    here = np.searchsorted(at.lines, lines + place.shift)
-    here = np.minimum(here, len(at.lines) - 1)
-    same = at.lines[here] == lines + place.shift
-    here = here[same]
+    if place.kind == "lines":
+        here, same = np.arange(len(lines))[::-1], np.ones(len(lines), dtype=bool)
+    else:
+        here = np.minimum(np.searchsorted(at.lines, lines + place.shift), len(at.lines) - 1)
+        same = at.lines[here] == lines + place.shift
+        here = here[same]
     directions = home.body.directions[list(channels)]
     rows = at.rows(place.arms_m, directions)
     q = at.q[here].conj() if place.kind == "conjugate" else at.q[here]
@@ -248,6 +252,9 @@ def _told(suspect: _Suspect, place: _Place, runs: Sequence[str], freq_hz: Array)
             "conjugate of what it should read (an amplitude of e^{-iwt}); turn the sign of its im or "
             "phase_deg round"
         )
+    if place.kind == "lines":
+        first, second = freq_hz[home.lines]
+        return f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"
     if place.kind == "run":
         return f"rows of {mine} under run {runs[home.run]} are those of run {runs[other.run]}"
     if place.kind == "body":

@@ -166,9 +166,10 @@ def test_conjugated_data_are_told():
     codes = [notice.code for notice in points2dof(driven(True)).notices]
     assert codes == ["phase_convention"]
     assert points2dof(driven(False)).notices == ()
-    alone = driven(True)
-    alone = Measurement("footplate", ("1",), alone.freq_hz, alone.bodies[:1], 0)
-    assert points2dof(alone).notices == ()
+    for conjugate in (True, False):
+        both = driven(conjugate)
+        alone = points2dof(Measurement("footplate", ("1",), both.freq_hz, both.bodies[:1], 0))
+        assert ["cannot show its phase" in notice.text for notice in alone.notices] == [True] * conjugate
 
 
 def test_bodies_at_other_frequencies_are_told():

@@ -1,0 +1,126 @@
+"""Lines whose rows were exchanged, and frequency columns that were shifted or scaled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.motion import RigidMotion
+from kinematics.motion_files import standard_deviation
+from kinematics.notices import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_MOST = 8
+_ROUGH = 30.0
+_SETTLES = 0.05
+_BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
+_LOUD = 3.0
+
+
+def loud_lines(fit: LineFit) -> list[tuple[int, int]]:
+    """Return pairs of the few lines at which a body agrees much worse than at the others."""
+    good = np.isfinite(fit.chi2) & (fit.n_dof > 0)
+    if np.sum(good) < 12:
+        return []
+    ratio = np.where(good, fit.chi2 / np.maximum(fit.n_dof, 1), 0.0)
+    freedom = float(np.median(fit.n_dof[good]))
+    typical = max(float(np.median(ratio[good])), 1e-300)
+    loud = np.flatnonzero(ratio > typical * max(_LOUD, 1.0 + 10.0 * np.sqrt(2.0 / freedom)))
+    if not 2 <= len(loud) <= max(4, len(ratio) // 20):
+        return []
+    worst = loud[np.argsort(-ratio[loud], kind="stable")[:4]]
+    return [(int(min(pair)), int(max(pair))) for pair in combinations(worst, 2)]
+
+
+def exchanged_lines(motion: RigidMotion) -> list[Notice]:
+    """Warn of two lines of a body that fit into the course of its motion only when they are exchanged.
+
+    Notes
+    -----
+    Each line is compared with the cubic through its four neighbours, in units of its noise and of what this
+    comparison gives at the lines around it.
+    """
+    found: dict[tuple[int, int], list[str]] = {}
+    for run, name in enumerate(motion.runs):
+        for number, body in enumerate(motion.bodies):
+            sd = standard_deviation(motion)[run, number]
+            pair = exchanged_pair(motion.q[run, number], sd)
+            if pair is not None:
+                where = f" in run {name}" if len(motion.runs) > 1 else ""
+                found.setdefault(pair, []).append(f"{body}{where}")
+    return [
+        Notice(
+            "label_swap",
+            f"the motion of {' and of '.join(bodies)} jumps at {motion.freq_hz[k]:.6g} and "
+            f"{motion.freq_hz[m]:.6g} Hz and is smooth when the rows of the two lines are exchanged: check "
+            "their freq_hz.",
+        )
+        for (k, m), bodies in found.items()
+    ]
+
+
+def exchanged_pair(q: ComplexArray, sd: Array) -> tuple[int, int] | None:
+    """Return the two lines of a motion (freq, m) whose exchange makes it smooth; None without such."""
+    if len(q) < 16 or not np.all(np.isfinite(q)) or not np.all(np.isfinite(sd)):
+        return None
+    rough = _roughness(q)
+    scale = _scale(rough, sd)
+    size = np.mean(rough / scale, axis=1)
+    top = np.argsort(-size, kind="stable")[:_MOST]
+    top = top[size[top] > _ROUGH]
+    if not top.size:
+        return None
+    ends = [0, 1, len(q) - 2, len(q) - 1]
+    top = np.unique([*top.tolist(), *ends])
+    best, pair = _SETTLES, None
+    for k, m in combinations(top, 2):
+        if size[k] < _ROUGH and size[m] < _ROUGH:
+            continue
+        other = q.copy()
+        other[[k, m]] = q[[m, k]]
+        near = np.unique(np.clip(np.concatenate([k + np.arange(-2, 3), m + np.arange(-2, 3)]), 0, len(q) - 1))
+        after = np.mean(_roughness(other)[near] / scale[near])
+        before = np.mean(size[near])
+        if before > _ROUGH and after < best * before and after < _ROUGH:
+            best, pair = after / before, (int(k), int(m))
+    return pair
+
+
+def _roughness(q: ComplexArray) -> Array:
+    """Return |line - cubic of its neighbours|^2, (freq, m); zero at the ends."""
+    made = np.zeros(q.shape)
+    between = sum(_BESIDE[j] * q[j : len(q) - 4 + j] for j in range(5))
+    made[2:-2] = np.abs(q[2:-2] - between) ** 2
+    return made
+
+
+def _scale(rough: Array, sd: Array) -> Array:
+    """Return what the comparison is expected to give at each line, (freq, m)."""
+    from scipy.ndimage import median_filter
+
+    noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
+    around = median_filter(rough, size=(15, 1), mode="nearest")
+    return np.asarray(np.maximum(noise + 2.0 * around, 1e-300))
+
+
+def column_offset(freq_hz: Array, measured: Sequence[NDArray[np.bool_]], names: Sequence[str]) -> str:
+    """Say that the frequencies of one body are those of another plus, or times, one number; or nothing."""
+    for one, two in combinations(range(len(names)), 2):
+        first, second = freq_hz[measured[one]], freq_hz[measured[two]]
+        if len(first) != len(second) or len(first) < 3 or np.array_equal(first, second):
+            continue
+        shift, ratio = second - first, second / first
+        close = 1e-5 * float(np.median(np.diff(first)))
+        if np.ptp(shift) < close:
+            how = f"plus {np.mean(shift):.6g} Hz"
+        elif np.ptp(ratio) < 1e-6 * float(np.mean(ratio)):
+            how = f"times {np.mean(ratio):.6g}"
+        else:
+            continue
+        return f" The frequencies of {names[two]} are those of {names[one]} {how} throughout: check freq_hz."
+    return ""
