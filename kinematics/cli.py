@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from kinematics.command import Outcome, Parser, run
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.geometry import geometry_options
 from kinematics.geometry.geometry_options import add_options
 from kinematics.signals.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
-    from kinematics.points2dof import Points2Dof
+    from kinematics.points2dof import Options, Points2Dof
+    from kinematics.readers import InputOptions
 
 _EPILOG = """\
 Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
@@ -139,37 +140,17 @@ def parser() -> Parser:
 def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     """Run the command on its arguments."""
     options = parser().parse(arguments)
-    _check(options)
+    faults = _faults(options)
     from kinematics.geometry.fiducials import read_fiducials
     from kinematics.geometry.scan_surfaces import ScanSurfaces
     from kinematics.geometry.surface_points import mirrored, read_surface_points
     from kinematics.geometry.tie import tie
     from kinematics.mass_record import read_mass_record
-    from kinematics.points2dof import Options, points2dof
+    from kinematics.points2dof import points2dof
     from kinematics.provenance import record
-    from kinematics.readers import InputOptions, inputs_of, read_measurement
-    from kinematics.readers.kinds import describes_series
-    from kinematics.spatial import parse_dof
+    from kinematics.readers import inputs_of, read_measurement
 
-    said = InputOptions(
-        tuple(options.body),
-        tuple(options.run),
-        options.beam,
-        options.amplitude,
-        options.length_unit,
-        options.n_avg,
-        options.mapping,
-        series_options(options, any(describes_series(path) for path in options.ldv)),
-    )
-    priors = geometry_options.priors(options.calibrate, options.axes_sd, options.beam_sd, options.gain_sd)
-    chosen = Options(
-        parse_dof(options.dof),
-        options.reference,
-        options.robust,
-        priors,
-        options.repeats,
-        options.reference_noise,
-    )
+    said, chosen = _choices(options, faults)
     mass = None if options.mass is None else read_mass_record(options.mass)
     fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
     frame = options.frame or "footplate"
@@ -227,8 +208,47 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     return options, _outcome(result, files)
 
 
-def _check(options: argparse.Namespace) -> None:
-    """Refuse options that contradict each other, before any file is read."""
+def _choices(options: argparse.Namespace, faults: list[str]) -> tuple[InputOptions, Options]:
+    """Return what the options say about files and fit.
+
+    Raises
+    ------
+    KinematicsError
+        The faults known before, and all of the options here, together.
+    """
+    from kinematics.points2dof import Options
+    from kinematics.readers import InputOptions
+    from kinematics.readers.kinds import describes_series
+    from kinematics.spatial import parse_dof
+
+    said, chosen, series, priors, dof = InputOptions(), Options(), None, None, Options().dof
+    with collecting(faults):
+        series = series_options(options, any(describes_series(path) for path in options.ldv))
+    with collecting(faults):
+        said = InputOptions(
+            tuple(options.body),
+            tuple(options.run),
+            options.beam,
+            options.amplitude,
+            options.length_unit,
+            options.n_avg,
+            options.mapping,
+            series,
+        )
+    with collecting(faults):
+        priors = geometry_options.priors(options.calibrate, options.axes_sd, options.beam_sd, options.gain_sd)
+    with collecting(faults):
+        dof = parse_dof(options.dof)
+    with collecting(faults):
+        chosen = Options(
+            dof, options.reference, options.robust, priors, options.repeats, options.reference_noise
+        )
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    return said, chosen
+
+
+def _faults(options: argparse.Namespace) -> list[str]:
+    """List options that contradict each other, before any file is read."""
     faults = []
     if options.out.suffix.lower() != ".csv":
         faults.append(sentence("--out", "a name that ends in .csv", options.out, "", "Add .csv"))
@@ -254,7 +274,7 @@ def _check(options: argparse.Namespace) -> None:
     for thing, path in named:
         if path is not None and not path.exists():
             faults.append(sentence(thing, "an existing file", path, "", "Check its name and folder"))
-    raise_all(KinematicsError, faults)
+    return faults
 
 
 def _write(options: argparse.Namespace, result: Points2Dof) -> list[Path]:

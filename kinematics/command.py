@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-from kinematics.errors import StapeskitError, sentence
+from kinematics.errors import StapeskitError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 
 _CHOICE = re.compile(r"argument (\S+): invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
@@ -45,6 +45,7 @@ class Parser(argparse.ArgumentParser):
             description=description,
             epilog=epilog,
             allow_abbrev=False,
+            exit_on_error=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         from kinematics import __version__
@@ -61,14 +62,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Turn a usage fault into the one exception that ends with exit code 2."""
+        raise StapeskitError(self._told(message))
+
+    def _told(self, message: str) -> str:
         found = _CHOICE.fullmatch(message)
         if found:
             option, got, choices = found.groups()
             expected = "one of " + choices.replace("'", "")
-            raise StapeskitError(f"{self.prog}: " + sentence(option.split("/")[-1], expected, got))
-        raise StapeskitError(
-            f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
-        )
+            return f"{self.prog}: " + sentence(option.split("/")[-1], expected, got)
+        return f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """Parse a command line.
@@ -76,27 +78,74 @@ class Parser(argparse.ArgumentParser):
         Raises
         ------
         StapeskitError
-            An option is unknown (the nearest is named), lacks its value or has an impossible one.
+            Options are unknown (the nearest are named), lack their values or have impossible ones; all of
+            them together.
         """
         words = _join_minus_lists(list(arguments), self._value_options())
+        faults: list[str] = []
         config = self._config_path(words)
         if config is not None:
-            self.set_defaults(**self._config(config))
-        known, unknown = self.parse_known_args(words)
-        if unknown:
-            self._unknown(unknown[0])
+            with collecting(faults):
+                self.set_defaults(**self._config(config, faults))
+        known, unknown = argparse.Namespace(), [""]
+        while unknown == [""]:
+            try:
+                known, unknown = self.parse_known_args(words)
+            except argparse.ArgumentError as fault:
+                action = self._action_of(fault)
+                if action is None:
+                    faults.append(self._told(str(fault)))
+                    break
+                action.required = False
+                words = self._without(words, action, fault, faults)
+            except StapeskitError as fault:
+                faults.append(str(fault))
+                break
+        options = [word for word in unknown if word.startswith("-")]
+        faults += [self._unknown(word) for word in options or unknown if word]
+        raise_all(StapeskitError, faults)
         return known
+
+    def _action_of(self, fault: argparse.ArgumentError) -> argparse.Action | None:
+        """Return the option that a fault is about; None for another argument."""
+        names = (fault.argument_name or "").split("/")
+        return next((one for one in self._actions if set(names) & set(one.option_strings)), None)
+
+    def _without(
+        self, words: list[str], action: argparse.Action, fault: argparse.ArgumentError, faults: list[str]
+    ) -> list[str]:
+        """Take an option out of the words, and tell what is wrong with each time it is given."""
+        left: list[str] = []
+        told = len(faults)
+        place = 0
+        while place < len(words):
+            name, equals, value = words[place].partition("=")
+            place += 1
+            if name not in action.option_strings:
+                left.append(words[place - 1])
+                continue
+            if not equals:
+                if action.nargs is not None or place == len(words) or words[place].startswith("--"):
+                    faults.append(self._told(str(fault)))
+                    continue
+                value = words[place]
+                place += 1
+            try:
+                self._get_values(action, [value])
+            except argparse.ArgumentError as wrong:
+                faults.append(self._told(str(wrong)))
+        if len(faults) == told:
+            faults.append(self._told(str(fault)))
+        return left
 
     def _value_options(self) -> set[str]:
         return {text for action in self._actions if action.nargs != 0 for text in action.option_strings}
 
-    def _unknown(self, word: str) -> NoReturn:
+    def _unknown(self, word: str) -> str:
         options = [text for action in self._actions for text in action.option_strings]
         near = _nearest(word.split("=")[0], options)
         hint = f"Did you mean {near[0]}?" if near else f"Run {self.prog} --help to see the options."
-        raise StapeskitError(
-            f"{self.prog}: {word} must be a known option or argument; got an unknown one. {hint}"
-        )
+        return f"{self.prog}: {word} must be a known option or argument; got an unknown one. {hint}"
 
     def _config_path(self, words: list[str]) -> Path | None:
         for place, word in enumerate(words):
@@ -106,7 +155,7 @@ class Parser(argparse.ArgumentParser):
                 return Path(word.split("=", 1)[1])
         return None
 
-    def _config(self, path: Path) -> dict[str, Any]:
+    def _config(self, path: Path, faults: list[str]) -> dict[str, Any]:
         import tomllib
 
         if not path.is_file():
@@ -122,10 +171,10 @@ class Parser(argparse.ArgumentParser):
             if name not in actions or name in ("config", "help", "version"):
                 near = difflib.get_close_matches(name, actions, 1)
                 hint = f"Did you mean {near[0].replace('_', '-')}" if near else ""
-                raise StapeskitError(
-                    sentence("a key of --config", "an option of the command", key, path.name, hint)
-                )
-            defaults[name] = self._config_value(actions[name], value, key, path)
+                faults.append(sentence("a key of --config", "an option of the command", key, path.name, hint))
+                continue
+            with collecting(faults):
+                defaults[name] = self._config_value(actions[name], value, key, path)
             actions[name].required = False
         return defaults
 

@@ -166,3 +166,26 @@ def test_version_and_help_end_well(parser):
 def test_show_keeps_quiet(capsys):
     show(argparse.Namespace(quiet=True, json=False), Outcome("t", []))
     assert capsys.readouterr().out == ""
+
+
+def test_all_usage_faults_are_told_together(parser, tmp_path):
+    config = tmp_path / "c.toml"
+    config.write_text('report = 3\nsidd = "left"\nanterior = [1, 0]\n')
+    words = ["s.tif", "--side", "up", "--add-mass", "1,2", "--add-mass=0,0,0,1", "--add-mass=a", "--anterior"]
+    with pytest.raises(StapeskitError) as caught:
+        parser.parse([*words, "--config", str(config), "--rport", "--zzzzzz=4"])
+    told = str(caught.value).splitlines()
+    expected = [
+        "report must be true or false; got 3 (c.toml)",
+        "a key of --config must be an option of the command; got sidd (c.toml). Did you mean side",
+        "must be 3 finite numbers separated by commas; got 1,0 (c.toml)",
+        "--side must be one of left, right; got up",
+        "must be 4 finite numbers separated by commas; got 1,2",
+        "must be 4 finite numbers separated by commas; got a.",
+        "--anterior: expected one argument",
+        "--rport must be a known option or argument; got an unknown one. Did you mean --report?",
+        "--zzzzzz=4 must be a known option or argument; got an unknown one.",
+    ]
+    assert len(told) == len(expected)
+    for words in expected:
+        assert sum(words in line for line in told) == 1
