@@ -47,7 +47,7 @@ class State:
     z: ComplexArray
     e: ComplexArray
 
-    @property
+    @cached_property
     def h(self) -> Array:
         """Leverage of each channel, (channel,)."""
         return np.asarray(np.sum(self.plain(self.span) ** 2, axis=1))

@@ -74,13 +74,12 @@ def _blocks(held: Array) -> list[NDArray[np.intp]]:
 def axes_of(directions: Array, live: list[int]) -> list[list[int]]:
     """Return the channels in use of each beam direction; beams within 8 degrees of each other are one."""
     groups: list[list[int]] = []
-    for channel in live:
-        near = (own for own in groups if float(directions[channel] @ directions[own[0]]) > _SAME_BEAM)
-        own = next(near, None)
-        if own is None:
-            groups.append([channel])
-        else:
-            own.append(channel)
+    left = np.array(live, dtype=np.intp)
+    while len(left):
+        near = directions[left] @ directions[left[0]] > _SAME_BEAM
+        near[0] = True
+        groups.append(left[near].tolist())
+        left = left[~near]
     return groups
 
 
@@ -113,13 +112,19 @@ def block_covariance(
     own = _points(points, live)
     if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
         return None
+    held = np.zeros(project.shape)
+    for channels in _of_one_size([[c] for c in live] + [channels.tolist() for channels in own]):
+        part = residual[channels]
+        products = part.real @ part.real.swapaxes(1, 2) + part.imag @ part.imag.swapaxes(1, 2)
+        held[channels[:, :, None], channels[:, None, :]] = products / samples
+    if len(project) > _MOST_CORRECTED:
+        return held if np.all(np.diag(held)[live] > 0.0) else None
     wanted = np.zeros(project.shape, dtype=bool)
     for channels in own:
         wanted[np.ix_(channels, channels)] = True
     wanted[live, live] = True
-    held = np.where(wanted, np.real(residual @ residual.conj().T) / samples, 0.0)
     found = held.copy()
-    for _ in range(_CORRECTIONS if len(project) <= _MOST_CORRECTED else 0):
+    for _ in range(_CORRECTIONS):
         found = found + np.where(wanted, held - project @ found @ project.T, 0.0)
     return found if np.all(np.diag(found)[live] > 0.0) else None
 
@@ -171,6 +176,12 @@ def by_chance(
     each.sort(key=lambda entry: entry[0] / entry[1])
     least = each[: (len(each) + 1) // 2]
     return bool(chdtrc(sum(size for _, size in least), sum(value for value, _ in least)) > _LIKELY)
+
+
+def _of_one_size(sets: list[list[int]]) -> list[NDArray[np.intp]]:
+    """Return the sets of channels that have as many members in one array (set, n) each, small ones first."""
+    sizes = sorted({len(own) for own in sets})
+    return [np.array([own for own in sets if len(own) == size], dtype=np.intp) for size in sizes]
 
 
 def _points(points: tuple[str, ...], live: list[int]) -> list[NDArray[np.intp]]:

@@ -194,17 +194,12 @@ class ScoreTests:
 
     def _crossed(self, d: ComplexArray | Array, channels: NDArray[np.int64], name: str) -> Array:
         """Return the products (B, k, 3 point) of changes with the shifts of all points."""
-        moved = d.real @ self.t[name]
-        made = np.zeros((*d.shape[:2], self.flat.shape[0]))
-        for place in range(channels.shape[1]):
-            number = self.number_of[channels[:, place]]
-            some = np.flatnonzero(number >= 0)
-            common = np.einsum("bkm,bim->bki", moved[some, :, place], self.mixed[channels[some, place]])
-            for axis in range(3):
-                made[some[:, None], np.arange(d.shape[1])[None], 3 * number[some][:, None] + axis] += common[
-                    ..., axis
-                ]
-        return made
+        sets, count = d.shape[:2]
+        common = (d.real @ self.t[name]).swapaxes(1, 2) @ self.mixed[channels].swapaxes(2, 3)
+        made = np.zeros((sets, len(self.places.owners), count, 3))
+        of_set, place = np.nonzero(self.number_of[channels] >= 0)
+        np.add.at(made, (of_set, self.number_of[channels][of_set, place]), common[of_set, place])
+        return made.swapaxes(1, 2).reshape(sets, count, -1)
 
 
 def _inverse(blocks: Array, low: Array) -> Array:

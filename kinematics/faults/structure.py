@@ -138,17 +138,22 @@ def _concentrated(state: State, live: NDArray[np.intp], pattern: ComplexArray) -
     for place, channel in enumerate(live):
         groups.setdefault(state.data.points[channel], []).append(place)
     span = state.span[live]
-    shares = {name: _share(span, own, pattern) for name, own in groups.items()}
+    shares: dict[str, float] = {}
+    for size in {len(own) for own in groups.values()}:
+        same = {name: own for name, own in groups.items() if len(own) == size}
+        shares |= dict(zip(same, _shares(span, np.array(list(same.values())), pattern).tolist(), strict=True))
     if max(shares.values()) > _ONE_POINT:
         return True
     best = sorted(shares, key=lambda name: -shares[name])[:4]
-    pairs = [_share(span, groups[a] + groups[b], pattern) for a, b in combinations(best, 2)]
+    pairs = [
+        float(_shares(span, np.array([groups[a] + groups[b]]), pattern)[0]) for a, b in combinations(best, 2)
+    ]
     return len(groups) > 4 and max(pairs, default=0.0) > _TWO_POINTS
 
 
-def _share(span: Array, channels: list[int], pattern: ComplexArray) -> float:
-    """Return the part of a unit pattern that lies in the residual directions of some channels."""
-    own = np.eye(len(channels)) - span[channels] @ span[channels].T
-    values, vectors = np.linalg.eigh(own)
-    keep = values > 1e-9
-    return float(np.sum(np.abs(vectors[:, keep].T @ pattern[channels]) ** 2 / values[keep]))
+def _shares(span: Array, channels: NDArray[np.intp], pattern: ComplexArray) -> Array:
+    """Return the part of a unit pattern in the residual directions of sets of channels (set, n), (set,)."""
+    rows = span[channels]
+    values, vectors = np.linalg.eigh(np.eye(channels.shape[1]) - rows @ rows.swapaxes(1, 2))
+    along = np.abs(np.einsum("bnk,bn->bk", vectors, pattern[channels])) ** 2
+    return np.asarray(np.sum(np.where(values > 1e-9, along / np.maximum(values, 1e-9), 0.0), axis=1))

@@ -137,10 +137,10 @@ def channel_verdicts(
         for channel in finding.channels:
             found.setdefault(channel, (verdict, estimate, finding.p_value))
     made = []
+    number = 2.0 * diagnosis.lines
+    chances = np.where(number > 0.0, chdtrc(np.maximum(number, 1.0), number * diagnosis.energy), np.nan)
     for channel, point in enumerate(body.points):
-        number = 2.0 * diagnosis.lines[channel]
-        chance = float(chdtrc(number, number * diagnosis.energy[channel])) if number else np.nan
-        verdict, estimate, p = found.get(channel, ("ok", "", chance))
+        verdict, estimate, p = found.get(channel, ("ok", "", float(chances[channel])))
         if channel in unused:
             verdict, estimate, p = unused[channel], "", np.nan
         made.append(
