@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.motion import RigidMotion
 from kinematics.motion_files import standard_deviation
@@ -101,10 +102,8 @@ def _roughness(q: ComplexArray) -> Array:
 
 def _scale(rough: Array, sd: Array) -> Array:
     """Return what the comparison is expected to give at each line, (freq, m)."""
-    from scipy.ndimage import median_filter
-
     noise = 2.0 * sd**2 * (1.0 + float(np.sum(_BESIDE**2)))
-    around = median_filter(rough, size=(15, 1), mode="nearest")
+    around = running_medians(rough, 7)
     return np.asarray(np.maximum(noise + 2.0 * around, 1e-300))
 
 

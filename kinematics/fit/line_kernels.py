@@ -15,7 +15,7 @@ from kinematics.kernels import compiled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_SIZE, _WIDE, _TILE, _BLOCK = 6, 8, 16, 32
+_SIZE, _WIDE, _TILE, _BLOCK, _HALF = 6, 8, 16, 32, 31
 
 
 def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
@@ -61,6 +61,19 @@ def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
         sums.ctypes.data,
         made.ctypes.data,
     )
+    return made
+
+
+def running_medians(table: Array, half: int) -> Array:
+    """Return the medians of 2 half + 1 rows of a table (line, n), whose ends are repeated beyond it."""
+    kernels = compiled()
+    if kernels is None or not table.size or half > _HALF or not np.all(np.isfinite(table)):
+        from scipy.ndimage import median_filter
+
+        return np.asarray(median_filter(table, size=(2 * half + 1, 1), mode="nearest"))
+    given = np.ascontiguousarray(table, dtype=float)
+    made = np.empty(given.shape)
+    kernels.medians(given.ctypes.data, *given.shape, half, made.ctypes.data)
     return made
 
 

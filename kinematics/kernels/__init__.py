@@ -16,6 +16,7 @@ _SIGNATURES = {
     "project_lines": "pipiippipp",
     "fit_lines": "piiiipiippippddppppppppi",
     "mix_lines": "piiipipp",
+    "medians": "piiip",
 }
 
 

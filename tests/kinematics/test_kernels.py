@@ -128,6 +128,14 @@ def test_arrays_of_any_layout_are_taken(monkeypatch):
         assert line_kernels.all_whole(given) in (None, True)
 
 
+def test_running_medians_are_their_twin(monkeypatch):
+    for lines in (1, 2, 9, 15, 400):
+        table = np.round(np.random.default_rng(4).normal(size=(lines, 3)), 1)
+        for half in (0, 1, 7, 31):
+            twin = without(monkeypatch, lambda t=table, h=half: line_kernels.running_medians(t, h))
+            assert np.array_equal(line_kernels.running_medians(table, half), twin)
+
+
 def test_a_value_that_is_not_finite_or_zero_is_seen_wherever_it_is():
     for lines in (1, 3, 130, 300):
         value = normal(np.random.default_rng(3), 2, lines)
