@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.adequate import account_for_it, corrected
 from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding, can_lose
-from kinematics.faults.mixing import Mixing, axes_of, block_covariance, by_chance, scaled
-from kinematics.faults.search import FALSE_ALARM, NOISY_UNKNOWN, Search
+from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
+from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.structure import Structure
+from kinematics.faults.unknown_noise import evened
 from kinematics.fit.beams import BeamSet
 
 Array = NDArray[np.float64]
@@ -84,37 +86,55 @@ def diagnose(
     """
     prior = np.where(np.isfinite(position_sd_m), position_sd_m, 0.0)
     most = max(2, len(set(data.points)) // 3)
-    data = _mixed(data if noise_known else _even(_levelled(data)))
+    doubt = None
+    if not noise_known:
+        data, doubt = evened(data)
+    data = _mixed(data)
     findings: list[Finding] = []
     current = data
     searches: list[Search] = []
     while True:
-        search = Search(current, prior, noise_known, alarm)
+        search = Search(current, prior, noise_known, alarm, doubt)
         searches.append(search)
         found = search.best()
         if found is None:
             break
         if found.kind == "flexible":
-            found = _explained(current, prior, noise_known, alarm, found)
+            found = _explained(current, prior, noise_known, alarm, doubt, found)
         if found.kind == "flexible" or len(findings) >= most:
             body = found if not findings and found.kind == "flexible" else searches[0].flexible()
             return _made((body,), searches[0], search, data)
-        findings.append(found)
+        findings = _joined(findings, found)
         current = cleared(current, found)
+    if findings and searches[0].structure.significant:
+        after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
+        if not account_for_it(searches[0], after, findings):
+            return _made((searches[0].flexible(),), searches[0], search, data)
     kept = 1.0
     if findings and findings[0].owner != "body":
         kept = searches[1].excess() / max(searches[0].excess(), 1e-300)
     if len(findings) > 1:
-        findings = _again(data, prior, noise_known, alarm, findings)
+        findings = _again(data, prior, noise_known, alarm, doubt, findings)
     return _made(tuple(findings), searches[0], search, data, kept)
 
 
-def _explained(data: Compact, prior: Array, noise_known: bool, alarm: float, found: Finding) -> Finding:
+def _explained(
+    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, found: Finding
+) -> Finding:
     """Return a fault at one place that leaves nothing to be found, instead of a body that is not rigid."""
     for other in found.rivals:
-        if Search(cleared(data, other), prior, noise_known, alarm).best() is None:
+        if Search(cleared(data, other), prior, noise_known, alarm, doubt).best() is None:
             return other
     return found
+
+
+def _joined(findings: list[Finding], found: Finding) -> list[Finding]:
+    """Return the findings with one more; noise of a channel found noisy before raises that one's."""
+    for number, other in enumerate(findings):
+        if found.kind == other.kind == "noise" and found.channels == other.channels:
+            louder = replace(other, size=other.size * found.size)
+            return [*findings[:number], louder, *findings[number + 1 :]]
+    return [*findings, found]
 
 
 def cleared(data: Compact, found: Finding) -> Compact:
@@ -126,42 +146,6 @@ def cleared(data: Compact, found: Finding) -> Compact:
     if found.owner in ("laser", "lasers", "body") or not can_lose(data, found.channels):
         return found.fit.fault.undone(data, found.fit.parameters).repacked()
     return data.without(found.channels).repacked()
-
-
-def _even(data: Compact) -> Compact:
-    """Return data of unknown noise with weights by what the lines without motion show of each channel."""
-    blank = np.zeros(len(data.points))
-    search = Search(data, blank, False)
-    if search.samples < 32 or search.level <= 0.0:
-        return data
-    if data.divisor.shape[1] > 1:
-        size = np.abs(search.rest) ** 2
-        level = [
-            float(np.median(np.mean(size[search.live][:, data.rest_part == k], axis=1)))
-            for k in range(data.divisor.shape[1])
-        ]
-        if min(level) > 0.0:
-            data = data.levelled(np.array(level) / float(np.mean(level)))
-            search = Search(data, blank, False)
-    ratio = (search.ratios / search.level - search.h) / np.maximum(1.0 - search.h, 0.05)
-    live = [c for c in data.live if ratio[c] < NOISY_UNKNOWN**2]
-    a = data.a.copy()
-    a[live] /= np.sqrt(np.maximum(ratio[live], 0.1))
-    return replace(data, a=a / np.sqrt(search.level)).repacked()
-
-
-def _levelled(data: Compact) -> Compact:
-    """Return data of unknown noise whose beams along one axis have the noise that most of them have."""
-    axes = axes_of(data.directions, data.live)
-    if len(axes) < 2 or min(map(len, axes)) < 3:
-        return data
-    search = Search(data, np.zeros(len(data.points)), False)
-    if search.samples < 32 or search.level <= 0.0:
-        return data
-    a = data.a.copy()
-    for own in axes:
-        a[own] /= np.sqrt(max(float(np.median(search.ratios[own])) / search.level, 1e-6))
-    return replace(data, a=a).repacked()
 
 
 def _mixed(data: Compact) -> Compact:
@@ -178,7 +162,7 @@ def _mixed(data: Compact) -> Compact:
 
 
 def _again(
-    data: Compact, prior: Array, noise_known: bool, alarm: float, findings: list[Finding]
+    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, findings: list[Finding]
 ) -> list[Finding]:
     """Judge every finding again, the others gone."""
     made: list[Finding] = []
@@ -186,7 +170,7 @@ def _again(
         others = data
         for other in [*made, *findings[number + 1 :]]:
             others = cleared(others, other)
-        found = Search(others, prior, noise_known, alarm).best()
+        found = Search(others, prior, noise_known, alarm, doubt).best()
         if found is not None and set(found.channels) & set(finding.channels):
             made.append(found if found.kind != "flexible" else finding)
         elif found is not None:

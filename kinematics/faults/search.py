@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults import fault_kinds as kinds
+from kinematics.faults.channel_noise import ChannelNoise
 from kinematics.faults.compact import Compact
 from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, State, fit_fault, objective, solve, static
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.mixing import Mixing, axes_of, block_covariance, scaled
+from kinematics.faults.noisy import ALARM_SHARE, noisy
 from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
 from kinematics.faults.structure import Structure, structure_of
 
 Array = NDArray[np.float64]
 FALSE_ALARM = 0.01
-NOISY_KNOWN, NOISY_UNKNOWN = 1.5, 2.0
-_QUIET = 1.3
 _BLAMED = {"channel": 3, "point": 3, "laser": 3}
 _TESTED = {"channel": 2, "point": 1, "laser": 1}
 _VARIED = {"channel": 3, "point": 2, "laser": 1}
@@ -30,7 +30,6 @@ _SUSPECTS, _EXCHANGES = 10, 5
 _NEAR = 3.0
 _TURN, _FAR = 0.6, 3.0
 _ALARM_SHARE = {"channel": 0.9, "point": 0.25, "laser": 0.2, "body": 0.3}
-_ALARM_NOISE = 0.05
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 _VARYING = ("delay", "drift")
 
@@ -44,7 +43,14 @@ class Search:
         As given, and with the points moved within their stated position errors.
     """
 
-    def __init__(self, data: Compact, prior_m: Array, noise_known: bool, alarm: float = FALSE_ALARM) -> None:
+    def __init__(
+        self,
+        data: Compact,
+        prior_m: Array,
+        noise_known: bool,
+        alarm: float = FALSE_ALARM,
+        doubt: Array | None = None,
+    ) -> None:
         self.raw, self.known, self.alarm = data, noise_known, alarm
         self.places = Places.of(data, prior_m)
         self.flat = static(data)
@@ -60,12 +66,13 @@ class Search:
         self.h = self.state.h
         self.rest = self.state.rest()
         self.samples = self.rest.shape[1]
-        self.ratios = self._ratios()
-        self.level = float(np.median(self.ratios[self.live])) if self.live else 1.0
+        self.noise = ChannelNoise.of(self.state, self.rest)
+        self.level = self.noise.level
         self.scale = max(1.0, self.level) if noise_known else self.level
         if data.mixing is not None and self.samples >= 8 and self.live:
             free = max(len(self.live) - self.state.span.shape[1], 1)
             self.scale = max(self.scale, float(np.sum(np.abs(self.rest) ** 2)) / free / self.samples)
+        self.unsure = self._unsure(doubt)
         groups: dict[str, list[int]] = {}
         for channel in self.live:
             groups.setdefault(data.points[channel], []).append(channel)
@@ -73,12 +80,20 @@ class Search:
         self.structure = self._structure()
         self.tested: list[Tested] = []
 
-    def _ratios(self) -> Array:
-        """Return the mean leverage-corrected energy of each channel on the lines without motion."""
-        held = self.rest if self.samples >= 8 else np.hstack([self.state.e, self.rest])
-        held = self.state.plain(held)
-        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
-        return np.asarray(np.sum(np.abs(held) ** 2, axis=1) / left / max(held.shape[1], 1))
+    def _unsure(self, doubt: Array | None) -> Array:
+        """Return the relative variance (channel,) of the noise that each channel's residuals should have.
+
+        Notes
+        -----
+        A residual holds the noise of all channels by the squares of its row of the projector (Satterthwaite
+        1946, doi:10.2307/3002019); the doubt of the common level is added.
+        """
+        common = np.full(len(self.h), 2.0 / self.noise.sure)
+        if self.known or doubt is None or not np.any(doubt > 0.0):
+            return common
+        share = np.square(self.state.project())
+        share = share / np.maximum(np.sum(share, axis=1, keepdims=True), 1e-300)
+        return np.asarray(common + share**2 @ doubt)
 
     def _structure(self) -> Structure:
         """Look for patterns that several points share; noise within a point is none, however correlated."""
@@ -120,21 +135,24 @@ class Search:
         total = 2.0 * float(np.sum(np.abs(self.state.e) ** 2) + np.sum(np.abs(self.rest) ** 2))
         return float(chdtrc(freedom, total)) if freedom > 0.0 else 1.0
 
-    def _freedom(self) -> float:
-        """Return the degrees of freedom that an estimated noise rests on."""
-        columns = self.samples if self.samples >= 8 else self.state.e.shape[1] + self.samples
+    def _freedom(self, channels: NDArray[np.int64]) -> Array:
+        """Return the degrees of freedom (B,) that the estimated noise of sets of channels (B, n) rests on."""
+        made = 2.0 / np.mean(self.unsure[channels], axis=1)
         if self.data.mixing is not None:
-            return 2.0 * columns
-        return max(2.0 * columns * max(len(self.live) - self.state.span.shape[1], 1), 1.0)
+            made = np.minimum(made, 2.0 * max(self.samples, self.noise.number))
+        return np.asarray(np.maximum(made, 1.0))
 
-    def chance(self, statistic: float | Array, size: int | Array) -> Array:
-        """Return the probability of statistics by chance: chi-squared, or F when the noise is estimated."""
+    def chance(self, statistic: Array, size: Array, channels: NDArray[np.int64]) -> Array:
+        """Return the probability (B,) of statistics by chance.
+
+        Chi-squared, or F when the noise is estimated; ``channels`` (B, n) are those that they rest on.
+        """
         from scipy.special import chdtrc, fdtrc
 
         value = np.maximum(statistic, 0.0) / self.scale
         if self.known and self.data.mixing is None:
             return np.asarray(chdtrc(size, value))
-        return np.asarray(fdtrc(size, self._freedom(), value / size))
+        return np.asarray(fdtrc(size, self._freedom(channels), value / size))
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""
@@ -146,7 +164,7 @@ class Search:
             (float(np.min(self._p(found))) * self._number(found.batch.owner) for found in self.tested),
             default=1.0,
         )
-        unsure = self.structure.p_value > _ALARM_NOISE * self.alarm
+        unsure = self.structure.p_value > ALARM_SHARE * self.alarm
         if lowest > self.alarm and unsure and not noisy:
             return None
         scored = list(noisy)
@@ -162,7 +180,7 @@ class Search:
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
-            scored = self._noisy(self.energy())
+            scored = self._noisy(whole=True)
         if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
@@ -194,7 +212,7 @@ class Search:
         return max(count, 1) / _ALARM_SHARE[owner]
 
     def _p(self, found: Tested) -> Array:
-        return self.chance(found.statistic, np.maximum(found.freedom, 1))
+        return self.chance(found.statistic, np.maximum(found.freedom, 1), found.batch.channels)
 
     def _test(self) -> None:
         tests = ScoreTests(self.state, self.places)
@@ -330,37 +348,15 @@ class Search:
         owner = {"points": "point", "beams": "channel", "lasers": "laser"}.get(
             fit.fault.owner, fit.fault.owner
         )
-        p = min(1.0, float(self.chance(2.0 * max(fit.drop, 0.0), size)) * self._number(owner))
+        channels = np.array(fit.fault.channels)[None]
+        chance = self.chance(np.array([2.0 * fit.drop]), np.array([size]), channels)
+        p = min(1.0, float(chance[0]) * self._number(owner))
         return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
 
-    def _noisy(self, ratios: Array | None = None) -> list[tuple[float, Finding]]:
-        """Return channels whose noise is larger than stated, with their log evidence.
-
-        ``ratios`` (channel,) are mean energies, those on the lines without motion unless given: noise of a
-        channel that holds much of the motion is taken for motion in part, and missed there.
-        """
-        from scipy.special import chdtrc
-
-        made = []
-        limit = NOISY_KNOWN if self.known else NOISY_UNKNOWN
-        margin = 1.0 if self.known else 1.2**2
-        ratios = self.ratios if ratios is None else ratios
-        count = self.samples if self.samples >= 8 else self.samples + self.state.e.shape[1]
-        whole = self.samples + self.state.e.shape[1]
-        energy = self.energy() / self.scale
-        for channel in sorted(self.live, key=lambda c: -ratios[c])[:3]:
-            ratio, h = ratios[channel] / self.scale, self.h[channel]
-            if ratio < _QUIET or h > 0.98 or energy[channel] - h < limit**2 * (1.0 - h):
-                continue
-            number = len(self.live) / _ALARM_NOISE
-            p = min(1.0, float(chdtrc(2.0 * count, 2.0 * count * ratio / margin)) * number)
-            if p > self.alarm:
-                continue
-            score = whole * (energy[channel] - 1.0 - float(np.log(energy[channel])))
-            score -= float(np.log(len(self.live))) + 0.5 * float(np.log(whole))
-            size = float(np.sqrt((energy[channel] - h) / (1.0 - h)))
-            made.append((score, Finding("noise", [channel], p, None, size)))
-        return made
+    def _noisy(self, whole: bool = False) -> list[tuple[float, Finding]]:
+        """Return channels whose noise is larger than stated, with their log evidence; see ``noisy``."""
+        sure = None if self.known else self.noise.sure
+        return noisy(self.state, self.rest, self.energy(), self.scale, sure, self.alarm, whole)
 
 
 def _blame(state: State, channels: list[int]) -> float:
