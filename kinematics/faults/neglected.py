@@ -16,6 +16,7 @@ ComplexArray = NDArray[np.complex128]
 _PREFERENCE = ("y", "alpha", "gamma", "x", "z", "beta")
 _LEAK = 0.02
 _BIAS = 0.005
+_FIFTH = 0.2
 
 
 def extended_dof(body: BodyChannels, dof: tuple[str, ...]) -> tuple[str, ...]:
@@ -68,22 +69,49 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
 
 def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) -> list[str]:
     """Describe leaks of motions that cannot be told from the fitted ones, made dimensionless by the lever."""
-    length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     texts = []
     for name in unseen:
-        column = DOF_NAMES.index(name)
-        entries = leak[:, column] * length[dof_indices(dof)] / length[column]
-        row = int(np.argmax(np.abs(entries)))
-        if abs(entries[row]) > _LEAK:
-            share = f"{100.0 * abs(entries[row]):.2g} %"
-            texts.append(
-                f"the beams cannot tell {name} from the fitted motion, and {share} of it enters {dof[row]}"
-            )
+        rows = _entered(leak, dof, name, lever)
+        if not rows:
+            continue
+        text = f"the beams cannot tell {name} from the fitted motion, and {_entering(leak, dof, name, rows)}"
+        for row in [row for row in rows if name in DOF_NAMES[:3] and dof[row] in DOF_NAMES[:3]][:1]:
+            size = 100.0 * _FIFTH * abs(leak[row, DOF_NAMES.index(name)])
+            text += f" (if {name} is a fifth of {dof[row]}, that is {size:.2g} % of {dof[row]})"
+        texts.append(text)
     return texts
 
 
+def _entered(leak: Array, dof: tuple[str, ...], name: str, lever: float) -> list[int]:
+    """Return the fitted motions that another enters by more than 2 %, the most first."""
+    length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
+    column = DOF_NAMES.index(name)
+    entries = np.abs(leak[:, column]) * length[dof_indices(dof)] / length[column]
+    return [int(k) for k in np.argsort(-entries, kind="stable") if entries[k] > _LEAK]
+
+
+def _entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> str:
+    """Say how much of a motion enters the fitted ones, per unit of it."""
+    column, parts = DOF_NAMES.index(name), []
+    for row in rows:
+        value, turns = abs(leak[row, column]), dof[row] in DOF_NAMES[3:]
+        if turns == (column > 2):
+            parts.append(f"{100.0 * value:.2g} % of it enters {dof[row]}")
+        elif turns:
+            parts.append(f"{1e-3 * value:.2g} urad enter {dof[row]} per nm of it")
+        else:
+            parts.append(f"{1e3 * value:.2g} nm enter {dof[row]} per urad of it")
+    return " and ".join(parts) or "little of it enters the others"
+
+
 def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ...]) -> list[str]:
-    """Describe significant measured motion outside the subset and its effect on the fitted motion."""
+    """Describe significant measured motion outside the subset, its size and its effect on the fitted motion.
+
+    Notes
+    -----
+    The fall of chi2 between the two fits tests whether the motion is there. Its mean square exceeds that of
+    the motion by the variance of the estimate, which is taken off.
+    """
     from scipy.special import chdtrc
 
     dof = fit.beams.dof
@@ -94,17 +122,38 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     fall = float(np.sum(fit.chi2[good] - full.chi2[good]))
     freedom = float(np.sum(fit.n_dof[good] - full.n_dof[good]))
     left = float(np.sum(full.chi2[good])) / max(float(np.sum(full.n_dof[good])), 1.0)
-    if chdtrc(max(freedom, 1.0), fall / max(left, 1e-300)) > 1e-3:
+    chance = float(chdtrc(max(freedom, 1.0), fall / max(left, 1e-300)))
+    if chance > 1e-3:
         return []
     extra = [name for name in wide if name not in dof]
-    others = full.q[good][:, [wide.index(name) for name in extra]]
+    places = [wide.index(name) for name in extra]
+    others = full.q[good][:, places]
     bias = others @ leak[:, dof_indices(tuple(extra))].T
     size = np.sqrt(np.mean(np.abs(fit.q[good]) ** 2, axis=0))
     share = np.sqrt(np.mean(np.abs(bias) ** 2, axis=0)) / np.maximum(size, 1e-300)
-    row = int(np.argmax(share))
-    if share[row] < _BIAS:
+    if np.max(share) < _BIAS:
         return []
+    worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= _BIAS]
+    changes = ", ".join(f"{dof[k]} by {100.0 * share[k]:.2g} %" for k in worst)
+    variance = np.real(full.covariance[good][:, places, places]) * left
+    parts = []
+    for k, name in enumerate(extra):
+        unit, scale = ("nm", 1e9) if name in DOF_NAMES[:3] else ("urad", 1e6)
+        rms, sd = _size_of(others[:, k], variance[:, k])
+        entering = _entering(leak, dof, name, _entered(leak, dof, name, fit.beams.lever_m))
+        parts.append(f"{name} {scale * rms:.3g} +- {scale * sd:.2g} {unit} rms ({entering})")
+    odds = "< 1e-300" if chance < 1e-300 else f"{chance:.1g}"
     return [
-        f"measured motion in {', '.join(extra)} is left out of the fit and changes {dof[row]} by "
-        f"{100.0 * share[row]:.2g} % (rms); fit it with --dof {','.join(wide)}"
+        f"measured motion in {', '.join(extra)} is left out of the fit and changes {changes} (rms): "
+        f"{', '.join(parts)}; without such motion the probability of these "
+        f"data is {odds}; fit it with --dof {','.join(wide)}"
     ]
+
+
+def _size_of(values: ComplexArray, variance: Array) -> tuple[float, float]:
+    """Return the root mean square of a motion (freq,) freed of its noise, and its standard deviation."""
+    noise = float(np.mean(variance))
+    power = max(float(np.mean(np.abs(values) ** 2)) - noise, 0.0)
+    spread = np.sqrt(np.mean(2.0 * np.maximum(np.abs(values) ** 2 - variance, 0.0) * variance + variance**2))
+    rms = np.sqrt(power)
+    return float(rms), float(spread / np.sqrt(len(values)) / max(2.0 * rms, np.sqrt(noise), 1e-300))
