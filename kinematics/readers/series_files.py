@@ -115,7 +115,10 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
     time = table.numbers["time_s"]
     rates: list[float] = []
-    for part in parts if not faults else ():
+    for part in parts:
+        # Times that are no numbers have been told.
+        if table.faults and not np.all(np.isfinite(time[part])):
+            continue
         with collecting(faults):
             rates.append(sampling_rate(time[part], table.where(part.start)))
     if rates and max(rates) > min(rates) * (1.0 + 1e-6):
@@ -161,12 +164,18 @@ def sampling_rate(time: Array, where: str) -> float:
         raise KinematicsError(
             sentence("time_s", "ascending and finite, two samples at least", "others", where)
         )
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    apart = np.abs(time - time[0] - step * np.arange(len(time)))
-    if np.max(apart) > _JITTER * step:
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        apart = np.abs(time - time[0] - step * np.arange(len(time))) / max(step, 1e-300)
+    if not 1.0 / HIGHEST_HZ <= step < np.inf:
+        got = f"steps of {step:.3g} s"
+        raise KinematicsError(
+            sentence("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
+        )
+    if not np.max(apart) <= _JITTER:
         worst = int(np.argmax(apart))
         next_step = "Resample the record to even times, or fill the gap"
-        got = f"{apart[worst] / step:.3g} steps off at sample {worst + 1}"
+        got = f"{apart[worst]:.3g} steps off at sample {worst + 1}"
         raise KinematicsError(sentence("time_s", "evenly spaced", got, where, next_step))
     return float(1.0 / step)
 

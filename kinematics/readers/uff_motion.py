@@ -94,7 +94,7 @@ def direction_faults(function: Function, file: str) -> list[str]:
 
 def _frequency_faults(function: Function, file: str) -> list[str]:
     freq = np.sort(function.x)
-    if np.all(np.diff(freq) > 0.0) and freq[0] >= 0.0 and np.all(np.isfinite(freq)):
+    if np.all(np.isfinite(freq)) and np.all(np.diff(freq) > 0.0) and freq[0] >= 0.0:
         return []
     bad = np.flatnonzero(~np.isfinite(function.x) | (function.x < 0.0))
     if not len(bad):

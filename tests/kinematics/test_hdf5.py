@@ -196,3 +196,38 @@ def test_the_example_of_the_page_runs(tmp_path, monkeypatch):
     found = read(tmp_path / "ldv.h5")
     assert [one.direction.tolist() for one in found.recordings] == np.eye(3).tolist()
     np.testing.assert_allclose(found.recordings[0].value, 1e-3)
+
+
+def test_all_faults_of_a_file_are_told_together(tmp_path):
+    path = written(tmp_path / "ldv.h5", sd=np.abs(VALUE))
+    with h5py.File(path, "r+") as file:
+        file.attrs["unit"], file.attrs["amplitude"] = "dB", "some"
+        del file["sd"], file["position_mm"], file["point"]
+        file["sd"] = np.ones((2, 40))
+        file["coherence"] = np.full(VALUE.shape, b"x")
+        file["position_mm"] = np.zeros((6, 2))
+        file["point"] = ["1", "2"]
+        file["direction"][2] = (0.0, 0.0, 2.0)
+        file["re"][1, 3] = np.inf
+    with pytest.raises(KinematicsError) as caught:
+        read(path)
+    told = str(caught.value).splitlines()
+    expected = [
+        'the attribute unit must be m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g; got "dB"',
+        "the attribute amplitude must be peak or rms; got some",
+        "point must be 6 names; got 2",
+        "position_mm must be numbers of shape (6, 3); got (6, 2)",
+        "sd must be of shape (6, 40) or (6,)",
+        "coherence must be real numbers",
+        "the values must be finite, or NaN where missing",
+        "direction must be a unit vector (within 1e-3); got length 2 (ldv.h5, channel 3)",
+    ]
+    assert len(told) == len(expected)
+    for words in expected:
+        assert sum(words in line for line in told) == 1
+    with h5py.File(path, "r+") as file:
+        file["freq_hz"][4] = 1.0
+    with pytest.raises(KinematicsError) as caught:
+        read(path)
+    assert "freq_hz must be ascending and finite; got 1.0 at place 5" in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 3

@@ -303,3 +303,39 @@ def test_options_that_no_file_is_for_are_refused(tmp_path):
     ) as told:
         read_measurement([tmp_path / "scan.uff"], options=said)
     assert "--mapping must be left out" in str(told.value)
+
+
+def test_all_faults_of_time_series_are_told_together(tmp_path):
+    path, options = _with(
+        tmp_path, vib=np.where(np.arange(COUNT) == 4, np.nan, ANSWER), ref=DRIVE * 1e200, fs=-5.0
+    )
+    with pytest.raises(KinematicsError) as caught:
+        read(path, options)
+    told = str(caught.value).splitlines()
+    assert "the sampling rate must be positive, up to 1e+12 Hz; got -5 Hz" in told[0]
+    assert "the first in sample 5 (scan.npz, vib)" in told[1]
+    assert "the samples must be below 1e+100; got" in told[2]
+    assert len(told) == 3
+    rows = [f"{k},{t:.6g},{a:.6g}" for k in (1, 2, 3) for t, a in zip(TIME[:20], ANSWER, strict=False)]
+    rows[5], rows[10], rows[30] = rows[5].replace(",", ",9", 1), "1,0.005,y", "2,x,1"
+    rows[50] = "3,7,1"
+    (tmp_path / "t.csv").write_text("record,time_s,vib\n" + "\n".join(rows))
+    with pytest.raises(KinematicsError) as caught:
+        read_series(tmp_path / "t.csv", ["vib"])
+    told = str(caught.value).splitlines()
+    assert sorted(line.split("t.csv, ")[1][:7] for line in told) == [
+        "line 12",
+        "line 2)",
+        "line 32",
+        "line 42",
+    ]
+
+
+def test_all_steps_outside_the_record_are_told(tmp_path):
+    path, options = _with(tmp_path, vib=ANSWER, ref=DRIVE, fs=RATE)
+    steps = tmp_path / "steps.csv"
+    steps.write_text("start_s,stop_s,freq_hz\n1,9,100\n0,1,200\n-3,1,300\n1e300,2e300,5\n")
+    with pytest.raises(KinematicsError) as caught:
+        read(path, SeriesOptions(options.channels, steps=steps))
+    told = str(caught.value).splitlines()
+    assert [line.split("(steps.csv, ")[1] for line in told] == ["step 1).", "step 3).", "step 4)."]

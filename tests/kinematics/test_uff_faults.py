@@ -158,3 +158,68 @@ def test_spoiled_records_are_named(old, new, words, tmp_path):
 def test_spoiled_binary_headers_are_named(old, new, words, tmp_path):
     content = uff.function(X, Y, form=6, binary="<")
     assert words in fault(tmp_path, content.replace(old, new, 1))
+
+
+def test_all_faults_of_a_file_are_told_by_dataset_line_and_column(tmp_path):
+    values = np.full(23, 5.0 + 5.0j)
+    bad = uff.function(X, values, 2).split(b"\n")
+    bad[14] = bad[14].replace(b"5.00000E+00", b"5.0x000E+00", 2)
+    bad[16] = bad[16].replace(b"5.00000E+00", b"5_0000E+000", 1)
+    parts = [
+        uff.units(-1.0),
+        uff.nodes_15({1: (0, 0, 0), 2: (1, 0, 0)}).replace(b"0.00000E+00\n", b"0.00o00E+00\n"),
+        uff.function(X, Y, 1, unit="parsec", form=6, binary="<"),
+        b"\n".join(bad),
+        uff.function(X, Y, 3, direction=5),
+        uff.function(X, Y, 4, form=6, binary=">", said_count=24),
+        uff.function(X, Y, 5).replace(b"    4         1    1", b"    4         a    1"),
+        uff.function(X, np.full(23, 2.0), 6, 3, kind=uff.COHERENCE, form=2),
+        uff.function(X, Y, 6),
+        uff.function(X[::-1] * 1.0, Y, 7, even=False).replace(b"  1.25000E+01", b" -1.25000E+01"),
+    ]
+    told = fault(tmp_path, *parts).splitlines()
+    expected = [
+        "the length factor of dataset 164 must be positive; got -1 (scan.uff, dataset 1, line 4)",
+        "(scan.uff, dataset 2, line 9)",
+        "(scan.uff, dataset 2, line 10)",
+        "the unit of the values must be one of m, mm, um, nm; m/s, mm/s, um/s; m/s2, mm/s2, g [per unit",
+        '"5.0x000E+00" (scan.uff, dataset 4, line',
+        "column 1). Export it again",
+        "column 2). Export it again",
+        '"5_0000E+000"',
+        "the direction at node 3 must be 0 (scalar)",
+        "must be of 384 bytes of values, as its header says",
+        "record 6 of a function must be function type, node and direction",
+        "the coherence must be within 0 and 1; got 2 to 2 (scan.uff, dataset 9)",
+        "the frequencies of a function must be different and not negative; got -12.5 at value 23 (scan.uff",
+    ]
+    for words in expected:
+        assert any(words in line for line in told), (words, told)
+    assert len(told) == 12
+
+
+def test_a_missing_rule_spoils_its_own_dataset_alone(tmp_path):
+    first, second, third = (uff.function(X, Y, node) for node in (1, 2, 3))
+    open_ended = second[: -len(b"    -1\n")]
+    told = fault(tmp_path, first, open_ended, third).splitlines()
+    assert told == [
+        "a dataset must be closed by a line that holds -1; got the beginning of the next one (scan.uff, "
+        "dataset 2, line 24). It looks cut short: export or copy it again."
+    ]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_marks_of_encodings_and_line_ends(encoding, tmp_path):
+    text = uff.function(X, Y, 1, names=("\u00dcber 20 \u00b0C", "Vib  Geschwindigkeit")).decode("latin-1")
+    for ends in ("\n", "\r\n", "\r"):
+        (made,) = read(written(tmp_path, text.replace("\n", ends).encode(encoding))).recordings
+        np.testing.assert_allclose(made.value, Y, rtol=1e-5)
+
+
+def test_numbers_without_bounds_are_refused(tmp_path):
+    far = uff.system_18(3, (0, 0, 0), (1e200, 0, 0), (0, 0, 1e200))
+    assert "must be three points that span a plane" in fault(
+        tmp_path, far, uff.nodes_15({1: (0, 0, 0)}, 3, 3), uff.function(X, Y)
+    )
+    steep = uff.function(X, Y).replace(b"  1.25000E+01  1.25000E+01", b"  1.25000E+01 1.25000+307")
+    assert "must be different and not negative" in fault(tmp_path, steep)
