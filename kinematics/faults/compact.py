@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.fill import Filled, Gaps
 from kinematics.faults.mixing import Mixing
 from kinematics.faults.packing import gathering, motion_of
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_kernels import mixed as mixed_lines
-from kinematics.fit.line_kernels import projected
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
@@ -36,32 +36,15 @@ _HELD = 60_000
 
 @dataclass(frozen=True)
 class Source:
-    """The lines that were packed: a fit, the form a_c b_f of its weights, and how missing values are filled.
-
-    ``fill`` (channel, m) times the motion stands for the residual of a missing value: what the channel's
-    other lines
-    show of a change of its row.
-    """
+    """The lines that were packed: a fit, the form a_c b_f of its weights, and what fills missing values."""
 
     fit: LineFit
     freq_hz: Array
     channel: Array
     line: Array
     even: bool
-    fill: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
-
-    def residual(self, lines: slice | NDArray[np.intp]) -> ComplexArray:
-        """Return the residuals (channel, n) of some lines, filled where missing, m."""
-        every = np.arange(self.fit.value.shape[1])[lines]
-        channels = len(self.fit.value)
-        made = np.empty((channels, len(every)), dtype=complex)
-        for part in blocks(channels, len(every)):
-            residual, sd, _ = self.fit.at(every[part])
-            if self.fill.size:
-                missing = ~np.isfinite(sd)
-                residual[missing] = (self.fill @ self.fit.solution.z[:, every[part]])[missing]
-            made[:, part] = residual
-        return made
+    gaps: Gaps | None = None
+    filled: Filled | None = None
 
     @classmethod
     def of(cls, fit: LineFit, freq_hz: Array, noise_known: bool = True) -> Source:
@@ -85,7 +68,41 @@ class Source:
             mean = np.sum(_variance(fit, noise, part)[0] / own[:, None], axis=0)
             number = np.sum(held[:, part], axis=0)
             line[part] = np.sqrt(number / np.where(mean > 0.0, mean, np.inf))
-        return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False, _fill(fit, held, line))
+        made = cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False)
+        if np.all(held[:, fit.solution.good]):
+            return made
+        gaps = _gaps(made, held, np.sqrt(1.0 / own))
+        return replace(made, gaps=gaps, filled=gaps.filled())
+
+
+def _gaps(source: Source, held: NDArray[np.bool_], weight: Array) -> Gaps:
+    """Return the readings of a fit, with one over the noise of each channel, as they were measured."""
+    fit, edges = source.fit, _segments(source)
+    good = np.flatnonzero(fit.solution.good)
+    tau, segment = np.zeros(len(source.line)), np.zeros(len(source.line), dtype=np.intp)
+    tau[good] = np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else 0.0
+    segment[good] = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    divisor = np.ones((len(held), len(edges) - 1), dtype=complex)
+    return Gaps(fit.value, held, good, source.line, tau, fit.beams.basis, weight, divisor, segment)
+
+
+def _refilled(source: Source, data: Compact) -> tuple[Source, Array, Array]:
+    """Fill the gaps anew for the present rows, factors and weights; return source, weights and lift."""
+    if source.gaps is None or source.filled is None:
+        return source, data.a, data.lift
+    old, live = source.filled, data.a > 0.0
+    weight = np.sqrt(2.0) * data.a / np.sqrt(old.share)
+    held = source.gaps.held & live[:, None]
+    gaps = replace(
+        source.gaps, held=held, line=source.line, basis=data.beams.basis, a=weight, divisor=data.divisor
+    )
+    new = gaps.filled()
+    lift = data.lift * new.lift / old.lift
+    return (
+        replace(source, gaps=replace(gaps, held=source.gaps.held), filled=new),
+        (data.a * np.sqrt(new.share / old.share)),
+        lift,
+    )
 
 
 def _variance(
@@ -95,19 +112,6 @@ def _variance(
     sd = noise.at(part)
     held = np.isfinite(fit.value[:, part]) & np.isfinite(sd)
     return np.where(held, sd, 0.0) ** 2, held
-
-
-def _fill(fit: LineFit, held: NDArray[np.bool_], line: Array) -> ComplexArray:
-    """Return the change of each channel's row (channel, m) that its residuals show where it was measured."""
-    good = fit.solution.good
-    made = np.zeros((len(held), len(fit.solution.z)), dtype=complex)
-    for channel in np.flatnonzero(~np.all(held[:, good], axis=1)):
-        used = np.flatnonzero(held[channel] & good)
-        if len(used) > 3 * made.shape[1]:
-            z = fit.solution.z[:, used] * line[used]
-            residual = fit.value[channel, used] * line[used] - fit.beams.basis[channel] @ z
-            made[channel] = np.linalg.lstsq(z.T, residual, rcond=1e-6)[0]
-    return made
 
 
 @dataclass(frozen=True)
@@ -280,6 +284,10 @@ def _segments(source: Source) -> NDArray[np.int64]:
 
 def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     fit, basis = source.fit, data.beams.basis
+    channel, lift = data.a, data.lift
+    if not first:
+        source, channel, lift = _refilled(source, data)
+    gaps, filled = source.gaps, source.filled
     good = np.flatnonzero(fit.solution.good)
     whole = len(good) == fit.value.shape[1]
     count = len(basis)
@@ -289,23 +297,15 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     back = np.linalg.pinv(upper, rcond=1e-9) @ data.white(np.eye(count)).T.dot(span).T
     packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
-    plain = bool(np.all(fit.solution.used == len(good)))
+    plain = gaps is None
     for number, (start, stop) in enumerate(pairwise(edges)):
         lines = slice(start, stop) if whole else good[start:stop]
-        b, z = source.line[lines], fit.solution.z[:, lines]
-        divisor = data.divisor[:, number][:, None]
-        if plain:
-            residual = fit.value[:, lines]
-            z = z if first else motion_of(back, divisor[:, 0], residual)
+        b, divisor = source.line[lines], data.divisor[:, number][:, None]
+        if gaps is not None and filled is not None:
+            z, residual = filled.z[:, good[start:stop]], gaps.residual(filled, good[start:stop])
         else:
-            residual = source.residual(lines)
-            if not first:
-                for block in blocks(count, residual.shape[1]):
-                    residual[:, block] += fit.beams.basis @ z[:, block]
-                    residual[:, block] /= divisor
-                z = projected(back, residual)
-                for block in blocks(count, residual.shape[1]):
-                    residual[:, block] -= basis @ z[:, block]
+            residual = fit.value[:, lines]
+            z = fit.solution.z[:, lines] if first else motion_of(back, divisor[:, 0], residual)
         moving = z * b
         vectors, into = gathering(moving)
         error = mixed_lines(residual, b[:, None] * into)
@@ -321,22 +321,24 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
             seen += used @ mix
             variance += 2.0 * own @ (mix * b**2)
     number_of = [motion.shape[1] for motion, _ in packed]
-    channel, lift = data.a, data.lift
     if first and not source.even:
-        total = float(sum(number_of))
         with np.errstate(divide="ignore", invalid="ignore"):
-            lift = data.lift * np.where(seen > 0.0, total / seen, 1.0)
-            channel = np.where(seen > 0.0, np.sqrt(total / variance) / lift, 0.0)
+            channel = np.where(seen > 0.0, np.sqrt(seen / variance) / lift, 0.0)
+        if filled is not None:
+            channel, lift = channel * np.sqrt(filled.share), lift * filled.lift
     middle = [slice(start, stop) for start, stop in pairwise(edges)]
     tau = np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.zeros(1)
     freq = source.freq_hz[good]
+    place = np.concatenate([tau[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)])
+    moved, error = np.hstack([motion for motion, _ in packed]), np.hstack([left for _, left in packed])
     return replace(
         data,
-        y=np.hstack([basis @ motion + error for motion, error in packed]),
+        y=basis @ moved + (error if filled is None else filled.evened(error, moved, place)),
         a=channel,
         lift=lift,
+        source=source,
         part=np.repeat(np.arange(len(packed)), number_of),
-        tau=np.concatenate([tau[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
+        tau=place,
         freq_hz=np.concatenate([freq[pick] @ mix for pick, mix in zip(middle, mixed, strict=True)]),
         rest=np.hstack(rest) * lift[:, None],
         rest_part=np.repeat(np.arange(len(rest)), [part.shape[1] for part in rest]),

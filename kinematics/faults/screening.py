@@ -18,6 +18,7 @@ from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
 Array = NDArray[np.float64]
 _FLOOR = 1e-12
 _LEAST = 1e-100
+_DETERMINED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -149,12 +150,20 @@ def _moves(body: BodyChannels, run: int, dead: list[int], dof: tuple[str, ...]) 
     if len(live) < len(names) or observability(arms[live], directions[live], names)[-1] < 1e-3:
         return False
     rows = point_rows(arms, directions)[:, dof_indices(names)]
-    value = np.where(np.isnan(body.displacement[run, live].real), 0.0, body.displacement[run, live])
+    value = body.displacement[run, live]
+    used = np.isfinite(value)
     scale = np.linalg.norm(rows[live], axis=0)
-    q = np.linalg.lstsq(rows[live] / scale, value, rcond=None)[0] / scale[:, None]
-    left = np.sqrt(np.mean(np.abs(value - rows[live] @ q) ** 2))
-    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q) ** 2, axis=1))
-    size = np.sqrt(np.mean(np.abs(value) ** 2))
+    span, upper = np.linalg.qr(used.T[:, :, None] * (rows[live] / scale))
+    sure = np.abs(np.diagonal(upper, axis1=1, axis2=2)).min(axis=1) > _DETERMINED
+    if not np.any(sure):
+        return False
+    used, value, span = used[:, sure], np.where(used, value, 0.0)[:, sure], span[sure]
+    seen = np.einsum("fcm,cf->fm", span, value)
+    q = np.linalg.solve(upper[sure], seen[:, :, None])[:, :, 0] / scale
+    error = np.where(used, value - rows[live] @ q.T, 0.0)
+    left = np.sqrt(np.sum(np.abs(error) ** 2) / np.sum(used))
+    expected = np.sqrt(np.mean(np.abs(rows[dead] @ q.T) ** 2, axis=1))
+    size = np.sqrt(np.sum(np.abs(value) ** 2) / np.sum(used))
     return bool(np.all(expected > max(3.0 * left, 1e-6 * size)))
 
 

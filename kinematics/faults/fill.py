@@ -1,0 +1,331 @@
+"""What stands in place of missing readings: what a channel's other lines show, whatever fault it has.
+
+Lines are packed as unitary mixtures (kinematics.faults.compact), which needs a reading of every channel at
+every line. The motion of a line with gaps follows a fault more closely where the channel was measured than
+where it is missing; of a large fault that is a pattern of its own that no fault of one channel makes. Faults
+that last change the rows B of y = B z + noise to others, A, and leave the rank as it is: where they are
+large, rows and motion are found together from the readings that there are, and A z fills the gaps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.line_noise import blocks
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Held = NDArray[np.bool_]
+_SAMPLE = 480
+_ROUNDS = 100
+_SETTLED = 2e-4
+_WIDTH = 4.0
+_SURE = 4.0
+_COVERED = 0.15
+_LEAST = 1e-4
+_LINES = 3
+_CLEAR = 1e-5
+_KEPT = 0.1
+_LEAK = 4.0
+_LOOSE = 10.0
+
+
+@dataclass(frozen=True)
+class Filled:
+    """The motion that readings with gaps show, and what fills these.
+
+    Attributes
+    ----------
+    z : ndarray, (m, line), complex
+        Motion that the filled readings show with the rows as given.
+    basis : ndarray, (channel, m)
+        The rows as given.
+    moved : ndarray, (m, line), complex
+        Motion that the readings show with the rows as found.
+    change : ndarray, (channel, 2 m), complex
+        Change of the rows, constant and in proportion to ``tau``.
+    tau : ndarray, (line,)
+        Place in the measurement, -1 to 1.
+    share : ndarray, (channel,)
+        Share of the information on the rows that is left.
+    measured : ndarray, (channel,)
+        Share of the lines that was measured.
+    kept : ndarray, (channel,)
+        Share of the noise that residuals keep at lines with gaps, relative to those without.
+    """
+
+    z: ComplexArray
+    basis: Array
+    moved: ComplexArray
+    change: ComplexArray
+    tau: Array
+    share: Array
+    measured: Array
+    kept: Array
+
+    def residual(self, lines: NDArray[np.intp]) -> ComplexArray:
+        """Return what stands for the residuals (channel, n) of missing values at some lines."""
+        moved = self.moved[:, lines]
+        made = self.change @ _varying(moved, self.tau[lines])
+        if self.moved is not self.z:
+            made += self.basis @ (moved - self.z[:, lines])
+        return np.asarray(made)
+
+    def evened(self, error: ComplexArray, motion: ComplexArray, tau: Array) -> ComplexArray:
+        """Return packed residuals (channel, n) of equal noise, whether they follow the motion or not.
+
+        The filled part has no noise of its own; what follows the ``motion`` (m, n) holds all there is to know
+        of the rows already, but that the motion of lines with gaps follows a fault more closely.
+        """
+        span = np.linalg.svd(_varying(motion, tau), full_matrices=False)
+        keep = span[1] > 1e-9 * max(float(np.max(span[1], initial=0.0)), 1e-300)
+        along = (error @ span[2][keep].conj().T) @ span[2][keep]
+        more = 1.0 / self.kept[:, None] if self.moved is self.z else 1.0
+        return np.asarray(along * more + (error - along) * self.lift[:, None])
+
+    @property
+    def lift(self) -> Array:
+        """What residuals apart from the motion are multiplied with, (channel,)."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(self.share * self.kept * self.measured, _LEAST)))
+
+
+def _varying(z: ComplexArray, tau: Array) -> ComplexArray:
+    return np.vstack([z, tau * z])
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Readings with gaps.
+
+    Attributes
+    ----------
+    value : ndarray, (channel, line), complex
+    held : ndarray, (channel, line), bool
+        Where it is used.
+    good : ndarray, (k,), int
+        Lines that are packed.
+    line : ndarray, (line,)
+        Weights of the lines.
+    tau : ndarray, (line,)
+        Place of each among those that are packed, -1 to 1.
+    basis : ndarray, (channel, m)
+    a : ndarray, (channel,)
+        One over the standard deviation; zero for channels not used.
+    divisor : ndarray, (channel, segment), complex
+        What readings are divided by.
+    segment : ndarray, (line,), int
+    """
+
+    value: ComplexArray
+    held: Held
+    good: NDArray[np.intp]
+    line: Array
+    tau: Array
+    basis: Array
+    a: Array
+    divisor: ComplexArray
+    segment: NDArray[np.intp]
+
+    def filled(self) -> Filled:
+        """Find the motion, and rows and motion together where that fits the readings better."""
+        z, kept = self._given()
+        count = max(len(self.good), 1)
+        pick = self.good[np.unique(np.linspace(0, count - 1, min(_SAMPLE, count)).round().astype(int))]
+        change, left, clear = self._regressed(pick, z[:, pick])
+        moved = z
+        if clear:
+            loose = self._loose(z[:, pick])
+            found, less = self._together(pick, change, left, loose)
+            if left > _LEAK * less:
+                z, moved = self._motion(z, found, loose)
+        change, share = self._settled(moved)
+        measured = np.mean(self.held[:, self.good], axis=1)
+        return Filled(z, self.basis, moved, change, self.tau, share * kept, measured, kept)
+
+    def residual(self, filled: Filled, lines: NDArray[np.intp]) -> ComplexArray:
+        """Return the residuals (channel, n) of some lines, filled where missing."""
+        made = np.empty((len(self.a), len(lines)), dtype=complex)
+        for part in blocks(*made.shape):
+            some = lines[part]
+            held = self.held[:, some] & (self.a > 0.0)[:, None]
+            made[:, part] = np.where(
+                held, self._values(some) - self.basis @ filled.z[:, some], filled.residual(some)
+            )
+        return made
+
+    def _values(self, lines: NDArray[np.intp]) -> ComplexArray:
+        """Return the readings (channel, n) of some lines, zero where missing."""
+        held = np.where(self.held[:, lines], self.value[:, lines], 0.0)
+        return np.asarray(held / self.divisor[:, self.segment[lines]])
+
+    def _weights(self, lines: NDArray[np.intp]) -> Array:
+        return np.asarray(self.held[:, lines] * (self.a[:, None] * self.line[lines]) ** 2)
+
+    def _residual(self, lines: NDArray[np.intp], z: ComplexArray) -> ComplexArray:
+        return np.asarray(np.where(self.held[:, lines], self._values(lines) - self.basis @ z, 0.0))
+
+    def _given(self) -> tuple[ComplexArray, Array]:
+        """Return the motion (m, line) with the rows as given, and the share of noise that residuals keep.
+
+        The share (channel,) is that at lines with gaps, relative to lines without.
+        """
+        count, size = self.basis.shape
+        z = np.zeros((size, self.value.shape[1]), dtype=complex)
+        products = (self.basis[:, :, None] * self.basis[:, None]).reshape(count, -1)
+        share, number = np.zeros(count), np.zeros(count)
+        for part in blocks(count * size, len(self.good)):
+            lines = self.good[part]
+            weights = self._weights(lines)
+            gram = (weights.T @ products).reshape(-1, size, size)
+            trace = np.einsum("fmm->f", gram)
+            gram += (1e-10 * np.maximum(trace, 1e-300))[:, None, None] * np.eye(size)
+            inverse = np.linalg.inv(gram)
+            right = self.basis.T @ (weights * self._values(lines))
+            z[:, lines] = np.einsum("fij,jf->if", inverse, right)
+            taken = weights * (products @ inverse.reshape(-1, size * size).T)
+            share += np.sum(np.where(weights > 0.0, 1.0 - taken, 0.0), axis=1)
+            number += np.sum(weights > 0.0, axis=1)
+        whole = 1.0 - np.sum(np.linalg.qr(self.a[:, None] * self.basis)[0] ** 2, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            made = share / number / whole
+        return z, np.clip(np.where(np.isfinite(made), made, 1.0), _KEPT, 1.0)
+
+    def _loose(self, z: ComplexArray) -> ComplexArray:
+        """Return the inverse of a covariance (m, m) well above that of the motion (m, n)."""
+        spread = z @ z.conj().T / z.shape[1]
+        tiny = 1e-12 * float(np.trace(spread).real) * np.eye(len(z))
+        return np.asarray(np.linalg.inv(_LOOSE * spread + tiny), dtype=complex)
+
+    def _together(
+        self, pick: NDArray[np.intp], change: ComplexArray, before: float, loose: ComplexArray
+    ) -> tuple[ComplexArray, float]:
+        """Return the change of the rows that fits some lines best with their motion, and the misfit left.
+
+        Notes
+        -----
+        Low-rank approximation of a matrix with gaps by criss-cross regression (Gabriel and Zamir 1979,
+        doi:10.1080/00401706.1979.10489819), started and weakly held at the rows as given.
+        """
+        for _ in range(_ROUNDS):
+            z = self._solved(pick, change, loose)
+            change, left, _ = self._regressed(pick, z)
+            if before - left < _SETTLED * left:
+                break
+            before = left
+        return change, left
+
+    def _regressed(self, lines: NDArray[np.intp], z: ComplexArray) -> tuple[ComplexArray, float, bool]:
+        """Return the change of the rows that residuals show, the misfit left, and whether it is clear."""
+        from scipy.special import fdtrc
+
+        weights, residual = self._weights(lines), self._residual(lines, z)
+        number, energy = np.sum(weights > 0.0, axis=1), np.sum(weights * np.abs(residual) ** 2, axis=1)
+        both = _varying(z, self.tau[lines])
+        right = (weights * residual) @ both.conj().T
+        gram = _grams(weights, both)
+        size = np.maximum(np.max(np.abs(self.basis), axis=1), 1e-12)
+        gram = gram + (_WIDTH * size)[:, None, None] ** -2 * np.eye(len(both))
+        change = np.zeros(right.shape, dtype=complex)
+        clear = False
+        for channel in np.flatnonzero(number > _LINES * len(z)):
+            width = len(both) if number[channel] > 2 * _LINES * len(z) else len(z)
+            found = np.linalg.solve(gram[channel, :width, :width].T, right[channel, :width])
+            left = float(weights[channel] @ np.abs(residual[channel] - found @ both[:width]) ** 2)
+            free = 2.0 * (number[channel] - width)
+            ratio = max(energy[channel] - left, 0.0) / (2.0 * width) / max(left / free, 1e-300)
+            clear = clear or bool(fdtrc(2.0 * width, free, ratio) < _CLEAR)
+            change[channel, :width], energy[channel] = found, left
+        return change, float(np.sum(energy)), clear
+
+    def _solved(self, lines: NDArray[np.intp], change: ComplexArray, loose: ComplexArray) -> ComplexArray:
+        """Return the motion (m, n) at some lines, with changed rows."""
+        size = self.basis.shape[1]
+        root = np.sqrt(self._weights(lines)).T
+        rows = self.basis + change[:, :size] + self.tau[lines][:, None, None] * change[:, size:]
+        white = root[:, :, None] * rows
+        turned = white.conj().transpose(0, 2, 1)
+        right = turned @ (root * self._values(lines).T)[:, :, None]
+        return np.asarray(np.linalg.solve(turned @ white + loose, right)[:, :, 0].T)
+
+    def _motion(
+        self, given: ComplexArray, change: ComplexArray, loose: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return the motion (m, line) of the filled readings with the rows as given, and with those found."""
+        z, found = given.copy(), given.copy()
+        back = np.linalg.pinv(self.a[:, None] * self.basis) * self.a
+        for part in blocks(len(self.a) * len(z), len(self.good)):
+            lines = self.good[part]
+            moved = self._solved(lines, change, loose)
+            made = self.basis @ moved + change @ _varying(moved, self.tau[lines])
+            found[:, lines] = moved
+            z[:, lines] = back @ np.where(self.held[:, lines], self._values(lines), made)
+        return z, found
+
+    def _settled(self, z: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Return the change of the rows with which gaps are filled, and the share of what is known of it.
+
+        Notes
+        -----
+        A channel's readings tell its change along some directions of the motion as well as if none was
+        missing, along others less. The noise of the filled readings is to be the same along all; the change
+        is brought to that, by not more than a few of its standard deviations, so that large faults stay what
+        they are.
+        """
+        count, size = self.basis.shape
+        gram = np.zeros((count, 2 * size, 2 * size), dtype=complex)
+        right = np.zeros((count, 2 * size), dtype=complex)
+        whole = np.zeros((2 * size, 2 * size), dtype=complex)
+        for part in blocks(count, len(self.good)):
+            lines = self.good[part]
+            both = _varying(z[:, lines], self.tau[lines])
+            weights = self.held[:, lines] * self.line[lines] ** 2
+            gram += _grams(weights, both)
+            right += (weights * self._residual(lines, z[:, lines])) @ both.conj().T
+            whole += (self.line[lines] ** 2 * both) @ both.conj().T
+        change, share = np.zeros_like(right), np.ones(count)
+        for channel in np.flatnonzero((self.a > 0.0) & ~np.all(self.held[:, self.good], axis=1)):
+            sd = np.sqrt(2.0) / self.a[channel]
+            change[channel], share[channel] = _brought(whole, gram[channel], right[channel], size, sd)
+        return change, share
+
+
+def _brought(
+    whole: ComplexArray, known: ComplexArray, score: ComplexArray, size: int, sd: float
+) -> tuple[ComplexArray, float]:
+    """Return a change of equal noise along all directions of the motion, and the share that is known."""
+    static = _shares(whole[:size, :size], known[:size, :size])[0]
+    share = float(np.clip(np.mean(static), _LEAST, 1.0)) if len(static) else 1.0
+    made = np.zeros(len(score), dtype=complex)
+    for width in (2 * size, size):
+        shares, turn = _shares(whole[:width, :width], known[:width, :width])
+        if not len(shares) or (width > size and np.min(shares) < _COVERED * share):
+            continue
+        use = shares > _LEAST
+        along = (score[:width] @ turn)[use] / shares[use]
+        noise = sd / np.sqrt(shares[use])
+        far = np.minimum(1.0, _SURE * noise / np.maximum(np.abs(along), 1e-300))
+        along = along * (1.0 - (1.0 - np.sqrt(shares[use] / share)) * far)
+        made[:width] = along @ turn[:, use].conj().T
+        break
+    return made, share
+
+
+def _shares(whole: ComplexArray, known: ComplexArray) -> tuple[Array, ComplexArray]:
+    """Return the shares (k,) known along directions of the motion, and these, (n, k), of unit energy."""
+    values, vectors = np.linalg.eigh(whole)
+    keep = values > 1e-10 * max(float(values[-1]), 1e-300)
+    root = vectors[:, keep] / np.sqrt(values[keep])
+    shares, turn = np.linalg.eigh(root.conj().T @ known @ root)
+    return np.clip(shares, 0.0, 1.0), root @ turn
+
+
+def _grams(weights: Array, both: ComplexArray) -> NDArray[Any]:
+    """Return sums of z z^H over the lines with the weights of each channel, (channel, n, n)."""
+    size = len(both)
+    products = (both[:, None] * both.conj()[None]).reshape(size * size, -1).T.copy()
+    made = weights @ products.view(float)
+    return np.asarray(made.view(complex).reshape(len(weights), size, size))
