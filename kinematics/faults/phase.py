@@ -20,7 +20,7 @@ _SHARE = 0.6
 _MODEL = 0.015
 _LOW = 0.15
 _OPPOSED = -0.5
-_RISE = 0.75 * np.pi
+_RISE, _ALIKE = 0.75 * np.pi, 0.7
 _LEVER_M = 1e-3
 _TURN = "check on which side the laser head was, and turn the sign or the directions of one body."
 _SIGN = f"where the ligament carries it along: one of the two bodies has the wrong sign. {_TURN.capitalize()}"
@@ -223,8 +223,8 @@ def _alone(motion: RigidMotion) -> list[Notice]:
         steps = np.sum(even[:-1].conj() * even[1:], axis=1)
         turns.append(float(np.sum(np.angle(steps))))
         power = np.maximum(np.sum(np.abs(even) ** 2, axis=1), 1e-300)
-        sure.append(float(np.median(np.abs(steps) / np.sqrt(power[1:] * power[:-1]))))
-    if min(turns) < _RISE or min(sure) < 0.5:
+        sure.append(float(np.quantile(np.abs(steps) / np.sqrt(power[1:] * power[:-1]), 0.1)))
+    if min(turns) < _RISE or min(sure) < _ALIKE:
         return []
     return [
         Notice(
