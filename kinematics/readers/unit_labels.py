@@ -18,6 +18,7 @@ LENGTHS = {
 STANDARD_GRAVITY = 9.80665
 MOTIONS = ("m, mm, um, nm", "m/s, mm/s, um/s", "m/s2, mm/s2, g")
 _RATES = {"": 0, "s": 1, "s2": 2, "sec": 1, "sec2": 2}
+_DENSITY = re.compile(r"/[(]?(?:√|sqrt|rt)?[(]?Hz[)]?(?:0?\.5|[(]?1/2[)]?)?[)]?$", re.IGNORECASE)
 _NONE = ("", "none", "-", "1", "unknown")
 
 
@@ -54,7 +55,7 @@ def plain(label: str) -> str:
 
 
 def motion_unit(label: str) -> MotionUnit | None:
-    """Read a unit of motion; None when the label is no known one.
+    """Read a unit of motion; None when the label is no known one, or that of a density over frequency.
 
     Notes
     -----
@@ -62,11 +63,15 @@ def motion_unit(label: str) -> MotionUnit | None:
     in m/s per volt.
     """
     text = plain(label)
+    if _DENSITY.search(text):
+        return None
     match = re.fullmatch(r"\((?P<motion>[^()]+)\)(?:/(?P<per>.+))?", text)
     if match is not None:
         inner = motion_unit(match["motion"])
         return (
-            None if inner is None or inner.per else MotionUnit(inner.order, inner.scale, match["per"] or "")
+            None
+            if inner is None or inner.per
+            else MotionUnit(inner.order, inner.scale, (match["per"] or "").strip("()"))
         )
     parts = text.split("/")
     if parts[0].lower() in ("g", "gn", "g_n"):

@@ -13,6 +13,7 @@ from kinematics.readers.kinds import kind_of, read_recordings
 from kinematics.readers.uff import read
 from kinematics.readers.uff_function import read_function
 from kinematics.readers.uff_sets import datasets, looks_like_uff
+from kinematics.readers.unit_labels import MotionUnit, motion_unit
 from tests.kinematics import written_uff as uff
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "uff"
@@ -356,3 +357,18 @@ def test_geometry_from_measuring_systems():
     assert len(made.positions_m) == 36
     for axes in made.axes.values():
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "unit", ["m/s/\u221aHz", "(m/s)/sqrt(Hz)", "m/s/Hz^0.5", "(m/s)^2", "m2/s2", "dB", "V", "rad/s", "deg"]
+)
+def test_what_is_no_amplitude_of_motion_has_no_unit_of_motion(unit):
+    assert motion_unit(unit) is None
+
+
+@pytest.mark.parametrize(
+    ("unit", "per"),
+    [("m/s/V", "V"), ("(m/s)/(m/s)", "m/s"), ("m/s / Pa", "Pa"), ("(m/s)/N", "N"), ("[ m/s ]", "")],
+)
+def test_responses_keep_the_unit_of_their_reference(unit, per):
+    assert motion_unit(unit) == MotionUnit(1, 1.0, per)
