@@ -13,12 +13,11 @@ from kinematics.motion import RigidMotion, SharedErrors
 from kinematics.notices import Notice
 from kinematics.takes.repeat_shift import frequency_shifts
 from kinematics.takes.repeats import ALARM, RunRepeats, compare
-from kinematics.takes.take_shapes import Shapes, shapes_of
+from kinematics.takes.scatter_noise import scatter_noise
+from kinematics.takes.take_shapes import Shapes, Stack, shapes_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_WANTED_FREEDOM = 100.0
-_LEAST_FREEDOM = 8.0
 _TOGETHER = 0.7
 
 
@@ -54,7 +53,7 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     cost nothing, and ratios between bodies keep their noise only. Takes are weighted by their amplitude
     over their noise. Where no standard deviation is stated, the scatter between takes gives it, pooled
     over neighbouring lines of each channel to f degrees of freedom and widened by f / (f - 2), the mean of
-    1 / chi2, so that chi2 of later fits keeps its mean.
+    1 / chi2, so that chi2 of later fits keeps its mean; f is smaller where neighbouring lines scatter as one.
     """
     if not measurement.takes:
         return Pooled(measurement)
@@ -67,9 +66,9 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         if len(places) == 1:
             parts.append(_alone(measurement, places[0]))
             continue
-        value, sd, known, shapes = _shapes(measurement, places)
-        report = _compared(measurement, run, takes, shapes, known, _single(alarm, runs))
-        part, from_scatter = _pool(value, sd, known, shapes, takes, report.sd_factor)
+        shapes = _shapes(measurement, places)
+        report = _compared(measurement, run, takes, shapes, _single(alarm, runs))
+        part, from_scatter = _pool(shapes, takes, report.sd_factor)
         reports.append(replace(report, noise_from_repeats=from_scatter))
         parts.append(part)
         notices += report.notices(len(runs) > 1)
@@ -90,17 +89,17 @@ def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         places, takes, said = _takes_of(measurement, run)
         notices += said
         if len(places) > 1:
-            _, _, known, shapes = _shapes(measurement, places)
-            report = _compared(measurement, run, takes, shapes, known, _single(alarm, runs))
+            shapes = _shapes(measurement, places)
+            report = _compared(measurement, run, takes, shapes, _single(alarm, runs))
             reports.append(replace(report, were_pooled=False))
             notices += report.notices(len(runs) > 1)
     return Pooled(replace(measurement, takes=(), notices=tuple(notices)), tuple(reports))
 
 
 def _compared(
-    measurement: Measurement, run: str, takes: Sequence[Take], shapes: Shapes, known: bool, alarm: float
+    measurement: Measurement, run: str, takes: Sequence[Take], shapes: Shapes, alarm: float
 ) -> RunRepeats:
-    report = compare(run, takes, shapes, known, alarm)
+    report = compare(run, takes, shapes, shapes.stack.known, alarm)
     sizes = [len(body.points) for body in measurement.bodies]
     shift, share = frequency_shifts(shapes, measurement.freq_hz, np.repeat(np.arange(len(sizes)), sizes))
     return replace(report, shift=shift, shift_share=share)
@@ -127,31 +126,15 @@ def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]
     return kept, [takes[place] for place in kept], notices
 
 
-def _shapes(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArray, Array, bool, Shapes]:
-    """Return the takes of a run (take, channel, freq), their noise, whether it is known, and their shapes."""
-    value, sd, known = _stacked(measurement, places)
-    shapes = shapes_of(value, sd)
-    if not known and (noise := _noise_of(shapes)) is not None:
-        del shapes
-        sd = sd * noise[None]
-        shapes = shapes_of(value, sd)
-    return value, sd, known, shapes
-
-
-def _stacked(measurement: Measurement, places: Sequence[int]) -> tuple[ComplexArray, Array, bool]:
-    """Return the takes of all channels, (take, channel, freq), their noise, and whether it is known."""
-    order = list(places)
-    value = np.concatenate([body.displacement[order] for body in measurement.bodies], axis=1)
+def _shapes(measurement: Measurement, places: Sequence[int]) -> Shapes:
+    """Return the shapes of the takes of a run; their scatter gives the noise where none is stated."""
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
-    known = all(body.sd is not None and not body.relative for body in measurement.bodies)
-    stated = all(body.sd is not None for body in measurement.bodies)
-    parts = []
-    for body in measurement.bodies:
-        if body.sd is None or not stated:
-            parts.append(np.broadcast_to(1.0 / rate, body.displacement[order].shape))
-        else:
-            parts.append(body.sd[order])
-    return value, np.concatenate(parts, axis=1), known
+    stack = Stack(measurement.bodies, tuple(places), rate)
+    shapes = shapes_of(stack)
+    if not stack.known and (noise := scatter_noise(shapes)) is not None:
+        del shapes
+        shapes = shapes_of(replace(stack, noise=noise))
+    return shapes
 
 
 def _alone(measurement: Measurement, place: int) -> tuple[ComplexArray, Array | None]:
@@ -162,33 +145,31 @@ def _alone(measurement: Measurement, place: int) -> tuple[ComplexArray, Array | 
 
 
 def _pool(
-    value: ComplexArray,
-    sd: Array,
-    known: bool,
-    shapes: Shapes,
-    takes: Sequence[Take],
-    factor: float,
+    shapes: Shapes, takes: Sequence[Take], factor: float
 ) -> tuple[tuple[ComplexArray, Array | None], bool]:
     """Return the pooled values and standard deviations (channel, freq), and whether the scatter gave them."""
-    used = np.isfinite(value.real) & np.isfinite(sd)
-    gain = shapes.gain.T[:, None, :]
-    scale = shapes.take_scale.T[:, None, :]
-    weights = np.where(used, np.abs(gain) ** 2, 0.0)
-    total = np.sum(weights, axis=0)
-    white = np.where(used, value, 0.0)
-    white /= scale
-    mean = _mean_gain(shapes, takes)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        common = np.sum(gain.conj() * white, axis=0) / total * mean
-        spread = shapes.noise_scale * np.abs(mean) / np.sqrt(total)
-    common[total <= 0.0] = np.nan
-    spread[total <= 0.0] = np.nan
-    if known:
-        return (common, spread * max(1.0, factor if factor > 1.1 else 1.0)), False
-    noise = _noise_of(shapes)
+    stack, mean = shapes.stack, _mean_gain(shapes, takes)
+    common = np.empty(shapes.noise_scale.shape, dtype=complex)
+    spread = np.empty(common.shape)
+    for part in stack.blocks():
+        value = stack.value(part)
+        used = np.isfinite(value.real) & np.isfinite(stack.sd(part))
+        gain = shapes.gain[part].T[:, None, :]
+        total = np.sum(np.where(used, np.abs(gain) ** 2, 0.0), axis=0)
+        white = np.where(used, value, 0.0) / shapes.take_scale[part].T[:, None, :]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            common[:, part] = np.sum(gain.conj() * white, axis=0) / total * mean[part]
+            spread[:, part] = shapes.noise_scale[:, part] * np.abs(mean[part]) / np.sqrt(total)
+        common[:, part][total <= 0.0] = np.nan
+        spread[:, part][total <= 0.0] = np.nan
+    if stack.known:
+        spread *= max(1.0, factor if factor > 1.1 else 1.0)
+        return (common, spread), False
+    noise = scatter_noise(shapes)
     if noise is None:
         return (common, None), False
-    return (common, spread * noise), True
+    spread *= noise
+    return (common, spread), True
 
 
 def _mean_gain(shapes: Shapes, takes: Sequence[Take]) -> ComplexArray:
@@ -205,29 +186,6 @@ def _mean_gain(shapes: Shapes, takes: Sequence[Take]) -> ComplexArray:
     turn = np.sum(own, axis=1)
     apart = np.abs(turn) < _TOGETHER * np.sum(size, axis=1)
     return np.asarray(amplitude * np.exp(1j * np.angle(np.where(apart, own[:, 0], turn))))
-
-
-def _noise_of(shapes: Shapes) -> Array | None:
-    """Return the noise of every channel (channel, freq) in units of its scale, from what takes leave."""
-    lines, takes, channels = shapes.data.shape
-    present = np.any(shapes.data != 0.0, axis=1)
-    energy = np.sum(np.abs(shapes.residual) ** 2, axis=1)
-    taken = np.where(shapes.clear[:, None], np.abs(shapes.shape) ** 2, 0.0)
-    left = np.where(present, 2.0 * (takes - 1) * np.maximum(1.0 - taken, 0.05), 0.0)
-    width = int(np.clip(np.ceil(_WANTED_FREEDOM / (2.0 * (takes - 1))), 1, lines))
-    start = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    sums = np.concatenate([np.zeros((1, channels)), np.cumsum(np.where(present, energy, 0.0), axis=0)])
-    counts = np.concatenate([np.zeros((1, channels)), np.cumsum(left, axis=0)])
-    energy, freedom = sums[start + width] - sums[start], counts[start + width] - counts[start]
-    if np.max(freedom, initial=0.0) < _LEAST_FREEDOM:
-        return None
-    good = freedom >= _LEAST_FREEDOM
-    safe = np.where(good, freedom, 10.0)
-    noise = np.where(good, energy / safe * safe / (safe - 2.0), np.nan)
-    number = np.sum(good, axis=0)
-    typical = np.sum(np.where(good, noise, 0.0), axis=0) / np.maximum(number, 1)
-    typical = np.where(number > 0, typical, np.sum(typical * number) / np.sum(number))
-    return np.asarray(np.sqrt(np.where(good, noise, typical))).T
 
 
 def _split(

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import Take
+from kinematics.takes.contrast_sums import ContrastSums, Outliers, contrasts, energy_of
 from kinematics.takes.take_shapes import Shapes
 
 Array = NDArray[np.float64]
 SHAPE = ("shape_trend", "shape_level", "shape_outlier")
 _COLLINEAR = 0.3
-_CORRELATED_LINES = 3
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,10 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
     lines = shapes.clear
     if not np.any(lines):
         return []
-    pick = slice(None) if np.all(lines) else lines
-    data, gain = shapes.data[pick], shapes.gain[pick]
-    count = data.shape[1]
+    gain = shapes.gain[lines]
+    count = gain.shape[1]
     freedom = float(np.sum(shapes.counts[lines] - 1))
     strength = float(np.sum(shapes.strength[lines]))
-    residual = shapes.residual[pick]
     ones = [np.ones(count)]
     steps = [] if level is None else [level]
     ways: list[tuple[str, Array, list[Array]]] = []
@@ -147,37 +145,39 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
         )
     if time is not None and not _collinear([*ones, *steps], time):
         ways.append(("shape_trend", time, steps))
+    sums = [ContrastSums() for _ in ways]
+    outliers = Outliers(count, steps)
+    whole = 0.0
+    for part in shapes.clear_blocks():
+        data, own = shapes.data(part), shapes.gain[part]
+        residual = shapes.residual(part, data)
+        whole += energy_of(residual)
+        for (_, way, others), held in zip(ways, sums, strict=True):
+            basis = contrasts(own, [*others, way])
+            spanned = np.einsum("ftk,ftc->fkc", basis.conj(), data, optimize=True)
+            left = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
+            held.add(spanned[:, -1], np.subtract(residual, left, out=left))
+        outliers.add(data, own, residual)
     energies = []
-    for name, way, others in ways:
-        basis = _contrasts(gain, [*others, way])
-        spanned = np.einsum("ftk,ftc->fkc", basis.conj(), data, optimize=True)
-        left = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
-        np.subtract(residual, left, out=left)
-        rest = freedom * (count - 1 - basis.shape[2])
-        p, noise = _compared(spanned[:, -1:], left, freedom, rest, stated)
+    for (name, way, others), held in zip(ways, sums, strict=True):
+        rest = freedom * (count - 2 - len(others))
+        p, noise = held.compared(freedom, rest, stated)
         if p is not None:
             length = np.linalg.norm(gain * _beside(gain, [*others, way]), axis=1)
             lever = float(np.sqrt(np.mean(length**2))) / float(np.ptp(way))
-            energies.append((RepeatTest(name, p, lever), _energy(spanned[:, -1]), noise))
-    energies += _shape_outlier(data, gain, residual, steps, freedom)
+            energies.append((RepeatTest(name, p, lever), held.energy, noise))
+    worst = outliers.worst(freedom)
+    if worst is not None:
+        p, take, lever, energy, noise = worst
+        energies.append((RepeatTest("shape_outlier", p, lever, take), energy, noise))
     noise = min((noise for _, _, noise in energies), default=0.0)
-    whole = _energy(residual) - freedom * (count - 1) * noise
+    whole -= freedom * (count - 1) * noise
     tests = []
     for test, energy, _ in energies:
         excess = max(energy - freedom * noise, 0.0)
         size = np.sqrt(excess / strength) / max(test.size, 1e-12)
         tests.append(replace(test, size=float(size), share=excess / max(whole, excess, 1e-300)))
     return tests
-
-
-def _energy(values: NDArray[np.complex128]) -> float:
-    return float(np.vdot(values, values).real)
-
-
-def _contrasts(gain: NDArray[np.complex128], columns: Sequence[Array]) -> NDArray[np.complex128]:
-    """Return orthonormal contrasts over the takes, (freq, take, k), orthogonal to the gains."""
-    design = np.stack([gain, *(gain * (column - column.mean()) for column in columns)], axis=2)
-    return np.asarray(np.linalg.qr(design)[0][:, :, 1:])
 
 
 def _beside(gain: NDArray[np.complex128], columns: Sequence[Array]) -> Array:
@@ -188,100 +188,6 @@ def _beside(gain: NDArray[np.complex128], columns: Sequence[Array]) -> Array:
     return np.asarray(columns[-1] - base @ fit)
 
 
-def _shape_outlier(
-    data: NDArray[np.complex128],
-    gain: NDArray[np.complex128],
-    residual: NDArray[np.complex128],
-    columns: Sequence[Array],
-    freedom: float,
-) -> list[tuple[RepeatTest, float, float]]:
-    """Test each take against the others; return the most certain one, its energy and the noise beside it."""
-    count = data.shape[1]
-    taken = 1 + len(columns)
-    if count - taken < 2:
-        return []
-    basis = _contrasts(gain, columns) if columns else np.zeros((*gain.shape, 0), dtype=complex)
-    own = residual
-    if columns:
-        own = residual - np.einsum("ftk,fkc->ftc", basis, np.einsum("ftk,ftc->fkc", basis.conj(), data))
-    span = np.concatenate([gain[:, :, None], basis], axis=2)
-    best: list[tuple[RepeatTest, float, float]] = []
-    for take in range(count):
-        way = np.eye(count)[take][None] - np.einsum("ftk,fk->ft", span, span[:, take].conj())
-        length = np.linalg.norm(way, axis=1, keepdims=True)
-        if np.min(length) < 1e-6:
-            continue
-        way = way / length
-        z = np.einsum("ft,ftc->fc", way.conj(), data, optimize=True)
-        left = way[:, :, None] * z[:, None, :]
-        np.subtract(own, left, out=left)
-        p, noise = _compared(z[:, None, :], left, freedom, freedom * (count - taken - 1), False)
-        if p is None:
-            continue
-        lever = float(np.mean(length[:, 0] * np.abs(gain[:, take])))
-        found = (RepeatTest("shape_outlier", min(1.0, count * p), lever, take), _energy(z), noise)
-        if not best or (p, -found[1]) < (best[0][0].p_value / count, -best[0][1]):
-            best = [found]
-    return best
-
-
-def _compared(
-    z: NDArray[np.complex128], left: NDArray[np.complex128], own: float, rest: float, stated: bool
-) -> tuple[float | None, float]:
-    """Return the p-value of a contrast's energy and the noise per complex value it was compared with.
-
-    Parameters
-    ----------
-    z : ndarray, (freq, 1, channel), complex
-    left : ndarray, (freq, take, channel), complex
-        What remains beside it.
-    own, rest : float
-        Complex degrees of freedom of both.
-    stated : bool
-        The noise is known: 2 per complex value.
-    """
-    from scipy import special
-
-    energy = float(np.sum(np.abs(z) ** 2))
-    if rest < 1.0:
-        if not stated:
-            return None, 0.0
-        return float(special.chdtrc(2.0 * own, energy)), 2.0
-    noise = float(np.sum(np.abs(left) ** 2)) / rest
-    if noise <= 0.0:
-        return (1.0 if energy <= 0.0 else 0.0), 0.0
-    unequal = _unequal(left, rest)
-    widen = _correlation(left) * unequal
-    ratio = energy / own / noise
-    return float(special.fdtrc(2.0 * own / widen, 2.0 * rest / widen, ratio)), noise
-
-
-def _unequal(left: NDArray[np.complex128], rest: float) -> float:
-    """Return by what factor unequal noise lowers the degrees of freedom.
-
-    Energies per channel and line are sums of exponentials over the takes; with e = sum |r|^2 over m takes
-    of equal noise s, E[e^2] = s^2 m (m + 1), so sum s^2 is estimated without knowing any s.
-    """
-    energy = np.sum(np.abs(left) ** 2, axis=1)
-    cells = max(int(np.count_nonzero(energy)), 1)
-    m = max(rest / cells, 0.25)
-    squares = float(np.sum(energy**2)) / (m * (m + 1.0)) * m**2
-    return max(1.0, squares * cells / max(float(np.sum(energy)) ** 2, 1e-300))
-
-
-def _correlation(left: NDArray[np.complex128]) -> float:
-    """Return by what factor correlation between neighbouring lines lowers the degrees of freedom."""
-    left = np.ascontiguousarray(left)
-    size = left.real**2 + left.imag**2
-    total, lines = float(np.sum(size)), len(left)
-    factor = 1.0
-    for lag in range(1, min(_CORRELATED_LINES, lines - 1) + 1):
-        product = abs(complex(np.vdot(left[:-lag], left[lag:]))) ** 2
-        chance = float(np.vdot(size[lag:], size[:-lag]))
-        factor += 2.0 * max(product - chance, 0.0) / total**2
-    return factor
-
-
 def scatter_test(shapes: Shapes, stated: bool) -> RepeatTest | None:
     """Compare all changes of shape with the stated noise."""
     from scipy import special
@@ -289,6 +195,6 @@ def scatter_test(shapes: Shapes, stated: bool) -> RepeatTest | None:
     lines = shapes.clear
     if not stated or not np.any(lines):
         return None
-    freedom = 2.0 * (shapes.data.shape[1] - 1) * float(np.sum(shapes.counts[lines] - 1))
-    energy = float(np.sum(np.abs(shapes.residual[lines]) ** 2))
+    freedom = 2.0 * (shapes.gain.shape[1] - 1) * float(np.sum(shapes.counts[lines] - 1))
+    energy = sum(energy_of(shapes.residual(part, shapes.data(part))) for part in shapes.clear_blocks())
     return RepeatTest("shape_scatter", float(special.chdtrc(freedom, energy)), np.sqrt(energy / freedom))

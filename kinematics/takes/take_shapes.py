@@ -2,15 +2,79 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from kinematics.fit.line_noise import Lines, blocks
+from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _CLEAR = 5.0
 _LEAST_CHANNELS = 3
+_VALUES = 200_000
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Several takes of all channels of all bodies, read piece by piece.
+
+    Attributes
+    ----------
+    bodies : tuple of BodyChannels
+    places : tuple of int
+        Where the takes stand among the runs of the bodies.
+    rate : ndarray, (freq,)
+        (2 pi f) to the order of the measured quantity: noise that is not stated is level in it.
+    noise : ndarray, (channel, freq), or None
+        Factor on the noise of every channel.
+    """
+
+    bodies: tuple[BodyChannels, ...]
+    places: tuple[int, ...]
+    rate: Array
+    noise: Array | None = None
+
+    @cached_property
+    def stated(self) -> bool:
+        """Whether every body states standard deviations, at least relative ones."""
+        return all(body.sd is not None for body in self.bodies)
+
+    @cached_property
+    def known(self) -> bool:
+        """Whether every body states standard deviations of absolute size."""
+        return self.stated and not any(body.relative for body in self.bodies)
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of all bodies."""
+        return sum(len(body.points) for body in self.bodies)
+
+    def blocks(self) -> Iterator[slice]:
+        """Yield runs of lines that hold a moderate number of values."""
+        return blocks(self.channels * len(self.places), len(self.rate), _VALUES)
+
+    def value(self, lines: Lines) -> ComplexArray:
+        """Return the readings (take, channel, n) at some lines; NaN where missing."""
+        return np.concatenate(
+            [body.displacement[:, :, lines][list(self.places)] for body in self.bodies], axis=1
+        )
+
+    def sd(self, lines: Lines) -> Array:
+        """Return standard deviations (take, channel, n) at some lines, or what they are proportional to."""
+        parts = []
+        for body in self.bodies:
+            if body.sd is None or not self.stated:
+                shape = (len(self.places), len(body.points), len(self.rate[lines]))
+                parts.append(np.broadcast_to(1.0 / self.rate[lines], shape))
+            else:
+                parts.append(body.sd[:, :, lines][list(self.places)])
+        made = np.concatenate(parts, axis=1)
+        return made if self.noise is None else made * self.noise[:, lines]
 
 
 @dataclass(frozen=True)
@@ -19,12 +83,10 @@ class Shapes:
 
     Attributes
     ----------
-    data : ndarray, (freq, take, channel), complex
-        Measured values over their noise scale; zero where a channel is missing in any of the takes.
+    stack : Stack
+        The takes; ``data`` gives them over their noise.
     gain : ndarray, (freq, take), complex
         Unit vectors: the gain of every take.
-    shape : ndarray, (freq, channel), complex
-        Conjugate of the common response along the channels, unit vectors.
     strength : ndarray, (freq,)
         Squared size of the common part.
     counts : ndarray, (freq,)
@@ -39,9 +101,8 @@ class Shapes:
         Noise scale of each channel.
     """
 
-    data: ComplexArray
+    stack: Stack
     gain: ComplexArray
-    shape: ComplexArray
     strength: Array
     counts: NDArray[np.intp]
     clear: NDArray[np.bool_]
@@ -50,23 +111,34 @@ class Shapes:
     take_scale: Array
     noise_scale: Array
 
-    @property
-    def residual(self) -> ComplexArray:
-        """What is left of ``data`` beside the common shape, (freq, take, channel)."""
-        common = np.einsum("ft,ftc->fc", self.gain.conj(), self.data, optimize=True)
-        made = self.gain[:, :, None] * common[:, None, :]
-        return np.subtract(self.data, made, out=made)
+    def data(self, lines: Lines) -> ComplexArray:
+        """Return measured values over their noise (n, take, channel), zero where any take lacks them."""
+        value, sd = self.stack.value(lines), self.stack.sd(lines)
+        whole = np.all(_usable(value, sd), axis=0)
+        return _white(value, whole, self.take_scale[lines], self.noise_scale[:, lines])
+
+    def common(self, lines: Lines, data: ComplexArray) -> ComplexArray:
+        """Return the common response (n, channel) of ``data`` (n, take, channel) at some lines."""
+        return np.asarray(np.einsum("ft,ftc->fc", self.gain[lines].conj(), data, optimize=True))
+
+    def residual(self, lines: Lines, data: ComplexArray) -> ComplexArray:
+        """Return what is left of ``data`` beside the common shape, (n, take, channel)."""
+        made = self.gain[lines][:, :, None] * self.common(lines, data)[:, None, :]
+        return np.subtract(data, made, out=made)
+
+    def clear_blocks(self) -> Iterator[NDArray[np.intp]]:
+        """Yield the clear lines in runs that hold a moderate number of values."""
+        lines = np.flatnonzero(self.clear)
+        for part in blocks(self.stack.channels * len(self.stack.places), len(lines), _VALUES):
+            yield lines[part]
 
 
-def shapes_of(value: ComplexArray, sd: Array | None) -> Shapes:
+def shapes_of(stack: Stack) -> Shapes:
     """Part takes into one shape and their gains.
 
     Parameters
     ----------
-    value : ndarray, (take, channel, freq), complex
-        NaN where missing.
-    sd : ndarray, (take, channel, freq), or None
-        Standard deviation of the real part, or what it is proportional to; None for equal noise.
+    stack : Stack
 
     Notes
     -----
@@ -75,36 +147,45 @@ def shapes_of(value: ComplexArray, sd: Array | None) -> Shapes:
     channel (Eckart and Young 1936, doi:10.1007/BF02288367). Where a line does not show its gains clearly,
     the gains over all lines stand in.
     """
-    used = np.isfinite(value.real)
-    if sd is not None:
-        used &= np.isfinite(sd) & (np.where(np.isfinite(sd), sd, 0.0) > 0.0)
-    common = np.all(used, axis=0)
-    take_scale, noise_scale = _noise_scales(sd, used)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        data = value / noise_scale[None]
-        data /= take_scale.T[:, None, :]
-    np.copyto(data, 0.0, where=~common[None])
-    data = data.transpose(2, 0, 1)
-    counts = np.sum(common, axis=0)
-    values, vectors = np.linalg.eigh(data @ data.conj().transpose(0, 2, 1))
-    strength, gain = np.maximum(values[:, -1], 0.0), vectors[:, :, -1]
-    gain = gain * np.exp(-1j * np.angle(np.sum(gain, axis=1)))[:, None]
-    clear = _clear(values, counts, data.shape[1])
-    log_gain, phase = _overall(gain * take_scale, strength, clear)
+    takes, lines = len(stack.places), len(stack.rate)
+    gain: ComplexArray = np.empty((lines, takes), dtype=complex)
+    strength, counts = np.empty(lines), np.empty(lines, dtype=np.intp)
+    clear = np.empty(lines, dtype=bool)
+    take_scale, noise_scale = np.empty((lines, takes)), np.empty((stack.channels, lines))
+    for part in stack.blocks():
+        value, sd = stack.value(part), stack.sd(part)
+        used = _usable(value, sd)
+        take_scale[part], noise_scale[:, part] = _noise_scales(sd, used)
+        whole = np.all(used, axis=0)
+        data = _white(value, whole, take_scale[part], noise_scale[:, part])
+        counts[part] = np.sum(whole, axis=0)
+        values, vectors = np.linalg.eigh(data @ data.conj().transpose(0, 2, 1))
+        strength[part], own = np.maximum(values[:, -1], 0.0), vectors[:, :, -1]
+        gain[part] = own * np.exp(-1j * np.angle(np.sum(own, axis=1)))[:, None]
+        clear[part] = _clear(values, counts[part], takes)
+    log_gain, phase = _overall(np.asarray(gain * take_scale, dtype=complex), strength, clear)
     stand_in = np.exp(log_gain + 1j * phase) / take_scale
     stand_in = stand_in / np.linalg.norm(stand_in, axis=1, keepdims=True)
     gain = np.where(clear[:, None], gain, stand_in)
-    shape = np.einsum("ft,ftc->fc", gain.conj(), data, optimize=True).conj()
-    size = np.linalg.norm(shape, axis=1, keepdims=True)
-    shape = np.where(size > 0.0, shape / np.where(size > 0.0, size, 1.0), 0.0)
-    return Shapes(data, gain, shape, strength, counts, clear, log_gain, phase, take_scale, noise_scale)
+    return Shapes(stack, gain, strength, counts, clear, log_gain, phase, take_scale, noise_scale)
 
 
-def _noise_scales(sd: Array | None, used: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Part the noise into one factor for each take (freq, take) and one for each channel (channel, freq)."""
-    takes, channels, lines = used.shape
-    if sd is None:
-        return np.ones((lines, takes)), np.ones((channels, lines))
+def _usable(value: ComplexArray, sd: Array) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.isfinite(value.real) & np.isfinite(sd) & (sd > 0.0))
+
+
+def _white(value: ComplexArray, whole: NDArray[np.bool_], take: Array, channel: Array) -> ComplexArray:
+    """Return values (n, take, channel) over noise take (n, take) x channel (channel, n)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        data = value / channel[None]
+        data /= take.T[:, None, :]
+    np.copyto(data, 0.0, where=~whole[None])
+    return data.transpose(2, 0, 1)
+
+
+def _noise_scales(sd: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Part the noise into one factor for each take (n, take) and one for each channel (channel, n)."""
     logs = np.where(used, np.log(np.where(used, sd, 1.0)), np.nan)
     whole = np.all(used, axis=0)
     count = np.maximum(np.sum(whole, axis=0), 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,6 +139,54 @@ def test_pooled_values_are_as_uncertain_as_they_say():
             error = np.abs((value - own * true) / spread) ** 2
             squares.append(np.sum(error, axis=0) / (2.0 * (len(true) - 1)))
         assert np.mean(squares) == pytest.approx(1.0, abs=0.03)
+
+
+def test_repeats_that_differ_at_all_lines_alike_are_as_uncertain_as_they_say():
+    scores = []
+    for seed in range(40):
+        measurement, truth = measured(seed, repeats(5), lines=100, sd=False)
+        rng = np.random.default_rng([seed, 5])
+        changed = []
+        for body in measurement.bodies:
+            shape = body.displacement.shape[:2]
+            factor = 1.0 + 0.05 * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+            changed.append(replace(body, displacement=body.displacement * factor[:, :, None]))
+        made = pooled(replace(measurement, bodies=tuple(changed))).measurement
+        value = 1e9 * np.concatenate([body.displacement[0] for body in made.bodies])
+        sd = 1e9 * np.concatenate([body.sd[0] for body in made.bodies])
+        true = np.concatenate(truth)
+        own = np.sum(true.conj() * value / sd**2, axis=0) / np.sum(np.abs(true) ** 2 / sd**2, axis=0)
+        scores.append(np.mean(np.abs(value - own * true) ** 2 / (2.0 * sd**2)))
+    assert 0.8 < np.mean(scores) < 1.15
+
+
+def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypatch):
+    from kinematics.takes import take_shapes
+
+    measurement = measured(3, repeats(4), lines=2000)[0]
+    spoiled = measurement.bodies[0].displacement
+    spoiled[1, 2, 5:40] = np.nan
+    made = []
+    for values in (100, 10**9):
+        monkeypatch.setattr(take_shapes, "_VALUES", values)
+        made.append(pooled(measurement))
+    for one, two in zip(made[0].measurement.bodies, made[1].measurement.bodies, strict=True):
+        np.testing.assert_allclose(one.displacement, two.displacement, rtol=1e-9)
+        np.testing.assert_allclose(one.sd, two.sd, rtol=1e-9)
+    for one, two in zip(made[0].repeats[0].tests, made[1].repeats[0].tests, strict=True):
+        assert (one.name, one.take) == (two.name, two.take)
+        assert one.size == pytest.approx(two.size, rel=1e-6)
+    np.testing.assert_allclose(made[0].repeats[0].shift, made[1].repeats[0].shift, rtol=1e-6)
+    monkeypatch.undo()
+    tracemalloc.start()
+    measurement = measured(3, repeats(4), lines=20000)[0]
+    held = sum(body.displacement.nbytes for body in measurement.bodies)
+    tracemalloc.reset_peak()
+    before = tracemalloc.get_traced_memory()[0]
+    pooled(measurement)
+    peak = tracemalloc.get_traced_memory()[1] - before
+    tracemalloc.stop()
+    assert peak < 1.5 * held
 
 
 def test_sd_of_the_pooled_falls_with_the_number_of_repeats():
