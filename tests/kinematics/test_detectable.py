@@ -7,8 +7,10 @@ import pytest
 from scipy.stats import chi2, ncx2
 
 from kinematics.faults.detectable import POWER, detectable
+from kinematics.faults.detectable_joint import invisible, joint
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.frames import rotation_from_vector
 from kinematics.pages.draw_motion import full_motion
 from kinematics.pages.report_faults import verdict_section
 from kinematics.points2dof import points2dof
@@ -119,3 +121,99 @@ def test_the_report_says_what_would_have_been_found():
     text = "".join(verdict_section(result).blocks)
     assert "What would have been found" in text
     assert "position of a point" in text
+
+
+DOF = ("x", "y", "z", "alpha", "beta", "gamma")
+
+
+def fitted(made):
+    beams = beam_set("stapes", made.positions_mm, made.directions, DOF)
+    return fit_lines(beams, made.value, made.sd)
+
+
+def test_the_smallest_turn_of_all_axes_is_that_of_the_whole_regression(made):
+    found = joint(fitted(made), body("stapes", made), made.q, ALARM)
+    columns = np.zeros((*made.value.shape, 3), dtype=complex)
+    for channel, beam in enumerate(made.directions):
+        local = made.q[:, :3] + np.cross(made.q[:, 3:], made.positions_mm[channel] * 1e-3)
+        for axis in range(3):
+            columns[channel, :, axis] = local @ np.cross(np.eye(3)[axis], beam)
+    worst = np.linalg.eigvalsh(spread_of(made, columns))[-1]
+    assert found.axes_rad == pytest.approx(np.sqrt(needed(3) * worst), rel=1e-3)
+
+
+def exchanged(made, one, two):
+    value = made.value.copy()
+    i, j = [[c for c, name in enumerate(made.points) if name == point] for point in (one, two)]
+    value[i], value[j] = made.value[j], made.value[i]
+    return value
+
+
+def test_the_chance_to_find_exchanged_names_is_that_of_their_residual():
+    one = scene(11, lines=2, snr=6.0)
+    one.value = readings(one.positions_mm, one.directions, one.q)
+    beams = beam_set("stapes", one.positions_mm, one.directions, DOF)
+    pairs = joint(fit_lines(beams, one.value, one.sd), body("stapes", one), one.q, ALARM).pairs
+    for first, second, distance, chance in pairs:
+        left = fit_lines(beams, exchanged(one, first, second), one.sd).chi2.sum()
+        assert chance == pytest.approx(ncx2.sf(chi2.isf(ALARM, 3), 3, left), rel=1e-3)
+        i, j = one.points.index(first), one.points.index(second)
+        assert distance == pytest.approx(np.linalg.norm(one.positions_mm[i] - one.positions_mm[j]))
+    assert 1e-3 < pairs[-1][3] < 0.99
+
+
+def test_stated_position_errors_hide_turned_axes_and_exchanges(made):
+    sure, vague = (joint(fitted(made), body("stapes", made, sd), made.q, ALARM) for sd in (np.nan, 0.1))
+    assert vague.axes_rad > 1.2 * sure.axes_rad
+    assert all(few[3] <= many[3] for few, many in zip(vague.pairs[:1], sure.pairs[:1], strict=True))
+
+
+def test_turned_axes_of_that_size_are_found_as_often_as_said():
+    found, runs = 0, 20
+    for seed in range(runs):
+        one = scene(300 + seed, lines=30)
+        data = measurement(body("stapes", one), freq_hz=one.freq_hz)
+        clean = points2dof(data)
+        motion = full_motion(clean.motion)[0, 0]
+        size = joint(clean.fits[0, 0], clean.measurement.bodies[0], motion, 0.01 / 0.3).axes_rad
+        axis = np.random.default_rng(seed).normal(size=3)
+        turn = rotation_from_vector(size * axis / np.linalg.norm(axis))
+        noise = one.value - readings(one.positions_mm, one.directions, one.q)
+        one.value = readings(one.positions_mm, one.directions @ turn.T, one.q) + noise
+        spoiled = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
+        found += any(v.verdict != "ok" for v in spoiled.channels)
+    assert found >= 17
+
+
+def test_errors_that_never_show_change_the_motion_as_said():
+    one = scene(12, lines=30)
+    never = invisible(one.q, DOF, one.directions)
+    size = np.sqrt(np.mean(np.abs(one.q) ** 2, axis=0))
+    rng = np.random.default_rng(1)
+    most_turn, most_shift = np.zeros(6), np.zeros(6)
+    for axis in rng.normal(size=(400, 3)):
+        axis = axis / np.linalg.norm(axis)
+        turn = rotation_from_vector(np.radians(1.0) * axis)
+        value = readings(one.positions_mm, one.directions, one.q)
+        for place, beams, most in (
+            (one.positions_mm @ turn.T, one.directions @ turn.T, most_turn),
+            (one.positions_mm + 0.05 * axis, one.directions, most_shift),
+        ):
+            fit = fit_lines(beam_set("stapes", place, beams, DOF), value, one.sd)
+            assert np.max(fit.chi2) < 1e-9
+            change = np.sqrt(np.mean(np.abs(fit.q - one.q) ** 2, axis=0)) / size
+            np.maximum(most, change, out=most)
+    assert never.turn == pytest.approx(most_turn, rel=0.05)
+    assert never.shift[:3] == pytest.approx(most_shift[:3], rel=0.05)
+    assert np.all(never.shift[3:] == 0.0)
+    assert np.all(np.isnan(never.tilt))
+    straight = invisible(one.q, ("y", "alpha", "gamma"), np.tile([0.0, 1.0, 0.0], (9, 1)))
+    assert straight.tilt[0] == pytest.approx(np.tan(np.radians(1.0)) * max(size[:3]) / size[1])
+
+
+def test_the_report_says_what_never_shows():
+    one = scene(3, lines=60)
+    result = points2dof(measurement(body("stapes", one), freq_hz=one.freq_hz))
+    text = "".join(verdict_section(result).blocks)
+    for words in ("What never shows", "turned together by 1", "axes of all beams together", "exchanged"):
+        assert words in text
