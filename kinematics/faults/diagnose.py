@@ -19,6 +19,7 @@ from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding, can_lose
 from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
+from kinematics.faults.refilling import filled_freely, refilled
 from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.structure import Structure
 from kinematics.faults.unknown_noise import evened
@@ -99,6 +100,13 @@ def diagnose(
         found = search.best()
         if found is None:
             break
+        if found.fit is not None and filled_freely(current):
+            filled = refilled(current, found)
+            again = Search(filled, prior, noise_known, alarm, doubt)
+            better = again.best()
+            if better is not None and set(better.channels) == set(found.channels):
+                found, current, searches[-1] = better, filled, again
+                data = data if findings else filled
         if found.kind == "flexible":
             found = _explained(current, prior, noise_known, alarm, doubt, found)
         if found.kind == "flexible" or len(findings) >= most:
