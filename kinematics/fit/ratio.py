@@ -15,6 +15,8 @@ from kinematics.notices import Notice
 ComplexArray = NDArray[np.complex128]
 _CLEAR = 10.0
 _LINES = 2048
+_MOST_SECOND = 1.0
+_NAMED = 5
 
 
 def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) -> tuple[int, int]:
@@ -62,8 +64,10 @@ def per_reference(motion: RigidMotion, reference: str) -> RigidMotion:
     Notes
     -----
     H = q / q_ref is holomorphic: dH = (dq - H dq_ref) / q_ref, so the complex covariance goes over as
-    J C J^H; noise common to all motions of a line cancels. First order in noise / signal of the reference;
-    lines below 10 are counted in a notice.
+    J C J^H; noise common to all motions of a line cancels. That is first order in the noise of the reference.
+    To second order, an error n of the reference r makes n / r (1 - n / r) of the ratio, whose mean square is
+    larger by 1 + 2 var(n) / |r|^2 over the stated one, which counts for the part that the reference adds.
+    Lines where the reference is less than 10 times its noise (its zero crossings) are named in a notice.
     """
     body, place = parse_reference(reference, motion.bodies, motion.dof)
     if motion.common_sd is not None:
@@ -113,6 +117,9 @@ def _joint(own: ComplexArray, ratio: ComplexArray, ref: ComplexArray, body: int,
     joint -= cross.conj().transpose(0, 2, 1)
     joint += h[:, :, None] * variance * h.conj()[:, None, :]
     with np.errstate(divide="ignore", invalid="ignore"):
+        second = np.minimum(2.0 * variance / (np.abs(ref) ** 2)[:, None, None], _MOST_SECOND)
+        h[:, at] = 0.0
+        joint += second * variance * h[:, :, None] * h.conj()[:, None, :]
         joint /= (np.abs(ref) ** 2)[:, None, None]
     joint[missing[:, :, None] | missing[:, None, :]] = np.nan
     return joint
@@ -132,11 +139,31 @@ def _shared(
 def _noisy(motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str) -> list[Notice]:
     sd = standard_deviation(motion)[:, body, :, place]
     with np.errstate(invalid="ignore"):
-        weak = int(np.sum(np.abs(ref) < _CLEAR * sd))
-    if weak == 0:
+        weak = np.abs(ref) < _CLEAR * sd
+    count = int(np.sum(weak))
+    if count == 0:
         return []
+    several = len(motion.runs) > 1
+    where = [
+        f"{_ranges(motion.freq_hz, weak[run])}{f' in run {name}' if several else ''}"
+        for run, name in enumerate(motion.runs)
+        if np.any(weak[run])
+    ]
     text = (
-        f"the reference {reference} is less than {_CLEAR:.0f} times its noise at {weak} of {ref.size} "
-        "lines; the stated covariance of the ratio is too small there."
+        f"the reference {reference} is less than {_CLEAR:.0f} times its noise at {count} of {ref.size} "
+        f"lines, {'; '.join(where)}; the stated covariance of the ratio is widened there, and good down to "
+        "three times. Leave these lines out of a fit, or take a reference that is not near zero there."
     )
     return [Notice("reference_noisy", text)]
+
+
+def _ranges(freq_hz: NDArray[np.float64], weak: NDArray[np.bool_]) -> str:
+    """Name the stretches of lines, the widest first when there are many."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], weak.astype(np.int8), [0]])))
+    pairs = sorted(zip(edges[::2], edges[1::2] - 1, strict=True), key=lambda pair: pair[0] - pair[1])
+    named = [
+        f"{freq_hz[start]:.5g} Hz" if start == stop else f"{freq_hz[start]:.5g} to {freq_hz[stop]:.5g} Hz"
+        for start, stop in sorted(pairs[:_NAMED])
+    ]
+    more = f" and {len(pairs) - _NAMED} stretches more" if len(pairs) > _NAMED else ""
+    return ", ".join(named) + more

@@ -9,11 +9,13 @@ import pytest
 
 from kinematics.errors import KinematicsError
 from kinematics.fit.beams import beam_set
+from kinematics.fit.ratio import per_reference
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.frames import RigidTransform, rotation_from_vector
 from kinematics.geometry.fiducials import Fiducials
 from kinematics.geometry.placement import Placement, place
 from kinematics.measurement import Measurement
+from kinematics.motion import RigidMotion
 from kinematics.motion_files import line_covariance
 from kinematics.points2dof import Options, points2dof
 from kinematics.spatial import DOF_NAMES
@@ -152,6 +154,38 @@ def test_impossible_references_are_refused(text):
     data = Measurement("footplate", ("1",), made.freq_hz, (body("base", made),), 0)
     with pytest.raises(KinematicsError, match="--reference must be BODY:DOF"):
         points2dof(data, options=Options(("y", "alpha", "gamma"), text))
+
+
+@pytest.mark.parametrize(
+    ("snr", "low", "high"), [(100.0, 0.94, 0.96), (10.0, 0.94, 0.965), (4.0, 0.93, 0.99)]
+)
+@pytest.mark.parametrize("size", [0.2, 1.0, 5.0])
+def test_intervals_of_ratios_hold_with_a_noisy_reference(snr, low, high, size):
+    rng = np.random.default_rng(8)
+    lines = 6000
+    noise = rng.normal(size=(2, lines, 2)) @ [1.0, 1j] / snr
+    q = (np.array([1.0, size])[:, None] + noise)[None, :, :, None]
+    covariance = np.full((1, 2, lines, 1, 1), 2.0 / snr**2, dtype=complex)
+    blank = np.ones((1, 2, lines))
+    freq = 100.0 + np.arange(lines)
+    motion = RigidMotion(("1",), ("base", "stapes"), ("y",), freq, q, covariance, blank, blank)
+    made = per_reference(motion, "base:y")
+    error = made.q[0, 1, :, 0] - size
+    sd = np.sqrt(made.covariance[0, :, 1, 1].real / 2.0)
+    inside = np.mean([np.abs(error.real) < 1.96 * sd, np.abs(error.imag) < 1.96 * sd])
+    assert low < inside < high
+    assert np.max(np.abs(made.covariance[0, :, 0, :])) < 1e-12
+
+
+def test_lines_where_the_reference_passes_through_zero_are_named():
+    freq = np.arange(100.0, 200.0)
+    base = (freq - 150.0) * (freq - 120.3)
+    q = np.stack([base, np.ones(100)])[None, :, :, None].astype(complex)
+    blank = np.ones((1, 2, 100))
+    covariance = np.full((1, 2, 100, 1, 1), 2.0 * 4.0**2, dtype=complex)
+    motion = RigidMotion(("1",), ("base", "stapes"), ("y",), freq, q, covariance, blank, blank)
+    (notice,) = per_reference(motion, "base:y").notices
+    assert "at 5 of 100 lines, 120 to 121 Hz, 149 to 151 Hz;" in notice.text
 
 
 def test_a_noisy_reference_is_told():
