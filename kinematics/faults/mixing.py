@@ -165,17 +165,15 @@ def by_chance(
     """
     from scipy.special import chdtrc
 
-    own_of = _points(points, live)
-    shown = [
-        2.0 * samples * correlation[np.ix_(own, own)] ** 2 * np.outer(kept[own], kept[own]) for own in own_of
-    ]
-    each = [
-        (float(np.sum(np.triu(held, 1))), len(own) * (len(own) - 1) // 2)
-        for held, own in zip(shown, own_of, strict=True)
-    ]
-    each.sort(key=lambda entry: entry[0] / entry[1])
-    least = each[: (len(each) + 1) // 2]
-    return bool(chdtrc(sum(size for _, size in least), sum(value for value, _ in least)) > _LIKELY)
+    shown, sizes = [], []
+    for own in _of_one_size([channels.tolist() for channels in _points(points, live)]):
+        one, two = np.triu_indices(own.shape[1], 1)
+        one, two = own[:, one], own[:, two]
+        shown.append(2.0 * samples * np.sum(correlation[one, two] ** 2 * kept[one] * kept[two], axis=1))
+        sizes.append(np.full(len(own), own.shape[1] * (own.shape[1] - 1) // 2))
+    value, size = np.concatenate(shown), np.concatenate(sizes)
+    least = np.argsort(value / size, kind="stable")[: (len(value) + 1) // 2]
+    return bool(chdtrc(np.sum(size[least]), np.sum(value[least])) > _LIKELY)
 
 
 def _of_one_size(sets: list[list[int]]) -> list[NDArray[np.intp]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,9 +125,10 @@ class ScoreTests:
         score, information = self.parts(batch)
         size = score.shape[1]
         scale = 1.0 / np.sqrt(np.maximum(np.einsum("bkk->bk", information), 1e-300))
-        values, vectors = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
+        even = information * scale[:, :, None] * scale[:, None, :]
+        values, vectors = (even[..., 0], np.ones_like(even)) if size == 1 else np.linalg.eigh(even)
         good = (values > 1e-6) & (np.max(1.0 / scale, axis=1, keepdims=True) > 1e-140)
-        along = np.einsum("bkj,bk->bj", vectors, score * scale)
+        along = ((score * scale)[:, None] @ vectors)[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             statistic = 2.0 * np.sum(np.where(good, along**2 / values, 0.0), axis=1)
         return Tested(batch, statistic, np.minimum(np.sum(good, axis=1), size), 2.0 * information)
@@ -165,12 +167,12 @@ class ScoreTests:
 
     def _seen(self, d: ComplexArray | Array, span: Array, name: str) -> Array:
         """Return what the motion can take of changes (B, k, m m), in the coordinates of ``flat``."""
-        own = np.linalg.solve(self.half, (d.real @ self.t[name]).swapaxes(2, 3))
-        return np.asarray((own @ span[:, None]).reshape(*d.shape[:2], -1))
+        back = np.linalg.solve(self.half, self.t[name]).T
+        return np.asarray(_outer(_times(d.real, np.asarray(back)), span).real)
 
     def _common(self, d: ComplexArray | Array, channels: NDArray[np.int64], name: str) -> Array:
         """Return the products (B, k, 3) of changes with the shifts of the one point that has the channels."""
-        moved = (d.real @ self.t[name]).reshape(*d.shape[:2], -1)
+        moved = _times(d.real, self.t[name]).reshape(*d.shape[:2], -1)
         mixed = self.mixed[channels].swapaxes(1, 2).reshape(len(channels), 3, -1)
         return np.asarray(moved @ mixed.swapaxes(1, 2))
 
@@ -217,13 +219,24 @@ def _inverse(blocks: Array, low: Array) -> Array:
     )
 
 
+def _times(d: NDArray[Any], t: Array) -> NDArray[Any]:
+    """Return changes (B, k, n, m) of rows times a matrix."""
+    return np.asarray((d.reshape(-1, d.shape[-1]) @ t).reshape(d.shape))
+
+
+def _outer(d: NDArray[Any], span: Array) -> NDArray[Any]:
+    """Return the sums over channels of changes (B, k, n, m) times their span (B, n, r), (B, k, m r)."""
+    turned, beside = d.swapaxes(2, 3), span[:, None]
+    made = turned * beside if d.shape[2] == 1 else turned @ beside
+    return np.asarray(made.reshape(*d.shape[:2], -1))
+
+
 def _information(d: ComplexArray | Array, span: Array, t: Array, norm: Array | None) -> Array:
     sets, count = d.shape[:2]
-    left = d @ t
+    left = _times(d, t)
     mixed = d if norm is None else norm[:, None] @ d
     whole = left.reshape(sets, count, -1) @ mixed.conj().reshape(sets, count, -1).swapaxes(1, 2)
-    seen = (left.swapaxes(2, 3) @ span[:, None]).reshape(sets, count, -1)
-    other = (d.conj().swapaxes(2, 3) @ span[:, None]).reshape(sets, count, -1)
+    seen, other = _outer(left, span), _outer(d.conj(), span)
     return np.asarray(np.real(whole - seen @ other.swapaxes(1, 2)))
 
 

@@ -19,7 +19,7 @@ typedef struct {
 
 INLINE void fetch(const double *row)
 {
-    for (int k = 0; k < PARTS; k++) __builtin_prefetch(row + k * WIDE + WIDE - 1);
+    for (int k = 0; k < PARTS; k++) __builtin_prefetch(row + k * WIDE + WIDE - 1, 0, 2);
 }
 
 INLINE void projected(vec z[SIZE][PARTS], const double *y, int64_t stride, const int64_t *rows, int64_t count,
