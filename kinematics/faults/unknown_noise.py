@@ -20,6 +20,7 @@ _ROUNDS = 6
 _QUIETEST = 0.05
 _RIDGE = 1e-3
 _SURE = 2.0
+_SETTLED = 0.01
 
 
 def evened(data: Compact) -> tuple[Compact, Array]:
@@ -38,7 +39,8 @@ def evened(data: Compact) -> tuple[Compact, Array]:
     Channels of one laser are mostly alike, and lasers too: the logarithms of their variances are taken for
     draws around a common one, and shrunk towards it by what their scatter beyond that of estimates allows
     (empirical Bayes: Smyth 2004, doi:10.2202/1544-6115.1027; scatter by DerSimonian and Laird 1986,
-    doi:10.1016/0197-2456(86)90046-2). Estimates are those of restricted likelihood, see ``_variances``.
+    doi:10.1016/0197-2456(86)90046-2, here for correlated errors). Scatter that is not sure moves nothing, and
+    remains as doubt. Estimates are those of restricted likelihood, see ``_variances``.
     """
     nothing = np.zeros(len(data.points))
     state = solve(data)
@@ -49,103 +51,113 @@ def evened(data: Compact) -> tuple[Compact, Array]:
     if levelled is not data:
         data, state = levelled, solve(levelled)
         found = ChannelNoise.of(state, state.rest())
-    value, doubt = _variances(found, state)
-    live = data.live
-    groups = axes_of(data.directions, live)
+    value, precision = _variances(found, state)
+    live = np.array(data.live)
+    groups = axes_of(data.directions, data.live)
     if len(groups) < 2 or min(map(len, groups)) < 3:
-        groups = [live]
-    size, own = _shrunk(np.log(value), doubt, groups)
+        groups = [data.live]
+    one_of = np.stack([np.isin(live, own) for own in groups], axis=1).astype(float)
+    size, doubt = _shrunk(_logarithm(value), precision, one_of)
+    own = nothing
+    own[live] = doubt
+    size = np.where(size > 0.0, np.exp(size), np.maximum(1.0 + np.minimum(size, 0.0), _QUIETEST))
     a = data.a.copy()
-    a[live] /= np.exp(0.5 * size[live])
-    same = float(np.max(np.abs(size[live] - size[live[0]]), initial=0.0)) < 1e-9
+    a[live] /= np.sqrt(size * found.level)
+    same = float(np.ptp(size)) < 1e-9
     data = replace(data, a=a)
     return (data if same else data.repacked()), own
 
 
 def _variances(found: ChannelNoise, state: State) -> tuple[Array, Array]:
-    """Return the noise variance of each channel (channel,), and the variance of its logarithm.
+    """Return the noise variance of each channel in use over the common one (n,), and its precision (n, n).
 
     Notes
     -----
     Iterated MINQUE (Rao 1971, doi:10.1016/0047-259X(71)90001-7), whose fixed point is the maximum of the
     restricted likelihood: with P the projector off the rows for the present variances s, (P o P) s equals
-    the diagonal of P S P, S the residual covariance. One noisy channel then stays one, whatever its
-    leverage. Many channels hold little leverage each, and are taken one by one.
+    the diagonal of P S P, S the residual covariance of N complex values, and N (P o P) is the information
+    on s. One noisy channel then stays one, whatever its leverage. Many channels hold little leverage each,
+    and are taken one by one.
     """
-    count, live, n = len(state.span), np.array(state.data.live), found.number
-    value, doubt = np.full(count, found.level), np.full(count, np.inf)
+    live, n = np.array(state.data.live), found.number
     h = state.h[live]
     if len(live) > _MOST_JOINTLY:
         left = np.maximum(1.0 - h, _QUIETEST)
-        value[live] = np.maximum((found.ratios[live] / found.level - h) / left, _QUIETEST) * found.level
-        doubt[live] = 1.0 / (n * left**2)
-        return value, doubt
+        return np.maximum((found.ratios[live] / found.level - h) / left, _QUIETEST), n * np.diag(left**2)
     span = state.span[live]
     covariance = np.real(found.held[live] @ found.held[live].conj().T) / n / found.level
-    size = np.ones(len(live))
+    size: Array = np.ones(len(live))
     ridge = _RIDGE * np.eye(len(live))
+    first = ridge
     for turn in range(_ROUNDS):
-        inverse = 1.0 / size
-        rows = inverse[:, None] * span
-        project = np.diag(inverse) - rows @ np.linalg.solve(span.T @ rows, rows.T)
-        scale = np.sqrt(size)
-        even = project * np.outer(scale, scale)
-        mixed = even**2 + ridge
+        rows = span / size[:, None]
+        project = np.diag(1.0 / size) - rows @ np.linalg.solve(span.T @ rows, rows.T)
+        information = project**2 * np.outer(size, size) + ridge
+        first = information if turn == 0 else first
         seen = np.einsum("ij,jk,ki->i", project, covariance, project, optimize=True) * size
-        if turn == 0:
-            doubt[live] = np.diag(np.linalg.inv(mixed)) / n
-        new = np.maximum(size * np.linalg.solve(mixed, seen + _RIDGE), _QUIETEST)
+        new = np.maximum(size * np.linalg.solve(information, seen + _RIDGE), _QUIETEST)
         moved, size = float(np.max(np.abs(np.log(new / size)))), new
-        if moved < 0.01:
+        if moved < _SETTLED:
             break
-    value[live] = size * found.level
-    return value, doubt
+    return size, n * first
 
 
-def _shrunk(value: Array, doubt: Array, groups: list[list[int]]) -> tuple[Array, Array]:
-    """Return logarithms (channel,) shrunk towards those of their group, and what remains uncertain of them.
+def _logarithm(value: Array) -> Array:
+    """Return the logarithm of variances; of small ones, which scatter widely, what they lack of 1."""
+    return np.where(value > 1.0, np.log(np.maximum(value, 1.0)), value - 1.0)
+
+
+def _shrunk(value: Array, precision: Array, one_of: Array) -> tuple[Array, Array]:
+    """Return values (n,) shrunk towards those of their group, and the variance that they keep.
 
     Values far above the others of their group get what the group has.
+
+    Parameters
+    ----------
+    value : ndarray, (n,)
+    precision : ndarray, (n, n)
+        Inverse covariance of their errors.
+    one_of : ndarray, (n, group)
+        1 for the group that each is of.
     """
-    middle = np.array([np.median(value[own]) for own in groups])
-    usual = [
-        np.array([c for c in own if value[c] - at < 2.0 * np.log(NOISY)])
-        for own, at in zip(groups, middle, strict=True)
-    ]
-    mean = np.array([_mean(value[own], doubt[own])[0] for own in usual])
-    deviation = np.concatenate([value[own] - at for own, at in zip(usual, mean, strict=True)])
-    errors = np.concatenate([doubt[own] for own in usual])
-    scatter, sure = _scatter(deviation, errors, len(groups))
-    found = [_mean(value[own], doubt[own] + scatter) for own in usual]
-    mean, unsure = np.array([at for at, _ in found]), np.array([wide for _, wide in found])
-    between, distinct = _scatter(mean - _mean(mean, unsure)[0], unsure, 1)
-    keep = between / (between + unsure) if distinct else np.zeros(len(mean))
-    whole = _mean(mean, unsure + between)[0]
-    made, own_doubt = np.zeros(len(value)), np.zeros(len(value))
-    for own, some, at, share, wide in zip(groups, usual, mean, keep, unsure, strict=True):
-        made[own] = whole + share * (at - whole)
-        own_doubt[own] = scatter + (share * wide if distinct else between)
-        if sure:
-            held = scatter / (scatter + doubt[some])
-            made[some] += held * (value[some] - made[some])
-            own_doubt[some] = share * wide * (1.0 - held) ** 2 + held * doubt[some]
-    return made, own_doubt
+    middle = np.array([np.median(value[own > 0.0]) for own in one_of.T])
+    usual = value - one_of @ middle < 2.0 * np.log(NOISY)
+    x, group = value[usual], one_of[usual]
+    held = precision[np.ix_(usual, usual)]
+    if not np.all(usual):
+        crossed = precision[np.ix_(usual, ~usual)]
+        held = held - crossed @ np.linalg.solve(precision[np.ix_(~usual, ~usual)], crossed.T)
+    scatter, sure = _scatter(x, held, group)
+    if sure:
+        held = np.asarray(np.linalg.inv(np.linalg.inv(held) + scatter * np.eye(len(x))))
+    inner = group.T @ held @ group
+    mean = np.linalg.solve(inner, group.T @ held @ x)
+    every = np.ones((len(mean), 1))
+    between, distinct = _scatter(mean, inner, every)
+    doubt = np.full(len(mean), between)
+    if distinct:
+        whole = np.linalg.inv(np.linalg.inv(inner) + between * np.eye(len(mean)))
+        centre = float(np.sum(whole @ mean) / np.sum(whole))
+        doubt = np.diag(np.linalg.inv(inner + np.eye(len(mean)) / between))
+        kept = centre + between * whole @ (mean - centre)
+    else:
+        kept = np.full(len(mean), float(np.sum(inner @ mean) / np.sum(inner)))
+    made, own = one_of @ kept, one_of @ doubt + scatter
+    if sure:
+        made[usual] += scatter * held @ (x - group @ mean)
+        own[usual] -= scatter**2 * np.diag(held)
+    return made, own
 
 
-def _mean(value: Array, variance: Array) -> tuple[float, float]:
-    weight = 1.0 / variance
-    return float(np.sum(weight * value) / np.sum(weight)), float(1.0 / np.sum(weight))
-
-
-def _scatter(deviation: Array, variance: Array, means: int) -> tuple[float, bool]:
-    """Return the variance of values beyond that of their errors, at least none, and whether it is sure."""
-    free = len(deviation) - means
+def _scatter(value: Array, precision: Array, group: Array) -> tuple[float, bool]:
+    """Return the variance of values within groups beyond that of their errors, and whether it is sure."""
+    free = len(value) - group.shape[1]
     if free < 1:
         return 0.0, False
-    weight = 1.0 / variance
-    excess = float(np.sum(weight * deviation**2)) - free
-    found = excess / float(np.sum(weight) - means * np.sum(weight**2) / np.sum(weight))
-    return max(found, 0.0), excess > _SURE * np.sqrt(2.0 * free)
+    taken = precision @ group
+    left = precision - taken @ np.linalg.solve(group.T @ taken, taken.T)
+    excess = float(value @ left @ value) - free
+    return max(excess / float(np.trace(left)), 0.0), excess > _SURE * np.sqrt(2.0 * free)
 
 
 def _course(data: Compact, state: State) -> Compact:
@@ -165,10 +177,10 @@ def _course(data: Compact, state: State) -> Compact:
             doubt[k] = 0.5 * np.pi / (held.shape[1] * free)
     if not np.min(level) > 0.0 or not np.all(np.isfinite(doubt)):
         return data
-    value = np.log(level)
-    mean = _mean(value, doubt)[0]
-    scatter, sure = _scatter(value - mean, doubt, 1)
+    value, precision = np.log(level), np.diag(1.0 / doubt)
+    scatter, sure = _scatter(value, precision, np.ones((parts, 1)))
     if not sure:
         return data
+    mean = float(np.sum(value / doubt) / np.sum(1.0 / doubt))
     made = np.exp(scatter / (scatter + doubt) * (value - mean))
     return data.levelled(made / float(np.mean(made)))
