@@ -122,6 +122,25 @@ class Take:
 
 
 @dataclass(frozen=True)
+class RecordNoise:
+    """Noise of a reference that the channels recorded with it share, where others have other records.
+
+    Attributes
+    ----------
+    run : int
+        Place among the runs.
+    points : tuple of (str, str)
+        Body and name of every point of the record; all their channels share it.
+    sd : ndarray, (freq,)
+        Relative standard deviation of the real (= imaginary) part; it stands in the sd of the channels, too.
+    """
+
+    run: int
+    points: tuple[tuple[str, str], ...]
+    sd: Array
+
+
+@dataclass(frozen=True)
 class Measurement:
     """A vibrometer measurement.
 
@@ -149,6 +168,8 @@ class Measurement:
     line_spread : float
         By what factor the variance of slowly varying sums over lines exceeds that of independent lines, as
         windows of spectra make it; static faults are judged by such sums.
+    record_noise : tuple of RecordNoise
+        What channels share that were recorded together while others were not (points scanned one by one).
     said : tuple of str
         What the files say about their coordinates, units, resolution and averages.
     """
@@ -164,6 +185,7 @@ class Measurement:
     common_sd: Array | None = None
     line_spread: float = 1.0
     said: tuple[str, ...] = ()
+    record_noise: tuple[RecordNoise, ...] = ()
 
     def __post_init__(self) -> None:
         faults = []

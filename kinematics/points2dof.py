@@ -20,6 +20,7 @@ from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_n
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import with_noise
 from kinematics.fit.ratio import parse_reference, per_reference
+from kinematics.fit.record_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.fit.shared_errors import pose_derivatives, position_errors
 from kinematics.geometry.calibrate import Calibration
@@ -203,7 +204,7 @@ def points2dof(
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known[key])
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
     notices += check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
-    motion = _motion(placed, fits, options.dof)
+    motion = with_record_noise(_motion(placed, fits, options.dof), placed, fits)
     _check_determined(motion)
     motion = replace(
         motion,

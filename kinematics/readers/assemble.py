@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
 from kinematics.notices import Notice, unique
-from kinematics.readers.common_noise import with_common_noise
+from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.spread import body_noise
@@ -91,6 +91,7 @@ def assemble(
     order = Counter(one.order for one in flat).most_common(1)[0][0]
     takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
     shape = (len(places.takes), len(places.lines))
+    records = () if takes else noise_of_records(flat, places.take_of, places.lines_of, shape)
     flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
     bodies, said = _bodies(flat, places, points, order)
     notices += said
@@ -104,6 +105,7 @@ def assemble(
         notices=unique(notices),
         takes=takes,
         common_sd=common,
+        record_noise=records,
         line_spread=max(one.line_spread for one in flat),
     )
 

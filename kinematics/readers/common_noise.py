@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.measurement import RecordNoise
 from kinematics.readers.recording import Recording
 
 Array = NDArray[np.float64]
@@ -58,6 +59,41 @@ def with_common_noise(
                 spread = np.hypot(one.sd, one.common_sd * np.abs(one.value))
                 made[place] = replace(one, sd=spread, common_sd=None)
     return made, common if np.any(common > 0.0) else None
+
+
+def noise_of_records(
+    recordings: Sequence[Recording],
+    take_of: Sequence[int],
+    lines_of: Sequence[NDArray[np.intp]],
+    shape: tuple[int, int],
+) -> tuple[RecordNoise, ...]:
+    """Return what the channels of each record share where a run was recorded piece by piece.
+
+    Parameters are those of with_common_noise, the recordings before it. Points whose beams come from several
+    records share nothing that can be told.
+    """
+    made: list[RecordNoise] = []
+    for run in range(shape[0]):
+        members = [place for place, take in enumerate(take_of) if take == run]
+        groups: list[list[int]] = []
+        for place in members:
+            own = next((one for one in groups if _same(recordings[one[0]], recordings[place])), None)
+            groups.append([place]) if own is None else own.append(place)
+        if len(groups) < 2:
+            continue
+        records: dict[tuple[str, str], set[int]] = {}
+        for number, group in enumerate(groups):
+            for place in group:
+                records.setdefault((recordings[place].body, recordings[place].point), set()).add(number)
+        for number, group in enumerate(groups):
+            first = recordings[group[0]]
+            points = tuple(point for point, held in records.items() if held == {number})
+            if len(group) < 2 or first.common_sd is None or not np.any(first.common_sd > 0.0) or not points:
+                continue
+            sd = np.zeros(shape[1])
+            sd[lines_of[group[0]]] = first.common_sd
+            made.append(RecordNoise(run, points, sd))
+    return tuple(made)
 
 
 def _same(one: Recording, other: Recording) -> bool:
