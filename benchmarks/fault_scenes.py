@@ -257,3 +257,54 @@ def _taken(made: Scene, change: NDArray[np.complex128], span: Array, scale: Arra
     inner = j @ j.T + 0.5 * np.eye(len(j))
     seen = j @ flat
     return float(2.0 * seen @ np.linalg.solve(inner, seen))
+
+
+def with_gaps(
+    value: NDArray[np.complex128], seed: int, share: float, band: bool = False
+) -> NDArray[np.complex128]:
+    """Return readings with a share of single values missing at random, or one channel over many lines.
+
+    Parameters
+    ----------
+    value : ndarray, (channel, freq), complex
+    seed : int
+    share : float
+        Of all values.
+    band : bool
+        Leave one channel out over half of the lines, which follow each other.
+    """
+    rng = np.random.default_rng([seed, 61])
+    made = value.copy()
+    if share > 0.0:
+        made[rng.random(made.shape) < share] = np.nan
+    if band:
+        channel, half = int(rng.integers(len(made))), made.shape[1] // 2
+        start = int(rng.integers(half))
+        made[channel, start : start + half] = np.nan
+    return made
+
+
+def two_faults(
+    seed: int, geometry: str, faults: tuple[str, str], *, noise: float = 0.01, lines: int = 120
+) -> Scene:
+    """Draw a scene with a fault each of two channels of different points.
+
+    ``verdict`` holds both verdicts, and ``culprits`` both channels, in this order.
+    """
+    one = scene(seed, geometry, faults[0], noise=noise, lines=lines)
+    rng = np.random.default_rng([seed, 67])
+    count = len(one.points)
+    own = {one.points[c] for c in one.culprits}
+    channel = int(rng.choice([c for c in range(count) if one.points[c] not in own]))
+    turn = np.linspace(0.0, 1.0, lines)
+    if faults[1] == "direction 4 deg":
+        beam = one.directions[channel]
+        one.true_directions[channel] = _tilt(beam, 4.0, rng) @ beam
+    elif faults[1] == "noise x4":
+        one.loud[channel] = 4.0
+    elif faults[1] == "drift 10 %":
+        one.factor[channel] = 1.0 + 0.1 * turn
+    else:
+        one.factor[channel] = {"sign": -1.0, "gain 5 %": 1.05}[faults[1]]
+    one.culprits, one.verdict = [*one.culprits, channel], f"{one.verdict} {faults[1].split()[0]}"
+    return one
