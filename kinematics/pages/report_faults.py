@@ -40,6 +40,8 @@ _STEPS = {
     "zeros": "Nothing was recorded: measure it again. It is not used in the fit.",
     "unused": "Nothing usable was read: give values and their sd. It is not used in the fit.",
 }
+_CONJUGATE = "Turn the sign of its im or phase_deg round."
+_RELABEL = "Correct body, run or freq_hz of these rows."
 _OTHER = "Look at this channel in the residual map and check its entry."
 
 
@@ -130,7 +132,16 @@ def _fault_row(group: Group, several: bool) -> tuple[str, ...]:
     v = group.verdict
     size = "not used" if np.isnan(group.rms) else f"{group.rms:.3g}"
     row = (v.body, _listed(group.names), v.verdict, plus_minus(v.estimate) or "-", size, chance(v.p_value))
-    return (*((v.run,) if several else ()), *row, _STEPS.get(v.verdict, _OTHER))
+    return (*((v.run,) if several else ()), *row, _step(v))
+
+
+def _step(verdict: ChannelVerdict) -> str:
+    """Return what to do about a verdict."""
+    if verdict.verdict == "sign" and verdict.estimate.startswith("conjugate"):
+        return _CONJUGATE
+    if verdict.verdict == "label_swap" and "exchanged" not in verdict.estimate:
+        return _RELABEL
+    return _STEPS.get(verdict.verdict, _OTHER)
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:
