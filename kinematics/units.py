@@ -11,6 +11,11 @@ _ORDER = {None: 0, "_s": 1, "_s2": 2}
 _NAMES = ("displacement", "velocity", "acceleration")
 SUFFIXES = "m, mm, um, nm (displacement), m_s, mm_s, ... (velocity), m_s2, ... (acceleration), rms_m_s, ..."
 
+# No motion reaches these: larger numbers come from damaged files.
+LARGEST = 1e100
+HIGHEST_HZ = 1e12
+FARTHEST_MM = 1e9
+
 
 @dataclass(frozen=True)
 class Unit:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.hdf5_tree import is_hdf5
-from kinematics.readers.values import HIGHEST_HZ, LARGEST
+from kinematics.units import HIGHEST_HZ, LARGEST
 
 Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")

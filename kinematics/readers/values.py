@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import sentence
 from kinematics.readers.recording import Recording
-
-LARGEST = 1e100
-HIGHEST_HZ = 1e12
-FARTHEST_MM = 1e9
+from kinematics.units import FARTHEST_MM, HIGHEST_HZ, LARGEST
 
 
 def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:

@@ -79,7 +79,14 @@ def open_sheet(path: Path) -> Sheet:
         elif text.strip() and not text.lstrip().startswith("#"):
             break
     separator = separator if separator in (",", ";", "\t") and separator in text else _separator(text)
-    header = [_plain(name) for name in next(csv.reader([text], delimiter=separator))]
+    try:
+        header = [_plain(name) for name in next(csv.reader([text], delimiter=separator))]
+    except csv.Error as fault:
+        where = f"{path.name}, line {line - 1}"
+        step = "End lines with a line feed, and put quotes around whole names only"
+        raise KinematicsError(
+            sentence("the header", "one line of names", str(fault).split(" - ")[0], where, step)
+        ) from fault
     while header and not header[-1]:
         header.pop()
     if sum(_is_number(name) for name in header) > len(header) // 2:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinematics.errors import sentence
 from kinematics.tables.csv_table import Table
 from kinematics.tables.ldv_columns import DIRECTION, Columns
+from kinematics.units import HIGHEST_HZ, LARGEST
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -38,10 +39,14 @@ def each(
 def check_frequencies(table: Table, faults: list[str]) -> NDArray[np.bool_]:
     """Return which rows (rows,) have a positive and finite frequency, and add the others' faults."""
     freq = table.numbers["freq_hz"]
-    usable = (freq > 0.0) & (freq < np.inf)
+    usable = (freq > 0.0) & (freq <= HIGHEST_HZ)
     if not np.all(usable):
+        high = (freq > HIGHEST_HZ) & (freq < np.inf)
+        step = "Give the frequency in Hz"
+        want = f"{HIGHEST_HZ:g} Hz at most"
+        each(high, "freq_hz", want, lambda row: _cell(float(freq[row])), table, faults, step)
         each(
-            ~usable & ~(table.told_rows("freq_hz") & np.isnan(freq)),
+            ~usable & ~high & ~(table.told_rows("freq_hz") & np.isnan(freq)),
             "freq_hz",
             "positive and finite",
             lambda row: _cell(float(freq[row])),
@@ -63,12 +68,16 @@ def check_values(table: Table, columns: Columns, faults: list[str]) -> None:
 
     for name in (columns.first, columns.second):
         step = "Leave the cell empty where the value is missing"
-        check(np.isinf(numbers[name]), name, "finite", step)
+        large = np.abs(numbers[name]) > LARGEST
+        if np.any(large):
+            check(large & np.isinf(numbers[name]), name, "finite", step)
+            check(large & ~np.isinf(numbers[name]), name, f"below {LARGEST:g}", step)
     if columns.polar:
         check(numbers[columns.first] < 0.0, columns.first, "positive or zero")
     if columns.sd:
         sd = numbers[columns.sd]
         check((sd < 0.0) | np.isinf(sd), columns.sd, "positive and finite")
+        check((sd > LARGEST) & ~np.isinf(sd), columns.sd, f"below {LARGEST:g}")
         if len(sd) and np.isnan(sd[0]) and np.all(np.isnan(sd)) and not np.any(table.told_rows(columns.sd)):
             step = "Leave the column out to have the noise estimated from the residuals"
             got = "NaN or empty cells throughout"
@@ -117,7 +126,8 @@ def check_directions(table: Table, columns: Columns, faults: list[str]) -> tuple
         code = np.where(unknown, 0, np.argmax(np.abs(rows), axis=1) * 2 + (rows.sum(axis=1) < 0.0))
         return rows, code
     parts = np.column_stack([table.numbers[name] for name in DIRECTION])
-    mixed = np.round(parts * 1e7) @ np.array([1.0, 33554467.0, 1125900906842597.0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        mixed = np.round(parts * 1e7) @ np.array([1.0, 33554467.0, 1125900906842597.0])
     code, first = numbered(mixed)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.linalg.norm(parts[first], axis=1)
@@ -157,4 +167,5 @@ def _cell(value: float) -> str:
 def _vector(parts: Array) -> str:
     """Return a direction for a message."""
     listed = ", ".join(f"{value:g}" for value in parts)
-    return f"({listed})" + ("" if np.any(np.isnan(parts)) else f" of length {np.linalg.norm(parts):g}")
+    with np.errstate(over="ignore"):
+        return f"({listed})" + ("" if np.any(np.isnan(parts)) else f" of length {np.linalg.norm(parts):g}")

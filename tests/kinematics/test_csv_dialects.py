@@ -214,13 +214,32 @@ def test_unknown_bodies_and_names_in_other_letters(tmp_path):
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(value=st.floats(-1e300, 1e300))
+@given(value=st.floats(-1e100, 1e100))
 def test_numbers_are_read_to_the_nearest(tmp_path, value):
     row = f"s,1,0,0,0,y,100,{value!r},{value:.17e}"
     read = read_ldv(written(tmp_path, plain([row], HEAD.replace("m_s", "m"))))
     got = read.bodies[0].displacement[0, 0, 0]
     assert abs(got.real - value) <= np.spacing(abs(value))
     assert abs(got.imag - value) <= np.spacing(abs(value))
+
+
+def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
+    rows = ["s,1,0,0,0,y,1e13,1,2", "s,1,0,0,0,y,5,1e101,2", "s,1,0,0,0,y,6,1e400,-1e308"]
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(written(tmp_path, plain(rows)))
+    told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
+    assert sorted(told) == [
+        "freq_hz must be 1e+12 Hz at most; got 1e+13 (ldv.csv, line 2, freq_hz)",
+        "im_m_s must be below 1e+100; got -1e+308 (ldv.csv, line 4, im_m_s)",
+        "re_m_s must be below 1e+100; got 1e+101 (ldv.csv, line 3, re_m_s)",
+        "re_m_s must be finite; got inf (ldv.csv, line 4, re_m_s)",
+    ]
+    table = written(tmp_path, HEAD.replace("freq_hz", "freq\r_hz") + "\ns,1,0,0,0,y,5,1,2\n")
+    with pytest.raises(KinematicsError, match="the header must be one line of names; got new-line character"):
+        read_ldv(table)
+    far = written(tmp_path, plain(["s,1,0,0,0,1e301,0,0,5,1,2"], HEAD.replace("dir", "dir_x,dir_y,dir_z")))
+    with pytest.raises(KinematicsError, match="must be a unit vector"):
+        read_ldv(far)
 
 
 NOISE = [
