@@ -112,7 +112,7 @@ class ScoreTests:
         flat = np.add.reduceat(span, starts, axis=0).reshape(3 * count, -1)
         blocks[:, np.arange(3), np.arange(3)] += 0.5 / places.sd_m[:, None] ** 2
         self.inner = _inverse(blocks, flat)
-        self.half, self.flat = half, flat
+        self.half, self.flat, self.low = half, flat, self.inner @ flat
         self.number_of = np.full(len(self.a), -1)
         self.number_of[channels] = owner
         self.shift_score = np.zeros((count, 3))
@@ -181,9 +181,7 @@ class ScoreTests:
 
         With X = C at the point less seen F^T: X M X^T and X M s, M the covariance of the positions.
         """
-        count = len(self.places.owners)
-        low = self.inner @ self.flat
-        at = np.arange(count)
+        count, low, at = len(self.places.owners), self.low, np.arange(len(self.places.owners))
         own = self.inner.reshape(count, 3, count, 3)[at, :, at]
         common = np.where((owner >= 0)[:, None, None], common, 0.0)
         both = seen @ low.reshape(count, 3, -1)[owner].swapaxes(1, 2)

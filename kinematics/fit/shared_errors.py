@@ -128,9 +128,12 @@ def _derivatives_of_all(
     back = forward @ basis + solve @ ((basis.T * weight) @ changes @ beams.to_dof)
     forward, back = forward.reshape(count * size, -1), back.reshape(count * size, size)
     out = np.empty((count, z.shape[1], size), dtype=complex)
+    given = fit.value[channels]
+    given = given if given.strides[1] == given.itemsize else np.ascontiguousarray(given)
+    value, motion = given.view(float), np.ascontiguousarray(z).view(float)
     for part in blocks(*fit.value.shape):
-        value = np.ascontiguousarray(fit.value[channels][:, part]).view(float)
-        found = forward @ value - back @ np.ascontiguousarray(z[:, part]).view(float)
+        lines = slice(2 * part.start, 2 * part.stop)
+        found = forward @ value[:, lines] - back @ motion[:, lines]
         out[:, part] = found.view(complex).reshape(count, size, -1).transpose(0, 2, 1)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
