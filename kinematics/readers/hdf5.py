@@ -51,6 +51,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.values import number_faults, scaled
 
@@ -119,7 +120,7 @@ def _own(file: Any, name: str) -> Recordings:
     runs, channels = value.shape[:2]
     unit = motion_unit(_attribute(file, "unit")) or MotionUnit(-1, 1.0)
     if unit.order < 0:
-        got = f'"{_attribute(file, "unit")}"' if "unit" in file.attrs else "none"
+        got = shown(_attribute(file, "unit")) if "unit" in file.attrs else "none"
         step = "Write the attribute unit, m/s for velocities"
         faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name, step))
     schema, amplitude = _attribute(file, "schema"), _attribute(file, "amplitude")

@@ -17,6 +17,7 @@ from kinematics.readers.uff_sets import looks_like_uff, plain_content
 
 TIDY = "tidy"
 _HEAD = 1 << 16
+_ZIP = b"PK\x03\x04"
 _MODULES = {
     "uff": "kinematics.readers.uff",
     "fastscan": "kinematics.readers.psv_fastscan",
@@ -63,8 +64,14 @@ def kind_of(path: Path) -> str:
         return "matlab"
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
         return "hdf5"
-    if head.startswith((b"PK\x03\x04", b"RIFF", b"RIFX")):
+    if head.startswith((b"RIFF", b"RIFX")) or (head.startswith(_ZIP) and _is_npz(suffix, head)):
         return "time"
+    if head.startswith(_ZIP):
+        step = "Unpack it, and give the files or folders in it"
+        raise KinematicsError(sentence("the vibrometer file", READ, "a ZIP archive", path.name, step))
+    if not head and _BY_SUFFIX.get(suffix) != TIDY:
+        step = "Export or copy it again"
+        raise KinematicsError(sentence("the vibrometer file", "one with content", "0 bytes", path.name, step))
     if looks_like_uff(plain_content(head)):
         return "uff"
     text = decoded(head if head[:2] not in (b"\xff\xfe", b"\xfe\xff") else head[: len(head) // 2 * 2])
@@ -79,6 +86,10 @@ def kind_of(path: Path) -> str:
     raise KinematicsError(
         sentence("the vibrometer file", READ, path.name, next_step="See points2dof --help for the layouts")
     )
+
+
+def _is_npz(suffix: str, head: bytes) -> bool:
+    return suffix == ".npz" or b".npy" in head
 
 
 def _kind_of_folder(path: Path) -> str:

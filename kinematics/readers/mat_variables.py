@@ -13,6 +13,7 @@ from kinematics.errors import KinematicsError, sentence
 from kinematics.readers.mat_mapping import Layout, Signal, stacked, usd_direction
 from kinematics.readers.mat_tree import describe
 from kinematics.readers.recording import unknown_vector
+from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.values import in_mm
 
@@ -134,7 +135,7 @@ def unit_of(
             label = str(usd.get("YUnit", ""))
     unit = motion_unit(label)
     if unit is None:
-        got = f'"{label}"' if label else "none"
+        got = shown(label) if label else "none"
         step = 'Give it as unit = "m/s" in a mapping'
         raise KinematicsError(sentence(f"the unit of {name}", "; ".join(MOTIONS), got, where, step))
     return unit
@@ -161,7 +162,11 @@ def names_of(
         names = [f"{number:g}" for number in reals(space, layout.points, where, tree).reshape(-1)]
     if len(names) != count or len(set(names)) != len(names):
         want = f"{count} different names, one a row"
-        raise KinematicsError(sentence(layout.points, want, f"{len(names)}", where))
+        twice = (
+            [name for name in dict.fromkeys(names) if names.count(name) > 1] if len(names) == count else []
+        )
+        got = ", ".join(twice[:5]) + " several times" if twice else f"{len(names)}"
+        raise KinematicsError(sentence(layout.points, want, got, where))
     return names
 
 

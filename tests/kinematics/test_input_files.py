@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -237,3 +238,28 @@ def test_the_help_names_every_way_in():
         "2411",
     ):
         assert word in text
+
+
+def test_empty_files_and_archives_say_what_they_are(tmp_path):
+    with zipfile.ZipFile(tmp_path / "scan.uff", "w") as archive:
+        archive.writestr("scan.txt", "hello")
+    (tmp_path / "empty.mat").write_bytes(b"")
+    with pytest.raises(KinematicsError) as caught:
+        read_measurement([tmp_path / "scan.uff", tmp_path / "empty.mat", tmp_path / "none.h5"])
+    told = str(caught.value).splitlines()
+    assert "got a ZIP archive (scan.uff). Unpack it" in told[0]
+    assert told[1] == (
+        "the vibrometer file must be one with content; got 0 bytes (empty.mat). Export or copy it again."
+    )
+    assert "the vibrometer file must be an existing file" in told[2]
+
+
+def test_files_that_cannot_be_opened_are_told_in_one_sentence(tmp_path, monkeypatch):
+    (tmp_path / "a.uff").write_bytes(uff.function(F, value(0, 0)))
+
+    def refused(self, *_):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr("pathlib.Path.open", refused)
+    with pytest.raises(KinematicsError, match=r"must be readable; got Permission denied \(a.uff\). Check"):
+        read_measurement([tmp_path / "a.uff"])
