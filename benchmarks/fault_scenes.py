@@ -110,8 +110,9 @@ def scene(
     noise: float = 0.01,
     lines: int = 120,
     position_sd_mm: float = 0.0,
+    at: int | None = None,
 ) -> Scene:
-    """Draw a scene: random points and motion, and the fault at a random place."""
+    """Draw a scene: random points and motion, and the fault at a random place, or at channel ``at``."""
     rng = np.random.default_rng([seed, 53])
     make, beams = GEOMETRIES[geometry]
     places = make(rng)
@@ -136,12 +137,14 @@ def scene(
     made.loud = np.ones(count * per)
     made.extra = np.zeros((count * per, lines), dtype=complex)
     if fault:
-        _spoil(made, fault, rng, count, per)
+        _spoil(made, fault, rng, (count, per), at)
     return made
 
 
-def _spoil(made: Scene, fault: str, rng: np.random.Generator, count: int, per: int) -> None:
+def _spoil(made: Scene, fault: str, rng: np.random.Generator, shape: tuple[int, int], at: int | None) -> None:
+    count, per = shape
     channel = int(rng.integers(count * per))
+    channel = channel if at is None else at
     point, beam = divmod(channel, per)
     own = list(range(per * point, per * point + per))
     laser = list(range(beam, count * per, per))
@@ -224,10 +227,7 @@ def bound(made: Scene, position_sd_mm: float = 0.0) -> float:
     """
     from scipy.stats import chi2, norm
 
-    rows = np.hstack([made.directions, np.cross(made.reported * 1e-3, made.directions)])
-    u, s, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=0).clip(1e-12), full_matrices=False)
-    span = u[:, s > 1e-6 * s[0]]
-    scale = 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
+    span, scale = _span(made), 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
     if np.any(made.loud > 1.0):
         channel = int(np.argmax(made.loud))
         left = 1.0 - float(np.sum(span[channel] ** 2))
@@ -240,6 +240,40 @@ def bound(made: Scene, position_sd_mm: float = 0.0) -> float:
     if position_sd_mm > 0.0:
         energy -= _taken(made, change, span, scale, position_sd_mm)
     return float(norm.sf(norm.isf(ALARM) - np.sqrt(max(energy, 0.0))))
+
+
+def nameable(seed: int, geometry: str, fault: str, *, noise: float = 0.01, lines: int = 120) -> bool:
+    """Tell whether the likeliest culprit of this very fault is the true one; no search can name better.
+
+    Its kind, size, course and the direction of a shift or tilt are taken as known, and the noise and the
+    share of the motion in the readings too; only which channel, point or laser has it is asked.
+    """
+    made = scene(seed, geometry, fault, noise=noise, lines=lines)
+    span, scale = _span(made), 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
+    held = scale[:, None] * (measured(made, seed) - made.clean())
+    held = held - span @ (span.T @ held)
+    likely: dict[tuple[int, ...], float] = {}
+    for at in range(len(made.points)):
+        other = scene(seed, geometry, fault, noise=noise, lines=lines, at=at)
+        if np.any(other.loud > 1.0):
+            left = 1.0 - float(np.sum(span[at] ** 2))
+            variance = 1.0 + (other.loud[at] ** 2 - 1.0) * left
+            energy = float(np.sum(np.abs(held[at]) ** 2)) / left
+            value = energy * (1.0 - 1.0 / variance) - lines * float(np.log(variance))
+        else:
+            change = scale[:, None] * (other.faulty() - other.clean())
+            change = change - span @ (span.T @ change)
+            value = float(2.0 * np.real(np.vdot(change, held)) - np.sum(np.abs(change) ** 2))
+        key = tuple(sorted(other.culprits))
+        likely[key] = max(likely.get(key, -np.inf), value)
+    return max(likely, key=lambda key: likely[key]) == tuple(sorted(made.culprits))
+
+
+def _span(made: Scene) -> Array:
+    """Return orthonormal columns (channel, m) of what rigid motions can read."""
+    rows = np.hstack([made.directions, np.cross(made.reported * 1e-3, made.directions)])
+    u, s, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=0).clip(1e-12), full_matrices=False)
+    return np.asarray(u[:, s > 1e-6 * s[0]])
 
 
 def _taken(made: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float) -> float:
