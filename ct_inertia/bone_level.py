@@ -43,6 +43,8 @@ class Bone:
     place_mm : ndarray, (3,)
         Where ``level`` holds, from the box's first voxel along x, y, z.
     cupping : Cupping or None
+    seen : float
+        Share of the bone's voxels that were looked at.
     """
 
     level: float
@@ -53,6 +55,7 @@ class Bone:
     slope: Array = field(default_factory=lambda: np.zeros(3))
     place_mm: Array = field(default_factory=lambda: np.zeros(3))
     cupping: Cupping | None = None
+    seen: float = 1.0
 
     def moved_to(self, place_mm: Array) -> Bone:
         """Return the same bone with its level at another place (3,) of the box."""
@@ -95,9 +98,10 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
                 rest += abs(change)
             start = np.array([s.start for s in reversed(box)])
             zyx = np.stack(np.unravel_index(index, depth.shape), axis=1)
-            bone = _bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
+            bone = bone_of(values, (zyx[:, ::-1] + start) * around.spacing_mm, air, random, rest, around)
             notices = (*bone.notices, *deep_cupping_notice(change, contrast))
-            return replace(bone, notices=notices)
+            seen = index.size / max(1, int(np.count_nonzero(inside)))
+            return replace(bone, notices=notices, seen=seen)
     return None
 
 
@@ -129,7 +133,7 @@ def _box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
     return tuple(found)
 
 
-def _bone_of(
+def bone_of(
     values: Array, places_mm: Array, air: Air, random: float, rest: float, around: Surroundings
 ) -> Bone:
     """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3)."""

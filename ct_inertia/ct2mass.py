@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from ct_inertia.progress import Tell, untold
 from ct_inertia.surface import Surface, read_surface
 from kinematics.background import Later
 from kinematics.errors import sentence
+from kinematics.frames import vector_from_rotation
 from kinematics.mass_record import MassMatrix
 from kinematics.notices import Notice, unique
 
@@ -252,7 +253,17 @@ def _footplate(
     found = implausible(footplate, moments.volume_mm3)
     if found and not named:
         raise unsuitable(found, notices)
-    return footplate, [size_notice(found)] if found else []
+    return _with_doubt(footplate, known.hints, bodies), [size_notice(found)] if found else []
+
+
+def _with_doubt(footplate: FootplateFrame, hints: AnatomyHints, bodies: Bodies | None) -> FootplateFrame:
+    """Add what is not known of soft things around the stapes to the covariance of its frame."""
+    if bodies is None or bodies.frame_doubt is None:
+        return footplate
+    other = footplate_frame(bodies.frame_doubt, hints, bodies.frame_blur_mm).scan_from_footplate
+    moved = footplate.scan_from_footplate.inverse() @ other
+    step = np.concatenate([moved.translation_mm * 1e-3, vector_from_rotation(moved.rotation)])
+    return replace(footplate, contributions={**footplate.contributions, "surroundings": np.outer(step, step)})
 
 
 def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFrame) -> MassMatrix:
@@ -287,7 +298,7 @@ def _plate_frame(
     if bodies is None:
         return plate_frame(plate, stapes)
     grey = None if bodies.levels is None else bodies.volume
-    return plate_frame(plate, stapes, _on_border(bodies, plate), grey, bodies.psf_sigma_mm)
+    return plate_frame(plate, stapes, _on_border(bodies, plate), grey, bodies.psf_sigma_mm, bodies.plate_face)
 
 
 def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,9 @@ from ct_inertia.grids import gaussian
 from ct_inertia.isosurface import iso_surface
 from ct_inertia.normal import normal_quantile
 from ct_inertia.surface import Surface
+
+if TYPE_CHECKING:
+    from ct_inertia.measure import Measured
 
 Array = NDArray[np.float64]
 
@@ -61,6 +66,13 @@ def frame_surface(
     surface = iso_surface(steep, 0.0, transform)
     variance = variance + _CHORDS * (spacing * block) ** 2
     return surface, float(np.sqrt(sigma_mm**2 + variance.mean()))
+
+
+def doubted_surface(measured: Measured, scan_from_index: Array) -> Surface | None:
+    """Return the surface with less taken off for what is soft around the stapes, or None without such."""
+    if measured.doubt is None:
+        return None
+    return frame_surface(measured.share + measured.doubt, scan_from_index, measured.sigma_mm)[0]
 
 
 def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:

@@ -14,7 +14,7 @@ from ct_inertia.border import CODE, BorderCut, border_notices, cut_notice
 from ct_inertia.cutting import Cut, box_around
 from ct_inertia.distance import capped_distance
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.frame_surface import frame_surface
+from ct_inertia.frame_surface import doubted_surface, frame_surface
 from ct_inertia.isosurface import iso_surface, volume_matched
 from ct_inertia.levels import Guess
 from ct_inertia.moments import Moments
@@ -294,6 +294,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         stapes=surface,
         frame_surface=coarse,
         frame_blur_mm=blur,
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(volume)),
         plate=plate_mesh,
         moments=moments,
         mesh_moments=surface.moments(),

@@ -50,11 +50,15 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Guess:
-    """First guess of the grey levels of air, bone and (where there is any) plastic."""
+    """First guess of the grey levels of air, bone and (where there is any) plastic.
+
+    ``between`` is the grey value above which voxels were taken for bone; None: half way.
+    """
 
     air: float
     bone: float
     plastic: float | None = None
+    between: float | None = None
 
 
 @dataclass(frozen=True)

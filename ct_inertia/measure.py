@@ -17,10 +17,12 @@ from ct_inertia.level_fit import BodyFit, blurred, body_share, fit_bodies, sprea
 from ct_inertia.levels import Air, Guess, Surroundings, measure_air, unclipped
 from ct_inertia.masked import gathered
 from ct_inertia.moments import Moments
-from ct_inertia.neighbours import Parted, cut_through_bone, part_from_neighbours
+from ct_inertia.neighbours import Parted, away_from_others, cut_through_bone, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
 from ct_inertia.plate_face import FaceFit, displaced_share, face_covariance, face_near, plate_share
-from ct_inertia.psf import edge_sigma
+from ct_inertia.psf import edge_sigma, edge_widths
+from ct_inertia.soft import by_soft, soft_notices, taken_off, without_soft
+from ct_inertia.thin_bone import thin_bone
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
@@ -29,12 +31,15 @@ Array = NDArray[np.float64]
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2
 _DEFAULT_SIGMA_VOXELS = 1.0
-_FITTED_BLUR_SD = 0.03
+_FITTED_BLUR_SD, _MOST_BLUR_SD = 0.03, 0.1
 _FEW_EDGES = 800
 _TAIL_SD = 0.15
 _GOOD_INSIDE = 1e-3
+_WELL_SEEN = 0.2
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
+_OTHER_BLUR = 0.01
+_LONG_VOXELS, _UNEVEN_BLUR = 1.2, 1.1
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Measured:
     plate_face : PlateFace or None
     correlation, air_clipped : float
     notices : tuple of Notice
+    doubt : ndarray of float32, [z, y, x], or None
+        By how much the share may be wrong, all around at once, where something soft was taken off.
     """
 
     moments: Moments
@@ -66,6 +73,7 @@ class Measured:
     correlation: float
     air_clipped: float
     notices: tuple[Notice, ...] = ()
+    doubt: NDArray[np.float32] | None = None
 
 
 def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
@@ -78,6 +86,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     """
     spacing = volume.spacing_mm
     rim = spread(spread(cut.stapes))
+    cut = _evenly_blurred(cut, rim, guess, spacing)
     sigma, _, _ = _blur(cut, rim, (guess.air, guess.bone), spacing, 0.0, _FEW_EDGES)
     reach = _TAIL_SIGMAS * sigma + float(spacing.max())
     single = None if cut.working is None else cut.working.single
@@ -90,14 +99,25 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     bone, fit = _bone(around, air, sigma, distance, reach)
     blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
-        blur = (fit.sigma_mm, _FITTED_BLUR_SD * fit.sigma_mm, "fit of body, level and blur")
+        off = 0.5 * abs(blur[0] - fit.sigma_mm)
+        sd = max(_FITTED_BLUR_SD * fit.sigma_mm, min(off, _MOST_BLUR_SD * fit.sigma_mm))
+        blur = (fit.sigma_mm, sd, "fit of body, level and blur")
     cut, fitted, displaced = _without_plate(
         volume, cut, (distance, reach), (air.level, guess.plastic, blur[0]), bone.level
     )
     face = None if fitted is None else fitted.face
     if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
-    parted = part_from_neighbours(cut, distance, reach, spacing, (air.level, bone.level), blur[0])
+    away = away_from_others(cut, distance, reach, spacing, blur[0])
+    soft = without_soft(cut, (distance, away), reach, spacing, (air, bone.level, guess.between), blur[0])
+    if soft is not None:
+        # Edges in something soft are less high and looked blurred otherwise: once more without it.
+        clear = _blur(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
+        if fit is None and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
+            blur = clear
+            soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+        cut = replace(cut, grey=soft.grey)
+    parted = part_from_neighbours(cut, (distance, away), reach, spacing, (air.level, bone.level), blur[0])
     share = _share(cut, parted, air, bone, blur[:2])
     moments = partial_volume_moments(share, volume.scan_from_index)
     sloped = np.zeros(10)
@@ -121,6 +141,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     covariance = through.covariance + _by_tails(parted, cut, volume, moments)
     if np.any(covariance):
         moments = with_contribution(moments, "separation", covariance)
+    if soft is not None:
+        covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
+        moments = with_contribution(moments, "surroundings", covariance)
+        notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level
         covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
@@ -136,7 +160,19 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         air.correlation,
         air.clipped,
         (*notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
+        None if soft is None else np.where(parted.own, soft.doubt, np.float32(0.0)),
     )
+
+
+def _evenly_blurred(cut: Cut, rim: NDArray[np.bool_], guess: Guess, spacing_mm: Array) -> Cut:
+    """Blur grey values of long voxels along the sharper axes, so that one width holds for all directions."""
+    if spacing_mm.max() < _LONG_VOXELS * spacing_mm.min():
+        return cut
+    widths = edge_widths(cut.grey, rim, guess.air, guess.bone, spacing_mm)
+    if widths is None or widths.max() < _UNEVEN_BLUR * widths.min():
+        return cut
+    more = np.sqrt(widths.max() ** 2 - widths**2) / spacing_mm
+    return replace(cut, grey=gaussian(cut.grey, more[::-1]))
 
 
 def _unclipped(
@@ -226,7 +262,12 @@ def _bone(
 ) -> tuple[Bone, BodyFit | None]:
     """Measure the bone level inside, or fit it with the body and its blur when there is too little inside."""
     inside = measure_bone(around, air, sigma_mm)
-    if inside is not None and (inside.notices or inside.sd < _GOOD_INSIDE * (inside.level - air.level)):
+    seen = inside is not None and inside.seen > _WELL_SEEN
+    if (
+        inside is not None
+        and seen
+        and (inside.notices or inside.sd < _GOOD_INSIDE * (inside.level - air.level))
+    ):
         return inside, None
     own = distance_mm <= reach_mm
     if np.any(around.foreign):
@@ -237,9 +278,15 @@ def _bone(
         start = inside.level - air.level
     excess = around.grey[box] - np.float32(air.level)
     fit = fit_bodies(excess, own[box], around.spacing_mm, start, sigma_mm, air.noise)
+    thin = thin_bone(fit, around, own[box], box, air)
+    if thin is not None and (np.any(thin.slope) or thin.cupping is not None):
+        return thin, fit
     sd = fit.relative_sd * fit.contrast * np.sqrt(air.correlation)
     if inside is not None and inside.sd < sd:
         return inside, None
+    if thin is not None:
+        sd = min(sd, thin.sd)
+        fit = replace(fit, contrast=thin.level - air.level)
     noise = air.noise if inside is None else inside.noise
     notices: tuple[Notice, ...] = ()
     if sd > _WEAK * fit.contrast:

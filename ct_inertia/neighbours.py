@@ -57,9 +57,18 @@ class Parted:
     behind: NDArray[np.float32] | None = None
 
 
+def away_from_others(
+    cut: Cut, distance_mm: NDArray[np.float32], reach_mm: float, spacing_mm: Array, sigma_mm: float
+) -> NDArray[np.float32] | None:
+    """Return the distance of each voxel from other bone, mm, capped; None where that is far."""
+    if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
+        return None
+    return capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))
+
+
 def part_from_neighbours(
     cut: Cut,
-    distance_mm: NDArray[np.float32],
+    distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
     reach_mm: float,
     spacing_mm: Array,
     levels: tuple[float, float],
@@ -70,8 +79,8 @@ def part_from_neighbours(
     Parameters
     ----------
     cut : Cut
-    distance_mm : ndarray of float32, [z, y, x]
-        From the stapes.
+    distances_mm : (ndarray of float32, [z, y, x], the same or None)
+        From the stapes, and from other bone where that is near.
     reach_mm : float
         How far its blur reaches.
     spacing_mm : ndarray, (3,)
@@ -88,10 +97,10 @@ def part_from_neighbours(
     two-valued bodies fitted to the grey values: the neighbour's tail is subtracted on this side, the stapes'
     own added on the other.
     """
+    distance_mm, away = distances_mm
     reach = distance_mm <= reach_mm
-    if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
+    if away is None:
         return Parted(reach)
-    away = capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))
     own = reach & (distance_mm <= away)
     if not np.any(cut.stapes & (away < _exchanging(sigma_mm))):
         return Parted(own)

@@ -13,10 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.bodies import PlateFace
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate import SurfaceLike
 from ct_inertia.plane_faces import PlaneFace, large_faces
 from ct_inertia.plane_fit import fitted_to_grey
+from ct_inertia.plate_covered import covered_face
 from ct_inertia.plate_region import PlateSurface
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence
@@ -71,6 +73,7 @@ def plate_frame(
     on_border: NDArray[np.bool_] | None = None,
     volume: Volume | None = None,
     sigma_mm: float = 0.0,
+    near: PlateFace | None = None,
 ) -> PlateFrame:
     """Find the frame of the plate from its surface.
 
@@ -84,6 +87,9 @@ def plate_frame(
         Its grey values, for planes fitted to them.
     sigma_mm : float
         Standard deviation of their blur.
+    near : PlateFace, optional
+        The face as fitted beside the stapes: where bone or glue covers so much of the face that its surface
+        shows them, it tells where the plate is.
 
     Raises
     ------
@@ -96,15 +102,18 @@ def plate_frame(
         faces = large_faces(plate, on_border)
     if volume is not None:
         faces = [_placed_border(face, volume) for face in faces]
+    covered: tuple[Notice, ...] = ()
     main = _main_face(faces, np.asarray(stapes.vertices_mm, dtype=float).mean(axis=0))
     sides = _sides(faces, main)
     if volume is not None and sigma_mm > 0.0:
-        main, *sides = fitted_to_grey([main, *sides], faces, volume, sigma_mm)
+        seen, (main, *sides) = main, fitted_to_grey([main, *sides], faces, volume, sigma_mm)
+        if main is seen and not main.at_border:
+            main, covered = covered_face(main, faces, near, volume, sigma_mm)
     found = _frame(main, sides)
     weights = _agreeing(main, sides, found)
     found = _frame(main, sides, found.along, weights)
     covariance = _propagated(main, sides, found, weights)
-    notices = _notices(found, sides)
+    notices = (*_notices(found, sides), *covered)
     transform = RigidTransform.from_parts(found.axes, found.origin, "scan", "plate")
     return PlateFrame(
         transform, covariance, found.corners, any(side.at_border for side in sides), "faces", notices

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ _LEAST = 60
 _FLAT = 0.1
 _BESIDE = 2.5
 _BENT_SD = 0.3
+_WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
 
 
 def edge_sigma(
@@ -60,6 +63,79 @@ def edge_sigma(
     enough flat ones: a radius of curvature R lets s seem longer by the order of (s / R)^2. Beside a flat
     edge, 2.5 s along its tangents, the share is still 1/2.
     """
+    edges = _clean_edges(grey, near_edge, (air, bone), spacing_mm, noise, seed, most)
+    if edges is None:
+        return None
+    total, bent, width = edges.total_mm, edges.bent, edges.smoothing_mm
+    variance = np.median(total) ** 2 - width**2
+    if not variance > 0.0:
+        return 0.3 * width, 0.1 * width
+    sigma = float(np.sqrt(variance))
+    low_part, high_part = np.percentile(total, [25.0, 75.0])
+    several = max(len(total) / 50.0, 1.0)
+    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(edges.every_mm))
+    # What bent edges add to the width: with a curvature k some (k s)^2 of it, of which ``bent`` is a measure.
+    sd += _BENT_SD * float(np.median(bent)) ** 2 * float(np.median(edges.every_mm))
+    return sigma, sd * float(np.median(edges.every_mm)) / sigma
+
+
+def edge_widths(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    air: float,
+    bone: float,
+    spacing_mm: Array,
+    noise: float = 0.0,
+) -> Array | None:
+    """Estimate the point spread's standard deviations along x, y, z of the voxels, (3,), mm.
+
+    None where there are too few clean edges in all directions. Parameters as for ``edge_sigma``.
+
+    Notes
+    -----
+    Across a face of normal n an ellipsoidal Gaussian has the variance sum n_k^2 s_k^2: least squares over all
+    clean edges, those that depart most left out in turn.
+    """
+    edges = _clean_edges(grey, near_edge, (air, bone), spacing_mm, noise, 0, _MOST)
+    if edges is None:
+        return None
+    design, seen = edges.inward**2, edges.total_mm**2 - edges.smoothing_mm**2
+    good = np.ones(len(seen), dtype=bool)
+    for _ in range(_WIDTH_ROUNDS):
+        if np.any(design[good].sum(axis=0) < _LEAST_FACING):
+            return None
+        variances = np.linalg.lstsq(design[good], seen[good], rcond=None)[0]
+        left = np.abs(seen - design @ variances)
+        good = left < _DEPARTING * float(np.median(left))
+    least = (0.3 * edges.smoothing_mm) ** 2
+    return np.sqrt(np.maximum(variances, least))[::-1].copy()
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Clean edges of bone in air: their width with the smoothing (n,), inward normals z, y, x (n, 3).
+
+    ``bent`` (n,) is their curvature, ``every_mm`` the widths of all edges, ``smoothing_mm`` the width of the
+    Gaussian that grey values were smoothed by.
+    """
+
+    total_mm: Array
+    inward: Array
+    bent: Array
+    every_mm: Array
+    smoothing_mm: float
+
+
+def _clean_edges(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float,
+    seed: int,
+    most: int,
+) -> _Edges | None:
+    air, bone = levels
     spacing = np.asarray(spacing_mm)[::-1]
     width = float(spacing.mean())
     reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
@@ -99,16 +175,7 @@ def edge_sigma(
     flat = clean & (bent < max(_FLAT, 1.2 * noise))
     if np.count_nonzero(flat) >= 2 * _LEAST:
         clean = flat
-    variance = np.median(total[clean]) ** 2 - width**2
-    if not variance > 0.0:
-        return 0.3 * width, 0.1 * width
-    sigma = float(np.sqrt(variance))
-    low_part, high_part = np.percentile(total[clean], [25.0, 75.0])
-    several = max(np.count_nonzero(clean) / 50.0, 1.0)
-    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(total))
-    # What bent edges add to the width: with a curvature k some (k s)^2 of it, of which ``bent`` is a measure.
-    sd += _BENT_SD * float(np.median(bent[clean])) ** 2 * float(np.median(total))
-    return sigma, sd * float(np.median(total)) / sigma
+    return _Edges(total[clean], inward[clean], bent[clean], total, width)
 
 
 def _middling(

@@ -15,7 +15,7 @@ from ct_inertia.border import border_notices
 from ct_inertia.coarse import Glance, calmed, take_glance
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.frame_surface import frame_surface
+from ct_inertia.frame_surface import doubted_surface, frame_surface
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
@@ -102,7 +102,7 @@ def _assembled(
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
     grid = volume if cut.working is None else cut.working.volume
-    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic))
+    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between))
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
@@ -122,6 +122,7 @@ def _assembled(
         stapes=stapes,
         frame_surface=coarse,
         frame_blur_mm=blur,
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(grid)),
         plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,
         mesh_moments=stapes.moments(),

@@ -1,0 +1,96 @@
+"""Fluid or ligament around the footplate is found, told and taken off; long voxels; covered plates."""
+
+import numpy as np
+import pytest
+
+from ct_inertia.plane_faces import PlaneFace
+from ct_inertia.plate_covered import covered_face
+from ct_inertia.psf import edge_widths
+from ct_inertia.segmentation import find_bodies
+from ct_inertia.volume import Volume
+from sample_volumes.phantom import Ear, render, scene, truth
+
+H = 0.04
+
+
+def codes(bodies):
+    return [notice.code for notice in bodies.notices]
+
+
+def scan(voxel_mm=(H, H, H), **settings):
+    placed = scene(Ear(voxel_mm=voxel_mm, gap_mm=0.15, **settings))
+    return placed, Volume(render(placed), np.array(voxel_mm), np.zeros(3), np.eye(3))
+
+
+def in_fluid(placed, volume, level):
+    """Fill what lies around the footplate, up to 0.1 mm above its medial face: g = b + (1 - b) m."""
+    air, _, bone = placed.ear.levels
+    z, y, x = np.indices(volume.array.shape)
+    points = placed.scan_from_footplate.inverse().points(
+        np.stack([x, y, z], axis=-1).reshape(-1, 3) * volume.spacing_mm
+    )
+    height = points[:, 1].reshape(volume.array.shape)
+    there = level / (1.0 + np.exp((height - 0.1) / 0.03)) / (1.0 + np.exp((-0.35 - height) / 0.03))
+    share = (volume.array - air) / (bone - air)
+    grey = air + (bone - air) * (there + (1.0 - there) * share)
+    return Volume(np.rint(grey).astype(np.uint16), volume.spacing_mm, np.zeros(3), np.eye(3))
+
+
+def sd(bodies):
+    return np.sqrt(np.diag(sum(bodies.moments.contributions.values())))
+
+
+def test_fluid_around_the_footplate_is_taken_off_and_told():
+    placed, volume = scan(plate=False)
+    exact = truth(placed)["volume_m3"] * 1e9
+    wet, dry = find_bodies(in_fluid(placed, volume, 0.25)), find_bodies(volume)
+    assert "soft_surroundings" in codes(wet)
+    assert "soft_surroundings" not in codes(dry)
+    assert abs(dry.moments.volume_mm3 / exact - 1.0) < 2e-3
+    assert "surroundings" in wet.moments.contributions
+    # Counted as bone, the fluid within reach of the blur would add several percent.
+    assert abs(wet.moments.volume_mm3 / exact - 1.0) < 1e-2
+    assert abs(wet.moments.volume_mm3 - exact) < 2.0 * sd(wet)[0]
+    assert wet.frame_doubt is not None
+
+
+def test_cupping_of_three_percent_at_coarse_voxels_is_told_and_moves_no_volume():
+    placed, volume = scan(cupping=0.03, pose_seed=2, noise_seed=2)
+    bodies = find_bodies(volume)
+    assert "bone_cupping" in codes(bodies) or "bone_inhomogeneous" in codes(bodies)
+    exact = truth(placed)["volume_m3"] * 1e9
+    assert abs(bodies.moments.volume_mm3 - exact) < 2.5 * sd(bodies)[0]
+    assert sd(bodies)[0] / exact < 5e-3
+
+
+def test_a_blur_that_is_longer_along_long_voxels_is_seen_and_evened_out():
+    spacing, sigma = np.array([0.03, 0.03, 0.06]), np.array([0.036, 0.036, 0.072])
+    place = np.indices((40, 80, 80))[::-1] * spacing[:, None, None, None]
+    away = place - np.array([1.203, 1.207, 1.211])[:, None, None, None]
+    ball = np.linalg.norm(away, axis=0) - 0.8
+    towards = away / np.linalg.norm(away, axis=0)
+    width = np.sqrt(np.einsum("kzyx,k->zyx", towards**2, sigma**2))
+    grey = (1000.0 / (1.0 + np.exp(1.702 * ball / width))).astype(np.float32)
+    found = edge_widths(grey, np.abs(ball) < 0.1, 0.0, 1000.0, spacing)
+    assert found == pytest.approx(sigma, rel=0.08)
+    placed, volume = scan(tuple(spacing), plate=False, bone=False)
+    bodies = find_bodies(volume)
+    second = placed.scan_from_footplate.rotation
+    exact = np.array(truth(placed)["mass_matrix_si"])[3:, 3:]
+    inertia = second.T @ bodies.moments.inertia_mm5 @ second
+    com = second.T @ (bodies.moments.centroid_mm - placed.scan_from_footplate.translation_mm)
+    about = inertia + bodies.moments.volume_mm3 * (com @ com * np.eye(3) - np.outer(com, com))
+    about *= placed.ear.density_kg_m3 * 1e-15
+    root = np.sqrt(np.diag(exact))
+    assert np.abs((about - exact) / np.outer(root, root)).max() < 3e-3
+
+
+def test_a_face_of_the_plate_that_cannot_be_fitted_is_told():
+    samples = np.random.default_rng(1).uniform(-1.0, 1.0, (50, 3)) * [1.0, 1.0, 0.0]
+    face = PlaneFace(np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3)[:, :2], np.zeros((3, 3)), 4.0, samples)
+    empty = Volume(np.zeros((5, 5, 5), dtype=np.uint16), np.full(3, H), np.zeros(3), np.eye(3))
+    kept, notices = covered_face(face, [face], None, empty, 0.05)
+    assert [notice.code for notice in notices] == ["plate_face_covered"]
+    assert "--plate-fiducials" in notices[0].text
+    assert np.sqrt(kept.covariance[0, 0]) > 0.05
+    assert np.array_equal(kept.normal, face.normal)
