@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.readers.text import plain_text
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
 from kinematics.tables.csv_table import Table, read_table
 
@@ -119,7 +120,7 @@ def _channel(table: Table, row: int, faults: list[str]) -> Channel:
     if not name:
         faults.append(sentence("channel", "the name of a column or variable", "an empty cell", where))
     if role not in ROLES:
-        faults.append(sentence("role", ", ".join(ROLES), role, where))
+        faults.append(sentence("role", ", ".join(ROLES), plain_text(role), where))
     scale, order, unit = 1.0, -1, ""
     if role != "ignore":
         scale, order, unit = _unit(texts, role, where, faults)
@@ -153,7 +154,7 @@ def _direction(texts: dict[str, str], table: Table, row: int, where: str, faults
     short = texts.get("dir", "").lower()
     if short:
         if short.lstrip("+-") not in _AXES or len(short) > 2:
-            faults.append(sentence("dir", "x, y, z, -x, -y or -z", short, where))
+            faults.append(sentence("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
             return np.full(3, np.nan)
         return np.array(_AXES[short.lstrip("+-")]) * (-1.0 if short.startswith("-") else 1.0)
     found = _three(table, row, ("dir_x", "dir_y", "dir_z"))
@@ -175,7 +176,9 @@ def _unit(texts: dict[str, str], role: str, where: str, faults: list[str]) -> tu
         if found is None:
             step = "Write it with its unit: 5 mm/s/V (of a vibrometer) or 100 mV/g (of an accelerometer)"
             faults.append(
-                sentence("sensitivity", "a number with volts in its unit", f'"{given}"', where, step)
+                sentence(
+                    "sensitivity", "a number with volts in its unit", f'"{plain_text(given)}"', where, step
+                )
             )
             return 1.0, -1, ""
         factor, of_it = found
@@ -187,7 +190,7 @@ def _unit(texts: dict[str, str], role: str, where: str, faults: list[str]) -> tu
     if motion is not None and not motion.per:
         return factor * motion.scale, motion.order, _SI[motion.order]
     if role == "response" or not unit:
-        got = f'"{unit}"' if unit else "an empty cell"
+        got = f'"{plain_text(unit)}"' if unit else "an empty cell"
         want = "; ".join(MOTIONS) if role == "response" else "the unit of the reference, e.g. Pa, V or mm/s"
         faults.append(sentence("unit", want, got, where))
     return factor, -1, plain(unit)

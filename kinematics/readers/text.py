@@ -19,10 +19,15 @@ def lines_of(text: str) -> list[str]:
     return lines[:-1] if lines and not lines[-1] else lines
 
 
+def plain_text(text: str) -> str:
+    """Make foreign text fit for a message: on one line, printable, shortened."""
+    plain = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
+    return plain if len(plain) <= _MOST else plain[: _MOST - 3] + "..."
+
+
 def shown(text: str) -> str:
     """Quote a text for a message: on one line, printable, shortened."""
-    plain = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
-    return f'"{plain if len(plain) <= _MOST else plain[: _MOST - 3] + "..."}"'
+    return f'"{plain_text(text)}"'
 
 
 @contextmanager
