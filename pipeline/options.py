@@ -144,13 +144,14 @@ def input_options(ldv: Ldv) -> InputOptions:
 
 
 def _series_options(ldv: Ldv) -> SeriesOptions | None:
-    """Return how time series are turned into responses; None without the table of their channels."""
+    """Return how time series are turned into responses; universal files need no table of their channels."""
     from kinematics.errors import raise_all, sentence
+    from kinematics.readers.kinds import describes_series
     from kinematics.signals.series_options import SeriesOptions
     from pipeline.errors import PipelineError
 
     values = {name: value for key, name in _SERIES.items() if (value := getattr(ldv, key)) is not None}
-    if ldv.channels is not None:
+    if ldv.channels is not None or (values and any(describes_series(path) for path in ldv.files)):
         return SeriesOptions(ldv.channels, **values)
     given = [key for key in _SERIES if getattr(ldv, key) is not None]
     step = "It says how time series become frequency responses"

@@ -64,6 +64,9 @@ def test_keys_of_time_series_go_together(tmp_path):
     assert (said.series.band_hz, said.series.skip_periods) == ((400.0, 5000.0), 0)
     with pytest.raises(PipelineError, match=r"ldv.window must be given with ldv.channels; got alone"):
         input_options(parsed('file = "t.csv"\nwindow = "hann"\n', tmp_path).ldv)
+    (tmp_path / "t.uff").write_text("    -1\n    58\n")
+    said = input_options(parsed('file = "t.uff"\nwindow = "hann"\n', tmp_path).ldv)
+    assert (said.series.window, said.series.channels) == ("hann", None)
     study = parsed('file = "t.csv"\nmapping = "m.toml"\n' + series, tmp_path)
     assert {"ldv", "mapping", "channels"} <= {name for name, path in Motion.inputs(study).items() if path}
     (tmp_path / "t.csv.toml").write_text("")
