@@ -248,10 +248,7 @@ def _told(suspect: _Suspect, place: _Place, runs: Sequence[str], freq_hz: Array)
     home, other = suspect.home, place.at
     mine, theirs = f"point {suspect.point} of body {home.body.body}", other.body.body
     if place.kind == "conjugate":
-        return (
-            "conjugate of what it should read (an amplitude of e^{-iwt}); turn the sign of its im or "
-            "phase_deg round"
-        )
+        return "conjugate of what it should read (amplitudes of e^{-iwt})"
     if place.kind == "lines":
         first, second = freq_hz[home.lines]
         return f"rows of {mine} at {first:.6g} and {second:.6g} Hz exchanged"

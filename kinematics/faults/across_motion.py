@@ -20,6 +20,7 @@ _BLOCKS, REACH = 43, 3
 _FALL, _TIMES = 0.3, 4.0
 _ALONE, _QUIET = 0.97, 1.4
 _HELD = 1e-3
+_MOST, _TRIED = 8, 5
 
 
 @dataclass(frozen=True)
@@ -99,21 +100,19 @@ def cleared(
     groups = {name: [c for c, own in enumerate(body.points) if own == name] for name in body.points}
     suspects: list[tuple[int, ...]] = []
     out: list[int] = []
-    for _ in range(max(1, len(groups) // 3)):
+    names = list(groups)
+    for _ in range(min(max(1, len(groups) // 3), _MOST)):
         before, freedom = sums.left(out), sums.freedom(out)
         if freedom <= 0:
             break
-        left = {
-            name: sums.left([*out, *own])
-            for name, own in groups.items()
-            if not set(own) & set(out) and sums.determined([*out, *own])
-        }
-        if not left:
+        left = sums.left_without(out, [groups[name] for name in names])
+        order = np.argsort(left, kind="stable")
+        best = next((k for k in order[:_TRIED] if sums.determined([*out, *groups[names[k]]])), None)
+        if best is None:
             break
-        best = min(left, key=lambda name: left[name])
-        own = groups[best]
-        fall = before - left[best]
-        noise = max(left[best] / max(sums.freedom([*out, *own]), 1), 1e-300)
+        own, after = groups[names.pop(best)], float(left[best])
+        fall = before - after
+        noise = max(after / max(sums.freedom([*out, *own]), 1), 1e-300)
         if fall < _FALL * before or fall < _TIMES * noise * len(own) * len(lines):
             break
         for channel in own if len(own) > 1 else ():
@@ -164,6 +163,19 @@ class _Sums:
         whole = float(np.sum(self.weight[kept] * np.abs(self.value[kept]) ** 2))
         return whole - float(np.real(np.sum(side.conj() * _solved(gram, side))))
 
+    def left_without(self, out: list[int], groups: list[list[int]]) -> Array:
+        """Return the residual energy without some channels and each of some groups, (group,)."""
+        gram, side = self._without(out)
+        energy = np.sum(self.weight * np.abs(self.value) ** 2, axis=1)
+        whole = float(np.sum(energy) - np.sum(energy[out]))
+        made = np.empty(len(groups))
+        for k, own in enumerate(groups):
+            less, shorter = self._of(own, self.value)
+            rest, into = gram - less, side - shorter
+            taken = float(np.real(np.sum(into.conj() * _solved(rest, into))))
+            made[k] = whole - float(np.sum(energy[own])) - taken
+        return made
+
     def freedom(self, out: list[int]) -> int:
         """Return how many complex values are left over."""
         kept = [c for c in range(len(self.basis)) if c not in set(out)]
@@ -183,8 +195,12 @@ class _Sums:
 
 
 def _solved(gram: Array, side: ComplexArray) -> ComplexArray:
-    inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
-    return np.asarray(np.einsum("fab,fb->fa", inverse, side))
+    """Solve the normal equations (line, m, m) of every line; by pseudo-inverses where one has no solution."""
+    try:
+        return np.asarray(np.linalg.solve(gram, side[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
+        return np.asarray(np.einsum("fab,fb->fa", inverse, side))
 
 
 __all__ = ["REACH", "Cleared", "chosen_lines", "cleared"]
