@@ -252,6 +252,8 @@ def _faults(options: argparse.Namespace) -> list[str]:
     faults = []
     if options.out.suffix.lower() != ".csv":
         faults.append(sentence("--out", "a name that ends in .csv", options.out, "", "Add .csv"))
+    elif options.out.is_dir():
+        faults.append(sentence("--out", "a file", f"the folder {options.out}", "", "Choose another name"))
     if options.fiducials is not None and options.frame is not None:
         faults.append(
             sentence(

@@ -170,7 +170,7 @@ class Parser(argparse.ArgumentParser):
             name = key.replace("-", "_")
             if name not in actions or name in ("config", "help", "version"):
                 near = difflib.get_close_matches(name, actions, 1)
-                hint = f"Did you mean {near[0].replace('_', '-')}" if near else ""
+                hint = f"Did you mean {near[0].replace('_', '-')}?" if near else ""
                 faults.append(sentence("a key of --config", "an option of the command", key, path.name, hint))
                 continue
             with collecting(faults):

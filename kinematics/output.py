@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -9,7 +10,9 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from kinematics.errors import StapeskitError, sentence
+from kinematics.errors import StapeskitError, raise_all, sentence
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
@@ -34,7 +37,8 @@ def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
     Raises
     ------
     StapeskitError
-        ``folder`` is a file, or cannot be written.
+        ``folder`` is a file, or cannot be written; its disk is full; or a folder stands where a file shall
+        appear, or a file where a folder shall.
     """
     folder = Path(folder).absolute()
     parent = _existing_folder(folder)
@@ -46,6 +50,7 @@ def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
         ) from fault
     try:
         yield stage
+        raise_all(StapeskitError, _in_the_way(stage, folder))
         folder.mkdir(parents=True, exist_ok=True)
         for name in of_ours:
             if not (stage / name).exists():
@@ -56,8 +61,42 @@ def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
                 target.mkdir(exist_ok=True)
             else:
                 os.replace(path, target)
+    except (OSError, RuntimeError) as fault:
+        if not _disk_full(fault):
+            raise
+        raise StapeskitError(
+            sentence(
+                "the output folder",
+                "on a disk with room for the outputs",
+                "no space left",
+                str(folder),
+                "Make room there, or choose another place with --out",
+            )
+        ) from fault
     finally:
         shutil.rmtree(stage, ignore_errors=True)
+
+
+def _disk_full(fault: BaseException | None) -> bool:
+    """Tell whether a fault, or one behind it, is a full disk; HDF5 tells it in its text only."""
+    while fault is not None:
+        number = getattr(fault, "errno", None)
+        if number in _FULL or any(f"errno = {code}," in str(fault) for code in _FULL):
+            return True
+        fault = fault.__cause__ or fault.__context__
+    return False
+
+
+def _in_the_way(stage: Path, folder: Path) -> list[str]:
+    """Return a sentence on every folder that stands where a file shall appear, and the reverse."""
+    faults = []
+    for path in sorted(stage.rglob("*")):
+        target = folder / path.relative_to(stage)
+        if path.is_dir() and target.is_file():
+            faults.append(sentence(f"the output {target}", "a folder", "a file", "", "Move it away"))
+        elif path.is_file() and target.is_dir():
+            faults.append(sentence(f"the output {target}", "a file", "a folder", "", "Move it away"))
+    return faults
 
 
 def _existing_folder(folder: Path) -> Path:

@@ -77,7 +77,7 @@ def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) 
         text = f"the beams cannot tell {name} from the fitted motion, and {_entering(leak, dof, name, rows)}"
         for row in [row for row in rows if name in DOF_NAMES[:3] and dof[row] in DOF_NAMES[:3]][:1]:
             size = 100.0 * _FIFTH * abs(leak[row, DOF_NAMES.index(name)])
-            text += f" (if {name} is a fifth of {dof[row]}, that is {size:.2g} % of {dof[row]})"
+            text += f" (if {name} is a fifth of {dof[row]}, that is {_digits(size)} % of {dof[row]})"
         texts.append(text)
     return texts
 
@@ -90,17 +90,22 @@ def _entered(leak: Array, dof: tuple[str, ...], name: str, lever: float) -> list
     return [int(k) for k in np.argsort(-entries, kind="stable") if entries[k] > _LEAK]
 
 
+def _digits(value: float) -> str:
+    """Write a number to two digits, without an exponent from 100 on."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def _entering(leak: Array, dof: tuple[str, ...], name: str, rows: list[int]) -> str:
     """Say how much of a motion enters the fitted ones, per unit of it."""
     column, parts = DOF_NAMES.index(name), []
     for row in rows:
         value, turns = abs(leak[row, column]), dof[row] in DOF_NAMES[3:]
         if turns == (column > 2):
-            parts.append(f"{100.0 * value:.2g} % of it enters {dof[row]}")
+            parts.append(f"{_digits(100.0 * value)} % of it enters {dof[row]}")
         elif turns:
-            parts.append(f"{1e-3 * value:.2g} urad enter {dof[row]} per nm of it")
+            parts.append(f"{_digits(1e-3 * value)} urad enter {dof[row]} per nm of it")
         else:
-            parts.append(f"{1e3 * value:.2g} nm enter {dof[row]} per urad of it")
+            parts.append(f"{_digits(1e3 * value)} nm enter {dof[row]} per urad of it")
     return " and ".join(parts) or "little of it enters the others"
 
 
@@ -134,7 +139,7 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     if np.max(share) < _BIAS:
         return []
     worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= _BIAS]
-    changes = ", ".join(f"{dof[k]} by {100.0 * share[k]:.2g} %" for k in worst)
+    changes = ", ".join(f"{dof[k]} by {_digits(100.0 * share[k])} %" for k in worst)
     variance = np.real(full.covariance[good][:, places, places]) * left
     parts = []
     for k, name in enumerate(extra):

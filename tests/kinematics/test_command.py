@@ -66,7 +66,7 @@ def test_config_gives_defaults_and_the_line_wins(parser, tmp_path):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("anteror = [1, 0, 0]", "Did you mean anterior"),
+        ("anteror = [1, 0, 0]", r"Did you mean anterior\?$"),
         ("side = 'up'", "one of left, right"),
         ("report = 3", "true or false"),
         ("anterior = [1, 0]", "3 finite numbers"),

@@ -41,7 +41,7 @@ def test_the_bias_of_one_oblique_beam_is_the_tangent(angle, printed, towards):
     q[:, 1], q[:, "xyz".index(towards)] = 1e-7, 2e-8
     (text,), fitted = told(oblique(angle, towards), q, sd=1e-13)
     assert f"the beams cannot tell {towards} from the fitted motion" in text
-    assert f"{100.0 * np.tan(np.radians(angle)):.2g} % of it enters y" in text
+    assert f" {100.0 * np.tan(np.radians(angle)):.0f} % of it enters y" in text
     assert f"(if {towards} is a fifth of y, that is {printed} % of y)" in text
     assert np.allclose(fitted[:, 0] / 1e-7 - 1.0, 0.2 * np.tan(np.radians(angle)), rtol=1e-4)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 
 import pytest
@@ -70,6 +71,51 @@ def test_a_file_in_the_way_is_named(tmp_path):
         staged(tmp_path / "out" / "deep"),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        RuntimeError(
+            "Can't decrement id ref count (file write failed: errno = 28, error message = 'No space')"
+        ),
+    ],
+)
+def test_a_full_disk_is_told_and_leaves_the_old_files(tmp_path, fault):
+    (tmp_path / "x.txt").write_text("old")
+    with (
+        pytest.raises(StapeskitError, match="with room for the outputs; got no space left"),
+        staged(tmp_path),
+    ):
+        raise fault
+    assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
+    assert (tmp_path / "x.txt").read_text(encoding="utf-8") == "old"
+
+
+def test_other_faults_of_the_system_are_no_full_disk(tmp_path):
+    with pytest.raises(PermissionError), staged(tmp_path):
+        raise PermissionError(errno.EACCES, "denied")
+
+
+def test_nothing_is_replaced_where_a_folder_stands_in_the_way_of_a_file(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    (tmp_path / "b.txt").mkdir()
+    (tmp_path / "c").write_text("a file")
+
+    def work():
+        with staged(tmp_path) as stage:
+            (stage / "a.txt").write_text("new")
+            (stage / "b.txt").write_text("new")
+            (stage / "c").mkdir()
+
+    with pytest.raises(StapeskitError) as caught:
+        work()
+    text = str(caught.value)
+    assert "b.txt must be a file; got a folder" in text
+    assert "c must be a folder; got a file" in text
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt", "c"]
 
 
 def test_sentences():

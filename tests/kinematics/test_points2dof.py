@@ -209,6 +209,14 @@ def test_faulty_options_are_told_before_content(tmp_path, options, match):
         work([str(path), *options])
 
 
+def test_a_folder_at_the_place_of_the_output_is_refused_before_content(tmp_path):
+    path, _ = write_plain(tmp_path)
+    path.write_text("not,a,table\n")
+    (tmp_path / "dof.csv").mkdir()
+    with pytest.raises(StapeskitError, match="--out must be a file; got the folder"):
+        work([str(path), "--out", str(tmp_path / "dof.csv")])
+
+
 def test_a_fault_leaves_nothing_behind(tmp_path):
     path, _ = write_plain(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace("stapes,1", "stapes,,1", 1))
