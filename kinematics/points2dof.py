@@ -20,7 +20,7 @@ from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_n
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import with_noise
 from kinematics.fit.ratio import parse_reference, per_reference
-from kinematics.fit.record_noise import with_record_noise
+from kinematics.fit.record_noise import cautious, with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.fit.shared_errors import pose_derivatives, position_errors
 from kinematics.geometry.calibrate import Calibration
@@ -183,6 +183,7 @@ def points2dof(
         screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
         beams = _beam_sets(placed, options.dof)
     fits: dict[tuple[int, int], LineFit] = {}
+    searched: dict[tuple[int, int], LineFit] = {}
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
     known: dict[tuple[int, int], bool] = {}
     verdicts: list[ChannelVerdict] = []
@@ -196,8 +197,11 @@ def points2dof(
             key = (run, number)
             fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
-            diagnoses[key] = diagnosed(placed, screen.body, fits[key], known[key])
-    diagnoses |= told_across(placed, fits, diagnoses, known)
+            searched[key], careful = fits[key], cautious(placed, run, screen.body)
+            if careful is not None:
+                searched[key] = with_noise(placed, run, careful, beams[number], options.robust)[0]
+            diagnoses[key] = diagnosed(placed, screen.body, searched[key], known[key])
+    diagnoses |= told_across(placed, searched, diagnoses, known)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)

@@ -8,8 +8,31 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.measurement import Measurement
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion import RigidMotion
+
+
+def cautious(measured: Measurement, run: int, body: BodyChannels) -> BodyChannels | None:
+    """Return a body whose sd hold the shared noise of records in any direction; None when it has none.
+
+    Notes
+    -----
+    A search for faults that takes the noise of beams for independent would find the beams of one point at
+    fault together. As matrices v v^H <= diag(|v_i| sum |v_j|): own noise and that diagonal bound the noise of
+    any combination of beams.
+    """
+    if body.sd is None or body.relative or not any(one.run == run for one in measured.record_noise):
+        return None
+    sd, changed = body.sd, False
+    for one in measured.record_noise:
+        channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
+        if one.run != run or len(channels) < 2:
+            continue
+        sd, changed = (sd if changed else sd.copy()), True
+        size = np.abs(body.displacement[run, channels])
+        others = np.nansum(size, axis=0) - size
+        sd[run, channels] = np.sqrt(sd[run, channels] ** 2 + one.sd**2 * size * others)
+    return replace(body, sd=sd) if changed else None
 
 
 def with_record_noise(

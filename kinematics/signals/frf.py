@@ -218,7 +218,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     if how.window == "none":
         notices += edge_notice([records[0][1][:, : how.segment]])
     sd = np.sqrt(0.5 * variance)
-    notices += bend_notice(freq, value, np.hypot(sd, common_sd * np.abs(value)), taper)
+    notices += bend_notice(freq, value, np.hypot(sd, common_sd * np.abs(value)), taper, gxx)
     return Frf(
         freq,
         value,

@@ -12,9 +12,10 @@ ComplexArray = NDArray[np.complex128]
 _EDGE = 0.02
 _LOUD = 0.1
 _WIDEST = 6
+_SAME = 0.1
 
 
-def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array) -> list[Notice]:
+def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, power: Array) -> list[Notice]:
     """Warn where responses bend so much within the width of the window that their bias exceeds the noise.
 
     Parameters
@@ -25,6 +26,8 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array) ->
     sd : ndarray, (channel, freq)
         Of the real (= imaginary) part.
     taper : ndarray, (segment,)
+    power : ndarray, (freq,)
+        Of the reference. Lines at the edge of an excited band and outside are not looked at.
 
     Notes
     -----
@@ -45,7 +48,7 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array) ->
     chance = (0.5 * moment) ** 2 * (6.0 - 8.0 * np.sqrt(r1) + 2.0 * np.sqrt(r2))
     excess = np.mean(np.abs(bias) ** 2 / variance, axis=0) - chance
     wide = chance * (1.0 + 4.0 / np.sqrt(len(value)))
-    beyond = excess > 1.0 + wide
+    beyond = (excess > 1.0 + wide) & _even(power)[1:-1]
     count = int(np.sum(beyond))
     if count == 0:
         return []
@@ -59,6 +62,14 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array) ->
         "--resolution, or longer records."
     )
     return [Notice("leakage", text)]
+
+
+def _even(power: Array) -> NDArray[np.bool_]:
+    """Return the lines around which the excitation has much the same power."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    least, most = minimum_filter1d(power, 2 * _WIDEST + 1), maximum_filter1d(power, 2 * _WIDEST + 1)
+    return np.asarray((least > _SAME * most) & (power > _SAME * np.median(power)))
 
 
 def edge_notice(segments: list[Array]) -> list[Notice]:

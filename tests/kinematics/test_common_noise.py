@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.measurement import from_arrays
+from kinematics.measurement import RecordNoise, from_arrays
+from kinematics.motion_files import standard_deviation
 from kinematics.points2dof import Options, points2dof
-from kinematics.readers.common_noise import with_common_noise
+from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.recording import Recording
+from tests.kinematics.simulated import body, measurement, readings, scene
 
 FREQ = np.array([100.0, 200.0, 300.0])
 LINES = np.arange(3)
@@ -71,3 +75,50 @@ def test_it_stands_in_the_covariance_of_the_motion():
     np.testing.assert_allclose(both.common_sd, np.hypot(shared, 0.4))
     with pytest.raises(KinematicsError, match=r"the noise of the reference must be of shape \(1, 3\)"):
         type(plain)(**{**vars(plain), "common_sd": shared[:, :2]})
+
+
+def scanned(seed):
+    """Return points read one after the other with a noisy reference, and their true motion."""
+    made = scene(1, lines=80, count=6)
+    rng = np.random.default_rng([seed, 6])
+    clean = readings(made.positions_mm, made.directions, made.q)
+    share = 0.04
+    factor = 1.0 + share * np.repeat(rng.normal(size=(6, 80, 2)) @ [1.0, 1j], 3, axis=0)
+    own = 0.005 * np.sqrt(np.mean(np.abs(clean) ** 2))
+    read = clean * factor + own * (rng.normal(size=(*clean.shape, 2)) @ [1.0, 1j])
+    held = replace(
+        body("stapes", made), displacement=read[None], sd=np.hypot(own, share * np.abs(read))[None]
+    )
+    records = tuple(RecordNoise(0, (("stapes", str(k + 1)),), np.full(80, share)) for k in range(6))
+    return replace(measurement(held, freq_hz=made.freq_hz), record_noise=records), made.q
+
+
+def test_points_scanned_with_a_noisy_reference_state_their_motion_honestly():
+    scores, plain, found, blamed = [], [], 0, 0
+    for seed in range(25):
+        measured, q = scanned(seed)
+        made = points2dof(measured)
+        error = np.abs(made.motion.q[0, 0] - q) ** 2
+        scores.append(np.mean(error / (2.0 * standard_deviation(made.motion)[0, 0] ** 2), axis=0))
+        alone = points2dof(replace(measured, record_noise=()))
+        plain.append(np.mean(error / (2.0 * standard_deviation(alone.motion)[0, 0] ** 2), axis=0))
+        found += bool(made.diagnoses[0, 0].findings)
+        blamed += bool(alone.diagnoses[0, 0].findings)
+    assert np.all(np.abs(np.mean(scores, axis=0) - 1.0) < 0.15)
+    assert np.max(np.abs(np.mean(plain, axis=0) - 1.0)) > 0.4
+    assert found <= 1 < blamed
+
+
+def test_records_of_several_points_are_told_from_one_record_of_all():
+    one = [replace(recording([0.2, 0.1, 0.0]), body="stapes", point=name) for name in ("1", "1", "2")]
+    other = [replace(recording([0.3, 0.1, 0.0]), body="stapes", point="3") for _ in range(2)]
+    flat, take = [*one, *other], [0] * 5
+    found = noise_of_records(flat, take, [LINES] * 5, (1, 3))
+    assert [part.points for part in found] == [(("stapes", "1"), ("stapes", "2")), (("stapes", "3"),)]
+    np.testing.assert_array_equal(found[1].sd, [0.3, 0.1, 0.0])
+    assert noise_of_records(one, [0] * 3, [LINES] * 3, (1, 3)) == ()
+    mixed = [*one, replace(recording([0.3, 0.1, 0.0]), body="stapes", point="1"), *other]
+    assert [part.points for part in noise_of_records(mixed, [0] * 6, [LINES] * 6, (1, 3))] == [
+        (("stapes", "2"),),
+        (("stapes", "3"),),
+    ]
