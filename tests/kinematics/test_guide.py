@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
 
 from ct_inertia.cli import parser as ct_parser
 from kinematics.cli import work
@@ -56,3 +61,29 @@ def test_the_sections_of_the_guide_are_those_of_the_page():
         assert f'"{heading}"' in source
     for target in re.findall(r"\]\(([^)#]+)\)", GUIDE):
         assert (ROOT / "docs" / target).exists()
+
+
+def test_the_notebook_of_the_guide_gives_what_the_command_writes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("points.csv", "fiducials.csv"):
+        (tmp_path / name).write_bytes((SAMPLE / name).read_bytes())
+    header, *rows = (SAMPLE / "ldv.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "ldv.csv").write_text("\n".join([header, *rows[::5]]) + "\n", encoding="utf-8")
+    (tmp_path / "mass").mkdir()
+    write_record(tmp_path / "mass")
+    (source,) = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
+    seen: dict[str, Any] = {}
+    exec(source, seen)
+    files = ["--points", "points.csv", "--fiducials", "fiducials.csv", "--mass", "mass/mass.json"]
+    work(["ldv.csv", *files])
+    with (tmp_path / "dof.csv").open(encoding="utf-8") as file:
+        table = [row for row in csv.DictReader(file) if row["body"] == "stapes"]
+    written = np.array([float(row["y_re_m"]) + 1j * float(row["y_im_m"]) for row in table])
+    assert len(written) == 40
+    assert np.allclose(seen["piston"], written, rtol=1e-9, atol=0.0)
+    with h5py.File(tmp_path / "dof.h5") as file:
+        assert file["covariance"].shape == (1, 2, 40, 6, 6)
+        assert file["covariance"].dtype.names is None
+        assert file["covariance"].id.get_type().get_member_name(0) == b"r"
+    (matlab,) = re.findall(r"```matlab\n(.*?)```", GUIDE, re.DOTALL)
+    assert {"body", "freq_hz", *re.findall(r"T\.(\w+)", matlab)} <= set(table[0])
