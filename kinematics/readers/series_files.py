@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 _JITTER = 0.1
+_FEWEST = 16
 
 
 @dataclass(frozen=True)
@@ -289,8 +290,8 @@ def _rows(values: NDArray[Any], where: str) -> tuple[Array, ...]:
     found = values.astype(float)
     if found.ndim > 2 and np.sum(np.array(found.shape) > 1) <= 2:
         found = found.squeeze()
-    if found.ndim > 2 or found.size < 16:
-        want = "samples, or rows x samples (16 at least)"
+    if found.ndim > 2 or found.size < _FEWEST:
+        want = f"samples, or rows x samples ({_FEWEST} at least)"
         raise KinematicsError(sentence("a channel", want, f"shape {values.shape}", where))
     if found.ndim == 2:
         found = found if found.shape[1] >= found.shape[0] else found.T
@@ -309,6 +310,9 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
     except Exception as fault:  # the reader meets damaged bytes with errors of many kinds
         reason = str(fault).splitlines()[0][:120] if str(fault) else type(fault).__name__
         raise KinematicsError(sentence(path.name, "a readable WAV file", reason, "", step)) from fault
+    if len(data) < _FEWEST:
+        want = f"of {_FEWEST} samples at least"
+        raise KinematicsError(sentence("a recording", want, len(data), path.name, step))
     full = 1.0
     if data.dtype.kind in "iu":
         full = float(np.iinfo(data.dtype).max) + 1.0

@@ -339,3 +339,11 @@ def test_all_steps_outside_the_record_are_told(tmp_path):
         read(path, SeriesOptions(options.channels, steps=steps))
     told = str(caught.value).splitlines()
     assert [line.split("(steps.csv, ")[1] for line in told] == ["step 1).", "step 3).", "step 4)."]
+
+
+def test_a_recording_without_samples_is_refused(tmp_path):
+    wavfile.write(tmp_path / "none.wav", 2000, np.zeros((0, 2), dtype=np.int16))
+    with pytest.raises(
+        KinematicsError, match=r"a recording must be of 16 samples at least; got 0 \(none.wav\)"
+    ):
+        read_series(tmp_path / "none.wav", ["1", "2"])
