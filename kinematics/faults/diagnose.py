@@ -20,6 +20,7 @@ from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding, can_lose
 from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
 from kinematics.faults.refilling import filled_freely, refilled
+from kinematics.faults.scattered import scattered
 from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.structure import Structure
 from kinematics.faults.unknown_noise import evened
@@ -111,17 +112,22 @@ def diagnose(
             found = _explained(current, prior, noise_known, alarm, doubt, found)
         if found.kind == "flexible" or len(findings) >= most:
             body = found if not findings and found.kind == "flexible" else searches[0].flexible()
+            body = scattered(searches[0], prior, doubt, findings) or body
             return _made((body,), searches[0], search, data)
         findings = _joined(findings, found)
         current = cleared(current, found)
     if findings and searches[0].structure.significant:
         after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
         if not account_for_it(searches[0], after, findings):
-            return _made((searches[0].flexible(),), searches[0], search, data)
+            body = scattered(searches[0], prior, doubt, findings) or searches[0].flexible()
+            return _made((body,), searches[0], search, data)
     kept = 1.0
     if findings and findings[0].owner != "body":
         kept = searches[1].excess() / max(searches[0].excess(), 1e-300)
     if len(findings) > 1:
+        spread = scattered(searches[0], prior, doubt, findings)
+        if spread is not None:
+            return _made((spread,), searches[0], searches[0], data)
         findings = _again(data, prior, noise_known, alarm, doubt, findings)
     return _made(tuple(findings), searches[0], search, data, kept)
 

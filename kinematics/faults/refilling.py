@@ -17,11 +17,15 @@ def filled_freely(data: Compact) -> bool:
 def refilled(data: Compact, found: Finding) -> Compact:
     """Return the data as measured, with gaps filled by the rows and factors of a fitted fault.
 
-    A fault has few parameters; rows that were found freely carry more noise into the gaps.
+    A fault has few parameters; rows that were found freely carry more noise into the gaps. Of a drift only
+    its mean is taken, so that no slope is seen but that of the readings.
     """
     if found.fit is None:
         return data
-    undone = found.fit.fault.undone(data, found.fit.parameters).repacked()
+    parameters = found.fit.parameters.copy()
+    if found.kind == "drift":
+        parameters[2:] = 0.0
+    undone = found.fit.fault.undone(data, parameters).repacked()
     factor = undone.divisor / data.divisor
     y, rest, a = undone.y.copy(), undone.rest.copy(), undone.a.copy()
     for channel in found.channels:

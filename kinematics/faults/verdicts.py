@@ -171,6 +171,11 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             )
         elif finding.owner == "laser":
             text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
+        elif finding.kind == "position" and finding.fit is None:
+            text = (
+                f"body {body.body}{where}: {estimate} would explain the residuals; state them as sd_mm in "
+                "the points file, or measure the points anew."
+            )
         elif finding.kind == "axes":
             text = f"body {body.body}{where}: beam axes do not agree with the positions: {estimate}."
         else:

@@ -1,0 +1,90 @@
+"""Positions that are all somewhat off, though nobody said so: how far, and whether that explains a misfit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.compact import Compact
+from kinematics.faults.fault_model import State, solve
+from kinematics.faults.findings import Finding
+from kinematics.faults.search import Search
+from kinematics.spatial import dof_indices
+
+Array = NDArray[np.float64]
+_LEAST_POINTS = 4
+_SMALLEST_M, _OF_LEVER = 1e-7, 0.2
+_MORE = 1.5
+_PER_PARAMETER = 5.0
+
+
+def scatter(data: Compact) -> tuple[float, float]:
+    """Return the likeliest standard deviation of all positions, per axis, m, and its log likelihood gain.
+
+    Notes
+    -----
+    Marginal likelihood of independent normal shifts of the points beside the motion, linear in the shifts
+    (Harville 1977, doi:10.1080/01621459.1977.10480998): with score g and information N of the shifts, the
+    gain over none at a variance v is the sum over eigenvectors of
+    g_i^2 / (N_i + 1 / 2 v) - log(1 + 2 v N_i) / 2.
+    """
+    score, information = _shifts(solve(data))
+    values, vectors = np.linalg.eigh(information)
+    along, values = vectors.T @ score, np.maximum(values, 0.0)
+    sizes = np.geomspace(_SMALLEST_M, _OF_LEVER * data.beams.lever_m, 80)
+    twice = 2.0 * sizes[:, None] ** 2
+    gains = np.sum(along**2 * twice / (1.0 + twice * values) - 0.5 * np.log1p(twice * values), axis=1)
+    best = int(np.argmax(gains))
+    return float(sizes[best]), float(gains[best])
+
+
+def _shifts(state: State) -> tuple[Array, Array]:
+    """Return score (3 point,) and information (3 point, 3 point) of shifts of all points."""
+    data = state.data
+    turned = np.cross(np.eye(3)[None], data.directions[:, None])
+    change = np.concatenate([np.zeros_like(turned), turned], axis=2)
+    rows = change[..., dof_indices(data.beams.dof)] @ data.beams.to_dof
+    own = data.a[:, None, None] * (rows @ state.z)
+    names = list(dict.fromkeys(data.points[c] for c in data.live))
+    columns = np.zeros((len(names), 3, *state.e.shape), dtype=complex)
+    for channel in data.live:
+        columns[names.index(data.points[channel]), :, channel] = own[channel]
+    flat = columns.reshape(3 * len(names), *state.e.shape)
+    if data.mixing is not None:
+        flat = data.mixing.whiten @ flat
+    flat = (flat - state.span @ (state.span.T @ flat)).reshape(3 * len(names), -1)
+    return np.real(flat.conj() @ state.e.ravel()), np.real(flat.conj() @ flat.T)
+
+
+def scattered(first: Search, prior_m: Array, doubt: Array | None, findings: list[Finding]) -> Finding | None:
+    """Return that the positions are off by more than stated, when that explains what was found better.
+
+    Parameters
+    ----------
+    first : Search
+        Before anything was left out.
+    prior_m : ndarray, (channel,)
+        Stated standard deviations of the positions, m.
+    doubt : ndarray or None
+        As of the search.
+    findings : list of Finding
+        What was found otherwise.
+    """
+    if len(first.by_point) < _LEAST_POINTS or len(first.live) <= first.state.span.shape[1]:
+        return None
+    flat = replace(first.flat, a=first.flat.a / np.sqrt(first.scale))
+    size, gain = scatter(flat)
+    if not size > _MORE * float(np.max(prior_m, initial=0.0)):
+        return None
+    fits = [found.fit for found in findings if found.fit is not None]
+    others = sum(fit.drop / first.scale - _PER_PARAMETER * (1 + fit.fault.size) for fit in fits)
+    if gain < others:
+        return None
+    search = Search(first.raw, np.full(len(prior_m), size), first.known, first.alarm, doubt)
+    if search.best() is not None:
+        return None
+    said = f"positions of all points off by about {size * 1e3:.2g} mm (standard deviation per axis)"
+    p = min((found.p_value for found in [*findings, first.flexible()]), default=1.0)
+    return Finding("position", list(first.live), p, None, size, text=said)

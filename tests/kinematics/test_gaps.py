@@ -1,0 +1,51 @@
+"""Missing values cost only themselves: the same fault is found beside them, and its culprit named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.fault_scenes import measured, scene, two_faults, with_gaps
+from benchmarks.points_conditions import verdicts
+
+TEN, FIVE = "stapes, 10 points 3D", "footplate, 5 points 3D"
+
+
+@pytest.mark.parametrize("fault", ["sign", "point sign", "label swap", "laser sign", "zeros", "flexible 3 %"])
+def test_a_large_fault_beside_missing_values_is_named(fault):
+    made = scene(31_001, TEN, fault)
+    said = verdicts(made, with_gaps(measured(made, 31_001), 31_001, 0.2))
+    assert said == dict.fromkeys(made.culprits, made.verdict)
+
+
+def test_a_file_with_two_fifths_missing_is_not_accused():
+    made = scene(31_002, FIVE)
+    assert verdicts(made, with_gaps(measured(made, 31_002), 31_002, 0.4)) == {}
+
+
+def test_a_channel_missing_over_half_the_lines_is_not_accused_and_a_fault_beside_it_named():
+    made = scene(31_003, TEN)
+    assert verdicts(made, with_gaps(measured(made, 31_003), 31_003, 0.0, band=True)) == {}
+    made = scene(31_003, TEN, "gain 5 %")
+    said = verdicts(made, with_gaps(measured(made, 31_003), 31_003, 0.0, band=True))
+    assert said == dict.fromkeys(made.culprits, "gain")
+
+
+def test_two_faults_beside_missing_values_are_both_named():
+    made = two_faults(31_004, TEN, ("sign", "gain 5 %"))
+    said = verdicts(made, with_gaps(measured(made, 31_004), 31_004, 0.2))
+    assert said == dict(zip(made.culprits, ("sign", "gain"), strict=True))
+
+
+def test_position_errors_that_nobody_stated_are_told_as_such():
+    made = scene(31_005, TEN, position_sd_mm=0.02)
+    said = verdicts(made, measured(made, 31_005))
+    assert said == dict.fromkeys(range(30), "position")
+
+
+def test_gaps_change_neither_data_nor_scene():
+    made = scene(31_006, FIVE)
+    value = measured(made, 31_006)
+    gone = with_gaps(value, 31_006, 0.3)
+    assert np.all(np.isfinite(value))
+    assert 0.2 < np.mean(np.isnan(gone)) < 0.4
