@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,10 +46,24 @@ class Places:
         """Return the data with every point shifted; shift (point, 3), m."""
         if not self.owners:
             return data
-        arms = data.arms_m.copy()
-        for channels, step in zip(self.owners, shift, strict=True):
-            arms[channels] += step
+        arms, (channels, owner) = data.arms_m.copy(), self.members
+        arms[channels] += shift[owner]
         return data.moved(arms_m=arms)
+
+    @cached_property
+    def members(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """All channels, point by point, and the number of the point of each."""
+        sizes = [len(own) for own in self.owners]
+        channels = np.array([c for own in self.owners for c in own], dtype=np.intp)
+        return channels, np.repeat(np.arange(len(sizes)), sizes)
+
+    def summed(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums (point, ...) of values (n, ...) of all channels, point by point."""
+        size = len(self.owners[0])
+        if all(len(own) == size for own in self.owners):
+            return np.asarray(values.reshape(-1, size, *values.shape[1:]).sum(axis=1))
+        starts = np.flatnonzero(np.diff(self.members[1], prepend=-1))
+        return np.asarray(np.add.reduceat(values, starts, axis=0))
 
     def penalty(self, shift: Array) -> float:
         """Return half the sum of (shift / sd)^2."""
@@ -195,9 +210,8 @@ class Refit:
     def _shifts(self, slopes: ComplexArray, seen: ComplexArray) -> _Shifts:
         """Return score and information of all shifts, and their information in common with parameters."""
         owners = self.places.owners
-        channels = [c for own in owners for c in own]
-        sizes = [len(own) for own in owners]
-        starts, owner = np.cumsum([0, *sizes[:-1]]), np.repeat(np.arange(len(owners)), sizes)
+        owner = self.places.members[1]
+        channels = self.places.members[0].tolist()
         moved = self._shifted(channels)
         mixed = moved
         if self.norm is not None:
@@ -205,11 +219,11 @@ class Refit:
             mixed = flat.reshape(moved.shape)
         weight = 0.5 / np.repeat(self.places.sd_m, 3) ** 2
         score = np.real(moved.conj() @ self.own_e[channels][:, :, None])[..., 0]
-        score = np.add.reduceat(score, starts, axis=0).ravel() - weight * self.shift.ravel()
+        score = self.places.summed(score).ravel() - weight * self.shift.ravel()
         blocks = np.real(moved.conj() @ mixed.transpose(0, 2, 1))
-        blocks = np.add.reduceat(blocks, starts, axis=0)
+        blocks = self.places.summed(blocks)
         blocks[:, np.arange(3), np.arange(3)] += weight.reshape(-1, 3)
-        taken = np.add.reduceat(self._seen(channels, moved), starts, axis=0).reshape(3 * len(owners), -1)
+        taken = self.places.summed(self._seen(channels, moved)).reshape(3 * len(owners), -1)
         crossed = -np.real(seen.conj() @ taken.T)
         if len(slopes):
             place = {channel: k for k, channel in enumerate(channels)}
