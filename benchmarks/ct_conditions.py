@@ -40,6 +40,8 @@ SCANS: tuple[tuple[str, float, tuple[str, ...], bool], ...] = (
     ("density gradient 5 %, calibrated", 25, ("--gradient", "5"), True),
     ("density gradient 5 %, one density", 25, ("--gradient", "5"), False),
     ("cupping 5 %", 25, ("--cupping", "5"), False),
+    ("cupping 3 %", 40, ("--cupping", "3"), False),
+    ("cupping 5 %", 40, ("--cupping", "5"), False),
     ("cupping 10 %", 40, ("--cupping", "10"), False),
 )
 SEED = 7

@@ -109,7 +109,11 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
     away = away_from_others(cut, distance, reach, spacing, blur[0])
-    soft = without_soft(cut, (distance, away), reach, spacing, (air, bone.level, guess.between), blur[0])
+    # Where blur fills thin walls, they look like something soft: only well seen bone tells the two apart.
+    soft = None
+    if bone.seen > _WELL_SEEN:
+        known = (air, bone.level, guess.between)
+        soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
         # Edges in something soft are less high and looked blurred otherwise: once more without it.
         clear = _blur(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
@@ -296,7 +300,7 @@ def _bone(
             f"mass. Scan with smaller voxels."
         )
         notices = (Notice("bone_level_weak", text),)
-    return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices), fit
+    return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices, seen=0.0), fit
 
 
 def _without_plate(

@@ -67,4 +67,4 @@ def thin_bone(
     rest = _TREND_SD * abs(plain - float(fitted[0]))
     seen = most if np.count_nonzero(most) >= _LEAST else np.ones(len(m), dtype=bool)
     bone = bone_of(values[seen], places[seen], air, random, rest, around)
-    return replace(bone, found_by="fit")
+    return replace(bone, found_by="fit", seen=0.0)

@@ -41,7 +41,7 @@ def sd(bodies):
 
 
 def test_fluid_around_the_footplate_is_taken_off_and_told():
-    placed, volume = scan(plate=False)
+    placed, volume = scan((0.03,) * 3, plate=False)
     exact = truth(placed)["volume_m3"] * 1e9
     wet, dry = find_bodies(in_fluid(placed, volume, 0.25)), find_bodies(volume)
     assert "soft_surroundings" in codes(wet)
