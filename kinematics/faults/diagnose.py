@@ -28,6 +28,7 @@ from kinematics.fit.beams import BeamSet
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+_BESIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def diagnose(
     noise_known : bool
         The sd are absolute; otherwise only their ratios mean something.
     alarm : float
-        Probability of any finding in clean data.
+        Probability of any finding in clean data. One beside others must be surer by a factor of ten: what
+        remains holds the errors of their estimates.
     """
     prior = np.where(np.isfinite(position_sd_m), position_sd_m, 0.0)
     most = max(2, len(set(data.points)) // 3)
@@ -96,7 +98,7 @@ def diagnose(
     current = data
     searches: list[Search] = []
     while True:
-        search = Search(current, prior, noise_known, alarm, doubt)
+        search = Search(current, prior, noise_known, _BESIDE * alarm if findings else alarm, doubt)
         searches.append(search)
         found = search.best()
         if found is None:
