@@ -111,6 +111,10 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
 
     table = read_table(path, choose)
     faults = list(table.faults)
+    if not len(table):
+        raise_all(
+            KinematicsError, faults or [sentence("a table of time series", "with rows", "none", path.name)]
+        )
     record = table.numbers.get("record", np.zeros(len(table)))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(record) != 0.0) + 1, [len(table)]])
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]

@@ -347,3 +347,10 @@ def test_a_recording_without_samples_is_refused(tmp_path):
         KinematicsError, match=r"a recording must be of 16 samples at least; got 0 \(none.wav\)"
     ):
         read_series(tmp_path / "none.wav", ["1", "2"])
+
+
+def test_tables_without_one_good_row_are_refused(tmp_path):
+    for rows in ("1\n2\n", "", "\n\n"):
+        (tmp_path / "t.csv").write_text("time_s,vib\n" + rows)
+        with pytest.raises(KinematicsError):
+            read_series(tmp_path / "t.csv", ["vib"])
