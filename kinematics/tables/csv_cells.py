@@ -112,7 +112,7 @@ def _parsed(
             values[place] = float(cell.replace(",", "."))
             continue
         where = f"{name}, line {lines[place]}"
-        faults.append(sentence(column, "a number", f'"{cell}"', where, _hint(cell, decimal)))
+        faults.append(sentence(column, "a number", f'"{_printable(cell)}"', where, _hint(cell, decimal)))
     return values
 
 
@@ -145,3 +145,7 @@ def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> s
 def _row_fault(sheet: Sheet, line: int, got: int, hint: str) -> str:
     expected = f"{len(sheet.header)} cells long, as the header is"
     return sentence("a row", expected, f"{got}", f"{sheet.file}, line {line}", hint)
+
+
+def _printable(cell: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in cell)
