@@ -90,6 +90,7 @@ def relisted(data, number, point):
             body.directions[channels],
             body.displacement[:, channels],
             None if body.sd is None else body.sd[:, channels],
+            position_sd_mm=body.position_sd_mm[channels],
         )
 
     moved = picked(gives, own, takes.body)
@@ -100,6 +101,7 @@ def relisted(data, number, point):
         *(np.concatenate([getattr(takes, part), getattr(moved, part)]) for part in parts),
         np.concatenate([takes.displacement, moved.displacement], axis=1),
         None if takes.sd is None else np.concatenate([takes.sd, moved.sd], axis=1),
+        position_sd_mm=np.concatenate([takes.position_sd_mm, moved.position_sd_mm]),
     )
     bodies = [grown, grown]
     bodies[number] = picked(gives, rest, gives.body)
