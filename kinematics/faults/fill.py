@@ -31,6 +31,7 @@ _LINES = 3
 _CLEAR = 1e-5
 _KEPT = 0.1
 _LEAK = 4.0
+_ANOTHER = 0.4
 _LOOSE = 10.0
 
 
@@ -140,7 +141,7 @@ class Gaps:
         if clear:
             loose = self._loose(z[:, pick])
             found, less = self._together(pick, change, left, loose)
-            if left > _LEAK * less:
+            if left > (1.0 if self._large(pick, z[:, pick], change) else _LEAK) * less:
                 z, moved = self._motion(z, found, loose)
         change, share = self._settled(moved)
         measured = np.mean(self.held[:, self.good], axis=1)
@@ -199,6 +200,14 @@ class Gaps:
         spread = z @ z.conj().T / z.shape[1]
         tiny = 1e-12 * float(np.trace(spread).real) * np.eye(len(z))
         return np.asarray(np.linalg.inv(_LOOSE * spread + tiny), dtype=complex)
+
+    def _large(self, lines: NDArray[np.intp], z: ComplexArray, change: ComplexArray) -> bool:
+        """Tell whether the channel that is changed most has a reading of quite another size."""
+        weights = self._weights(lines)
+        changed = np.sum(weights * np.abs(change @ _varying(z, self.tau[lines])) ** 2, axis=1)
+        most = int(np.argmax(changed))
+        given = float(weights[most] @ np.abs(self.basis[most] @ z) ** 2)
+        return bool(changed[most] > _ANOTHER**2 * given)
 
     def _together(
         self, pick: NDArray[np.intp], change: ComplexArray, before: float, loose: ComplexArray
