@@ -83,7 +83,7 @@ def place(
         cannot be fitted.
     """
     frames = (frame,) if fiducials is None else tuple(dict.fromkeys(fiducials.frames))
-    _check_frames(frames, mass, fiducials is not None)
+    _check_frames(frames, mass, fiducials)
     fitted = None if fiducials is None else _fit(fiducials, mass, np.zeros(6), np.zeros(6))
 
     def pose(plate: Array, footplate: Array) -> RigidTransform:
@@ -118,8 +118,9 @@ def place(
     )
 
 
-def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: bool) -> None:
-    what = "the frame of the fiducials" if fiducials else "--frame"
+def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: Fiducials | None) -> None:
+    what = "the frame of the fiducials" if fiducials is not None else "--frame"
+    file = fiducials.path.name if fiducials is not None and fiducials.path is not None else ""
     for frame in frames:
         if frame not in ("footplate", "plate", "scan"):
             raise KinematicsError(sentence(what, "footplate, plate or scan", frame))
@@ -131,6 +132,7 @@ def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: b
                     f"{what} {frame}",
                     "given together with --mass mass.json, which ties that frame to the footplate",
                     "no --mass",
+                    f"{file}, frame" if file else "",
                     next_step="Add --mass, or give the coordinates in the footplate frame",
                 )
             )

@@ -65,9 +65,15 @@ def write_report(path: Path, result: Points2Dof, scenery: Scenery | None = None)
     motion = result.motion
     bodies = ", ".join(f"{b.body} ({len(b.points)} channels)" for b in result.measurement.bodies)
     per = f" per unit of {motion.reference}" if motion.reference else ""
+    low, high = f"{motion.freq_hz[0]:.6g}", f"{motion.freq_hz[-1]:.6g}"
+    lines = (
+        f"{len(motion.freq_hz)} lines from {low} to {high} Hz"
+        if len(motion.freq_hz) > 1
+        else f"1 line at {low} Hz"
+    )
     lead = (
-        f"{bodies}; {len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}, {len(motion.freq_hz)} "
-        f"lines from {motion.freq_hz[0]:.6g} to {motion.freq_hz[-1]:.6g} Hz; {', '.join(motion.dof)}{per} "
+        f"{bodies}; {len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}, {lines}; "
+        f"{', '.join(motion.dof)}{per} "
         "about the footplate centre in footplate axes, displacement amplitudes (peak) of e^{+iωt}."
     )
     made = Page("Points to degrees of freedom", lead)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 400
+_MOST_DEG = 60.0
 
 
 def detectable_blocks(result: Points2Dof) -> list[Markup]:
@@ -70,7 +71,7 @@ def _found(result: Points2Dof) -> list[Markup]:
 
 def _joint_rows(found: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
     """Return the rows of turned axes and exchanged points."""
-    turn = "-" if np.isnan(found.axes_rad) else f"{np.rad2deg(found.axes_rad):.3g} °"
+    turn = "-" if np.isnan(found.axes_rad) else size_of(float(np.rad2deg(found.axes_rad)), "°")
     rows: list[tuple[str, ...]] = [(body.body, "axes of all beams together", turn, turn, "all points")]
     for one, two, distance, chance in found.pairs:
         said = "found in > 99.9 %" if chance > 0.999 else f"found in {100.0 * chance:.3g} %"
@@ -86,7 +87,7 @@ def _point_rows(body: BodyChannels, kinds: list[tuple[str, Array]]) -> list[tupl
         cells = []
         for unit, values in kinds:
             value = float(np.max(values[own]))
-            cells.append("-" if np.isnan(value) else f"{value:.3g} {unit}")
+            cells.append("-" if np.isnan(value) else size_of(value, unit))
         rows.append((body.body, point, *cells))
     return rows
 
@@ -123,6 +124,20 @@ def _shares(values: Array) -> list[str]:
     return ["-" if np.isnan(v) else ("0" if v < 1e-9 else f"{100.0 * v:.2g} %") for v in values]
 
 
+def size_of(value: float, unit: str) -> str:
+    """Write the size of a fault to three digits.
+
+    Notes
+    -----
+    An angle is that of a small tilt, sin(angle) = angle; what follows for large ones is told as a bound.
+    """
+    if unit == "°" and value > _MOST_DEG:
+        return f"> {_MOST_DEG:g} °"
+    if unit == "µm" and value >= 999.5:
+        value, unit = 1e-3 * value, "mm"
+    return f"{float(f'{value:.3g}'):g} {unit}"
+
+
 def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[str, str, str]:
     known = np.isfinite(values)
     if not np.any(known):
@@ -131,4 +146,4 @@ def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[st
     blind = [body.points[c] for c in np.flatnonzero(~known)]
     at = body.points[worst] + (f"; none at {', '.join(dict.fromkeys(blind))}" if blind else "")
     typical, largest = float(np.nanmedian(values)), float(values[worst])
-    return f"{typical:.3g} {unit}", f"{largest:.3g} {unit}", shortened(at, 60)
+    return size_of(typical, unit), size_of(largest, unit), shortened(at, 60)

@@ -12,6 +12,7 @@ from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.frames import rotation_from_vector
 from kinematics.pages.draw_motion import full_motion
+from kinematics.pages.report_detectable import size_of
 from kinematics.pages.report_faults import verdict_section
 from kinematics.points2dof import points2dof
 from tests.kinematics.simulated import body, measurement, readings, scene
@@ -217,3 +218,18 @@ def test_the_report_says_what_never_shows():
     text = "".join(verdict_section(result).blocks)
     for words in ("What never shows", "turned together by 1", "axes of all beams together", "exchanged"):
         assert words in text
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (4.4321, "%", "4.43 %"),
+        (1234.5, "%", "1230 %"),
+        (13.94, "°", "13.9 °"),
+        (3490.0, "°", "> 60 °"),
+        (212.6, "µm", "213 µm"),
+        (7391.0, "µm", "7.39 mm"),
+    ],
+)
+def test_sizes_are_written_without_exponents_and_angles_stay_angles(value, unit, text):
+    assert size_of(value, unit) == text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -262,6 +264,8 @@ def test_frames_need_their_mass_record(tmp_path, mass):
         KinematicsError, match="the frame of the fiducials plate must be given together with --mass"
     ):
         place(marks)
+    with pytest.raises(KinematicsError, match=r"got no --mass \(marks\.csv, frame\)"):
+        place(replace(marks, path=tmp_path / "marks.csv"))
     with pytest.raises(KinematicsError, match="--frame scan must be given together with --mass"):
         place(frame="scan")
     with pytest.raises(KinematicsError, match=r"--frame must be footplate, plate or scan"):

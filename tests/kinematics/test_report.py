@@ -245,6 +245,7 @@ def test_one_line_and_one_beam_a_point_make_a_page(tmp_path):
     text = words((tmp_path / "dof.html").read_text(encoding="utf-8"))
     assert "rotation about the y axis" in text
     assert "No surface of the stapes was given." in text
+    assert re.search(r"1 run, 1 line at \S+ Hz;", text)
 
 
 def test_many_runs_are_drawn_where_something_is_wrong():
