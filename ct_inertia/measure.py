@@ -111,7 +111,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     # Where blur fills thin walls, they look like something soft: only well seen bone tells the two apart.
     soft = None
-    if bone.seen > _WELL_SEEN:
+    # A plate whose face could not be fitted is taken off like it, and less is known of that.
+    touched = fitted is None and bool(np.any(cut.plate & (distance <= reach)))
+    if bone.seen > _WELL_SEEN or touched:
         known = (air, bone.level, guess.between)
         soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
