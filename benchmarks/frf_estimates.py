@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import csd, lfilter, welch
 
 from kinematics.signals.frf import Welch, welch_frf
+from kinematics.signals.frf_local import Local, local_frf
 from kinematics.signals.frf_periodic import Periodic, periodic_frf
 from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.stepped_sine import Step, stepped_frf
@@ -44,6 +45,18 @@ def random(how, into, out):
             RATE,
             how,
         )
+
+    return make
+
+
+def local(into, out):
+    """Return a replica of an estimate by local polynomials from random excitation."""
+
+    def make(rng):
+        drive = rng.standard_normal(8192)
+        answer = lfilter([0.5], [1.0, -0.4], drive)[None]
+        noisy = answer + out * rng.standard_normal(answer.shape)
+        return local_frf([(drive + into * rng.standard_normal(8192), noisy)], RATE, Local(RATE / 256))
 
     return make
 
@@ -91,6 +104,7 @@ CASES = [
     ("H1", random(Welch(512), 0.3, 0.3), "0.3 / 0.3"),
     ("Hv, powers of the signals", random(Welch(512, estimator="hv"), 0.3, 0.3), "0.3 / 0.3"),
     ("Hv, noise ratio known", random(Welch(512, estimator="hv", noise_ratio=1.0), 0.3, 0.3), "0.3 / 0.3"),
+    ("local polynomials, 32 lines", local(0.0, 0.5), "0 / 0.5"),
     ("multisine, 10 periods", periodic(0.0, 1.0, 10), "0 / 1"),
     ("multisine, 10 periods", periodic(0.5, 1.0, 10), "0.5 / 1"),
     ("multisine, 3 periods, coloured noise", periodic(0.0, 1.0, 3, 0.9), "0 / 1"),

@@ -41,8 +41,8 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     lobe = np.abs(np.fft.fft(taper)[: _WIDEST + 1]) ** 2
     steps = np.arange(_WIDEST + 1)
     moment = float(2.0 * np.sum(lobe * steps**2) / (lobe[0] + 2.0 * np.sum(lobe[1:])))
-    power = np.abs(np.fft.fft(taper**2)[:3]) ** 2
-    r1, r2 = power[1] / power[0], power[2] / power[0]
+    near = np.abs(np.fft.fft(taper**2)[:3]) ** 2
+    r1, r2 = near[1] / near[0], near[2] / near[0]
     bias = 0.5 * moment * (value[:, 2:] - 2.0 * value[:, 1:-1] + value[:, :-2])
     variance = np.maximum(2.0 * sd[:, 1:-1] ** 2, np.finfo(float).tiny)
     chance = (0.5 * moment) ** 2 * (6.0 - 8.0 * np.sqrt(r1) + 2.0 * np.sqrt(r2))

@@ -101,17 +101,20 @@ def count_spikes(row: Array) -> int:
     """Count lone samples, or two or three together, that stand out of their surroundings by 20 times.
 
     Out of the differences to the mean of the samples four before and after, in units of their median in the
-    loudest of three neighbouring stretches, so that a burst that sets in is none.
+    loudest of three neighbouring stretches, so that a burst that sets in is none; a spike stands out
+    from both, which the jump from one step of a stepped sine to the next does not.
     """
     reach = 4
-    differences = np.abs(row[reach:-reach] - 0.5 * (row[: -2 * reach] + row[2 * reach :]))
+    before, after = row[reach:-reach] - row[: -2 * reach], row[reach:-reach] - row[2 * reach :]
+    differences = 0.5 * np.abs(before + after)
+    beyond = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
     count = max(1, len(differences) // _BLOCK)
     edges = np.linspace(0, len(differences), count + 1).astype(int)
     level = np.array([np.median(differences[a:b]) for a, b in pairwise(edges)])
     padded = np.pad(level, 1, mode="edge")
     loud = np.maximum(np.maximum(padded[:-2], padded[2:]), level)
     limit = np.maximum(np.repeat(loud, np.diff(edges)), max(1e-3 * np.max(level), 1e-4 * np.std(row)))
-    out = np.flatnonzero(differences > _SPIKE * limit)
+    out = np.flatnonzero(beyond > _SPIKE * limit)
     if not len(out):
         return 0
     tops = [

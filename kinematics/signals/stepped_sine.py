@@ -17,6 +17,7 @@ from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _LEAST_SHARE = 0.01
+_CORRELATED = 35.0 / 18.0
 
 
 @dataclass(frozen=True)
@@ -142,10 +143,17 @@ def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     blocks = np.stack([part[1] for part in parts], axis=2)
     raw = np.mean(np.abs(blocks) ** 2, axis=0)
     own, common = split_noise(lambda: blocks, raw, value, float(len(blocks)))
+    own = own * np.array([_raised(group) for group in groups.values()])
     common_sd = np.sqrt(0.5 * common)
     size = np.array([np.mean([one.reference for one in group]) for group in groups.values()])
     notices = (*common_notice(common_sd, "the reference"), *clock_notices, *_step_notices(pairs))
     return Frf(freq, value, np.sqrt(0.5 * own), None, float("nan"), common_sd, size, notices)
+
+
+def _raised(group: list[_Fitted]) -> float:
+    """Return m / (m - 1) for m independent samples of the noise of a line."""
+    samples = sum(one.error.shape[1] for one in group) / _CORRELATED
+    return samples / max(samples - 1.0, 0.5 * samples)
 
 
 def steps_of(column: Array, reference: Array, responses: Array, where: str = "") -> list[Step]:
