@@ -69,6 +69,7 @@ def label_findings(
     (Schwarz 1978) below the best real change of the rows and the best course of a factor over frequency,
     the faults that a single point can have.
     """
+    motions = {key: found for key, found in motions.items() if found.level > 0.0}
     suspects = [
         made
         for home in motions.values()

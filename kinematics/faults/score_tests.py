@@ -124,10 +124,11 @@ class ScoreTests:
         """Run the score tests of a batch."""
         score, information = self.parts(batch)
         size = score.shape[1]
-        scale = 1.0 / np.sqrt(np.maximum(np.einsum("bkk->bk", information), 1e-300))
+        norm = np.sqrt(np.maximum(np.einsum("bkk->bk", information), 0.0))
+        scale = np.where(norm > 1e-145, 1.0 / np.maximum(norm, 1e-145), 0.0)
         even = information * scale[:, :, None] * scale[:, None, :]
         values, vectors = (even[..., 0], np.ones_like(even)) if size == 1 else np.linalg.eigh(even)
-        good = (values > 1e-6) & (np.max(1.0 / scale, axis=1, keepdims=True) > 1e-140)
+        good = (values > 1e-6) & (np.max(norm, axis=1, keepdims=True) > 1e-140)
         along = ((score * scale)[:, None] @ vectors)[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             statistic = 2.0 * np.sum(np.where(good, along**2 / values, 0.0), axis=1)

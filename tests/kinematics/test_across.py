@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from kinematics.faults.across_blocks import label_findings
+from kinematics.faults.across_motion import chosen_lines, cleared
 from kinematics.points2dof import points2dof
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted, study
 
@@ -115,3 +119,16 @@ def test_faults_of_a_single_point_are_not_taken_for_wrong_labels():
         assert {key: entry[:2] for key, entry in found.items()} == {
             (run, "stapes"): ([4], {kind}) for run in ("1", "2")
         }
+
+
+def test_channels_that_leave_no_residual_at_all_are_not_judged():
+    result = points2dof(exchanged(study(9, lines=40), "3", "5"))
+    motions = {}
+    for key, fit in result.fits.items():
+        lines = chosen_lines(fit.solution.good)
+        body = result.measurement.bodies[key[1]]
+        motions[key] = cleared(key, fit, body, fit.beams, fit.noise.at(lines), lines)
+    freq = result.motion.freq_hz
+    assert set(label_findings(motions, ("1",), freq)) == {(0, 0), (0, 1)}
+    still = {key: replace(found, level=0.0) for key, found in motions.items()}
+    assert label_findings(still, ("1",), freq) == {}
