@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -320,18 +321,21 @@ def _motion(
 ) -> RigidMotion:
     runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
 
-    def stacked(name: str) -> Array:
-        return np.stack([np.stack([getattr(fits[run, body], name) for body in bodies]) for run in runs])
+    def stacked(name: str, dtype: type = float) -> NDArray[Any]:
+        made = np.empty((len(runs), len(bodies), *getattr(fits[0, 0], name).shape), dtype=dtype)
+        for run, body in product(runs, bodies):
+            made[run, body] = getattr(fits[run, body], name)
+        return made
 
     return RigidMotion(
         placed.runs,
         tuple(body.body for body in placed.bodies),
         dof,
         placed.freq_hz,
-        stacked("q").astype(complex),
-        stacked("covariance").astype(complex),
+        stacked("q", complex),
+        stacked("covariance", complex),
         stacked("chi2"),
-        stacked("n_dof"),
+        stacked("n_dof", np.int64),
     )
 
 
