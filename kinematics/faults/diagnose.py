@@ -118,6 +118,8 @@ def diagnose(
             return _made((body,), searches[0], search, data)
         findings = _joined(findings, found)
         current = cleared(current, found)
+        if not noise_known and found.kind != "noise" and current.mixing is None:
+            current, doubt = evened(current)
     if findings and searches[0].structure.significant:
         after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
         if not account_for_it(searches[0], after, findings):
