@@ -37,6 +37,8 @@ class Fault:
         How large each parameter commonly is.
     owner : str
         What is at fault: ``channel``, ``point``, ``laser``, ``body``, ``points``, ``beams``, ``lasers``.
+    factor : callable, optional
+        Data and parameters to the factor (line,) that multiplies all rows; of faults that run over the lines.
     """
 
     kind: str
@@ -46,6 +48,7 @@ class Fault:
     undone: Callable[[Compact, Array], Compact]
     scale: Array
     owner: str = "channel"
+    factor: Callable[[Compact, Array], ComplexArray] | None = None
 
 
 def gain(channels: list[int], owner: str = "channel") -> Fault:
@@ -97,6 +100,7 @@ def delay(data: Compact, channels: list[int], owner: str = "channel") -> Fault:
         lambda data, p: data.scaled(channels, factor(data, p)),
         np.array([GAIN]),
         owner,
+        factor,
     )
 
 
@@ -114,6 +118,7 @@ def drift(channels: list[int], owner: str = "channel") -> Fault:
         lambda data, p: data.scaled(channels, factor(data, p)),
         np.full(4, 0.5 * GAIN),
         owner,
+        factor,
     )
 
 

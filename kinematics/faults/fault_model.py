@@ -14,13 +14,13 @@ from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.refit import (
     Others,
     Places,
-    Refit,
     change_of_rows,
     inverse_of,
     own_part,
     solved_for,
     times,
 )
+from kinematics.faults.refit_factor import refit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -156,19 +156,19 @@ def fit_fault(
         others = Others.of(data, fault.channels) if len(fault.channels) < len(data.live) // 2 else None
         others = others if others is not None and others.rows.shape[0] == others.rows.shape[1] else None
     now = min(
-        (Refit(data, places, fault, theta, shift, others) for theta in starts), key=lambda fit: fit.objective
+        (refit(data, places, fault, theta, shift, others) for theta in starts), key=lambda fit: fit.objective
     )
     inverse = np.zeros((size, size))
     for _ in range(_ROUNDS if size + shift.size else 0):
         step, inverse = now.step()
-        trial = Refit(
+        trial = refit(
             data, places, fault, now.theta + step[:size], now.shift + step[size:].reshape(-1, 3), others
         )
         for _ in range(6):
             if trial.objective <= now.objective * (1.0 + 1e-12):
                 break
             step = 0.5 * step
-            trial = Refit(
+            trial = refit(
                 data, places, fault, now.theta + step[:size], now.shift + step[size:].reshape(-1, 3), others
             )
         fall, now = now.objective - trial.objective, trial
@@ -181,7 +181,7 @@ def fit_fault(
 
 def objective(data: Compact, places: Places, fit: FaultFit, shift: Array) -> float:
     """Return the energy of the residual with a fitted fault, and half (shift / sd)^2."""
-    return Refit(data, places, fit.fault, fit.parameters, shift).objective
+    return refit(data, places, fit.fault, fit.parameters, shift, None).objective
 
 
 def _no_rows(data: Compact, _p: Array) -> Array:

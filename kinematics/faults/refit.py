@@ -15,7 +15,7 @@ from kinematics.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_SMALL = 1e-5
+SMALL = 1e-5
 _UNSEEN = 1e-22
 
 
@@ -88,7 +88,7 @@ def change_of_rows(data: Compact, fault: Fault, theta: Array) -> list[ComplexArr
     made = []
     for place in range(fault.size):
         small = np.zeros(fault.size)
-        small[place] = _SMALL * fault.scale[place]
+        small[place] = SMALL * fault.scale[place]
         made.append(
             (fault.rows(data, theta + small) - fault.rows(data, theta - small)) / (2.0 * small[place])
         )
@@ -207,7 +207,7 @@ class Refit:
         theta = inverse @ (score - shifts.crossed @ freely[:, 0])
         return np.concatenate([theta, freely[:, 0] - freely[:, 1:] @ theta]), inverse
 
-    def _shifts(self, slopes: ComplexArray, seen: ComplexArray) -> _Shifts:
+    def _shifts(self, slopes: ComplexArray, seen: ComplexArray) -> Shifts:
         """Return score and information of all shifts, and their information in common with parameters."""
         owners = self.places.owners
         owner = self.places.members[1]
@@ -233,7 +233,7 @@ class Refit:
             whole = np.zeros((len(owners), len(slopes), 3))
             np.add.at(whole, owner[there], common)
             crossed = crossed + whole.transpose(1, 0, 2).reshape(len(slopes), -1)
-        return _Shifts(score, blocks, np.hstack([taken.real, taken.imag]), crossed)
+        return Shifts(score, blocks, np.hstack([taken.real, taken.imag]), crossed)
 
     def _shifted(self, channels: list[int]) -> ComplexArray:
         """Return what shifts of the points of channels along the three axes change, (n, 3, line)."""
@@ -263,7 +263,7 @@ class Refit:
 
 
 @dataclass(frozen=True)
-class _Shifts:
+class Shifts:
     """Score (3 point,) and information of the shifts: ``blocks`` (point, 3, 3) less ``low`` low^T."""
 
     score: Array
