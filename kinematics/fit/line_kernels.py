@@ -15,6 +15,7 @@ from kinematics.kernels import compiled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# As in the sources: SIZE, WIDE of kernels.h; TILE of shared.c; BLOCK of lines.c; (MOST - 1) / 2 of medians.c.
 _SIZE, _WIDE, _TILE, _BLOCK, _HALF = 6, 8, 16, 32, 31
 
 
@@ -46,7 +47,7 @@ def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
     """Return value (channel, n) times vectors (n, k), complex, for a few vectors."""
     kernels, stride = compiled(), _stride(value, 16)
     lines, count = vectors.shape
-    if kernels is None or stride is None or count > _SIZE:
+    if kernels is None or stride is None or count > _SIZE or value.shape[1] != lines:
         return np.asarray(value @ vectors)
     given = np.ascontiguousarray(vectors, dtype=complex)
     sums = np.empty((len(value) + 1, 2 * _SIZE * _WIDE))
@@ -88,7 +89,7 @@ def projected(rows: Array, value: ComplexArray) -> ComplexArray:
     """Return rows (m, channel), real, times value (channel, n), complex."""
     kernels, stride = compiled(), _stride(value, 16)
     size, lines = len(rows), value.shape[1]
-    if kernels is None or stride is None or size > _SIZE:
+    if kernels is None or stride is None or size > _SIZE or rows.shape[1] != len(value):
         return np.asarray(rows @ value)
     every, given = np.arange(len(value), dtype=np.int64), _filled(rows.T)
     made, room = np.empty((_SIZE, lines), dtype=complex), np.empty((len(value), 2 * _TILE))
