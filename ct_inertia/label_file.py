@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain, repeat
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ct_inertia.native import compiled
 
-if TYPE_CHECKING:
-    from ct_inertia.bodies import LabelledVolume
-
-_GZIP = 31
+Array = NDArray[np.float64]
+_GZIP = 31  # wbits of zlib: the widest window (15), with the header of gzip (16)
 
 
-def packed_labels(labels: LabelledVolume) -> bytes:
+class Labels(Protocol):
+    """Labels of a box of voxels, and where it lies; see ct_inertia.bodies.LabelledVolume."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels along z, y, x."""
+
+    @property
+    def spacing_mm(self) -> Array:
+        """Voxel spacing along x, y, z, mm."""
+
+    @property
+    def direction(self) -> Array:
+        """Directions of the array axes in scan coordinates, (3, 3), in columns."""
+
+    @property
+    def origin_mm(self) -> Array:
+        """Scan coordinates of the centre of the first voxel, (3,), mm."""
+
+    def slabs(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield the labels [z, y, x] some layers at a time."""
+
+
+def packed_labels(labels: Labels) -> bytes:
     """Return labels as a compressed NRRD with spacing, origin and direction, made some layers at a time.
 
     Notes
@@ -30,13 +52,13 @@ def packed_labels(labels: LabelledVolume) -> bytes:
     return b"".join([_header(labels).encode("ascii"), *parts])
 
 
-def _by_zlib(labels: LabelledVolume) -> list[bytes]:
+def _by_zlib(labels: Labels) -> list[bytes]:
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
     parts = [packer.compress(np.ascontiguousarray(slab).data) for slab in labels.slabs()]
     return [*parts, packer.flush()]
 
 
-def _by_kernel(kernels: Any, labels: LabelledVolume) -> list[bytes]:
+def _by_kernel(kernels: Any, labels: Labels) -> list[bytes]:
     memory, parts = np.zeros(64, dtype=np.uint8), []
     end = np.zeros(0, dtype=np.uint8)
     for stage, slab in chain(zip(chain([0], repeat(1)), labels.slabs(), strict=False), [(2, end)]):
@@ -49,7 +71,7 @@ def _by_kernel(kernels: Any, labels: LabelledVolume) -> list[bytes]:
     return parts
 
 
-def _header(labels: LabelledVolume) -> str:
+def _header(labels: Labels) -> str:
     axes = labels.direction * labels.spacing_mm
     sizes = " ".join(str(n) for n in reversed(labels.shape))
     lines = [
