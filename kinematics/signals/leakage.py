@@ -34,7 +34,8 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     Under an excitation of even power the mean of an estimate by segments is H averaged over the power |W|^2
     of the window: H + H'' m / 2 with the second moment m of |W|^2, H'' by second differences (Bendat and
     Piersol 2010, sec. 8.5). Noise puts (6 - 8 r1 + 2 r2) of its variance into the differences, r1 and r2 the
-    correlation of lines one and two apart; it is taken off the mean over the channels.
+    correlation of the noise of H at lines one and two apart, which is the square of that of the spectra
+    (``kinematics.signals.frf.line_spread``); it is taken off the mean over the channels.
     """
     if value.shape[1] < 3 or not np.ptp(taper) > 0.0:
         return []
@@ -45,7 +46,7 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     r1, r2 = near[1] / near[0], near[2] / near[0]
     bias = 0.5 * moment * (value[:, 2:] - 2.0 * value[:, 1:-1] + value[:, :-2])
     variance = np.maximum(2.0 * sd[:, 1:-1] ** 2, np.finfo(float).tiny)
-    chance = (0.5 * moment) ** 2 * (6.0 - 8.0 * np.sqrt(r1) + 2.0 * np.sqrt(r2))
+    chance = (0.5 * moment) ** 2 * (6.0 - 8.0 * r1 + 2.0 * r2)
     excess = np.mean(np.abs(bias) ** 2 / variance, axis=0) - chance
     wide = chance * (1.0 + 4.0 / np.sqrt(len(value)))
     beyond = (excess > 1.0 + wide) & _even(power)[1:-1]
