@@ -57,10 +57,11 @@ def thin_bone(
     places = index * around.spacing_mm
     trend = np.column_stack([1.0 - m, (1.0 - m) ** 2])
     design = np.column_stack([m, trend, (places - places.mean(axis=0)) * m[:, None]])
-    normal = design.T @ design
-    fitted = np.linalg.solve(normal, design.T @ excess)
+    # Pseudo-inverse: voxels of one layer only say nothing about the slope across it.
+    inverse = np.linalg.pinv(design.T @ design, hermitian=True)
+    fitted = inverse @ (design.T @ excess)
     left = excess - design @ fitted
-    random = float(np.sqrt(np.linalg.inv(normal)[0, 0] * left.var() * air.correlation))
+    random = float(np.sqrt(inverse[0, 0] * left.var() * air.correlation))
     values = air.level + (excess - trend @ fitted[1:3]) / m
     most = m > _MORE_NEARLY
     plain = float((excess[most] / m[most]).mean()) if np.any(most) else float(fitted[0])
