@@ -2,8 +2,7 @@
 
 A fault that is the same at all lines changes the observation rows B of y = B z + noise. Within a segment of
 lines any unitary mixture of them leaves that model as it is; the mixture that gathers the motion z into as
-many
-lines as it has degrees of freedom leaves nothing but noise on the others. These lines and their motion
+many lines as it has degrees of freedom leaves nothing but noise on the others. These lines and their motion
 are kept; of the others, which tell the size of the noise and motion that is not rigid, up to some hundred.
 """
 

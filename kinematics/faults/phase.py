@@ -15,12 +15,15 @@ from kinematics.notices import Notice
 from kinematics.spatial import DOF_NAMES, dof_indices
 
 Array = NDArray[np.float64]
-_STRONG = 6.0
-_SHARE = 0.6
+# Standard deviations, and share of the lines, by which a lead of the structure is believed.
+_STRONG, _SHARE = 6.0, 0.6
+# Relative error of M and of the frame that the sine of a lag may hold.
 _MODEL = 0.015
-_LOW = 0.15
-_OPPOSED = -0.5
+# The share of the lines that are the lowest, and a mean cosine there that no following body has.
+_LOW, _OPPOSED = 0.15, -0.5
+# A rise of the phase that no response shows, and how alike neighbouring lines must be to count it.
 _RISE, _ALIKE = 0.75 * np.pi, 0.7
+# Weighs rotations against translations of a body alone: about half the length of a footplate.
 _LEVER_M = 1e-3
 _TURN = "check on which side the laser head was, and turn the sign or the directions of one body."
 _SIGN = f"where the ligament carries it along: one of the two bodies has the wrong sign. {_TURN.capitalize()}"
@@ -72,11 +75,10 @@ def phase_test(
     -----
     With w^2 M q_s = (K + i w D) (q_s - q_b) the mean power that the base puts in is
     w^3 Im(q_s^H M q_b) / 2, never negative for a passive ligament. Conjugated data turn its sign. So does a
-    body
-    with the wrong sign, which then also moves against its base at low frequencies, where the ligament
-    carries it
-    along. Each line counts by the inverse of its noise variance and of 0.015^2, which stands for what M and
-    the frame leave uncertain, and by the size of q_s - q_b: the lag comes of the losses that this causes.
+    body with the wrong sign, which then also moves against its base at low frequencies, where the ligament
+    carries it along. Each line counts by the inverse of its noise variance and of 0.015^2, which stands for
+    what M and the frame leave uncertain, and by the size of q_s - q_b: the lag comes of the losses that this
+    causes.
     """
     if structure not in motion.bodies or base not in motion.bodies:
         return None
