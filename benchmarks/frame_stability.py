@@ -67,7 +67,9 @@ def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> d
     known = truth(placed)
     bodies = find_bodies(Volume(render(placed), np.full(3, voxel_mm), np.zeros(3), np.eye(3)))
     start = time.process_time()
-    frame = footplate_frame(bodies.frame_surface, AnatomyHints(), bodies.frame_blur_mm)
+    frame = footplate_frame(
+        bodies.frame_surface, AnatomyHints(), bodies.frame_blur_mm, bodies.frame_noise_mm4
+    )
     spent = time.process_time() - start
     found = {
         "footplate": deviation(frame.scan_from_footplate.matrix, np.array(known["scan_from_footplate"])),

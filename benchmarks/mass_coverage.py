@@ -67,7 +67,12 @@ def measured(seed: int, voxel_mm: float, stapes: Path | None) -> dict[str, np.nd
     started = time.process_time()
     bodies = find_bodies(volume)
     pose = np.array(known["scan_from_footplate"])
-    frame = footplate_frame(bodies.frame_surface, AnatomyHints(pose[:3, 0], {}, None), bodies.frame_blur_mm)
+    frame = footplate_frame(
+        bodies.frame_surface,
+        AnatomyHints(pose[:3, 0], {}, None),
+        bodies.frame_blur_mm,
+        bodies.frame_noise_mm4,
+    )
     body = from_density(bodies.moments, ear.density_kg_m3, None)
     matrix = footplate_mass_matrix(body, frame.scan_from_footplate, frame.covariance)
     seconds = time.process_time() - started

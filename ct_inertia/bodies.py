@@ -176,6 +176,8 @@ class Bodies:
         Half level of the grey values of the stapes on a coarse grid, for its frame.
     frame_blur_mm : float
         Standard deviation of the blur with which that surface is seen; 0 when unknown.
+    frame_noise_mm4 : float
+        Spectral density of its height noise at long waves, as far as neighbouring voxels share noise.
     frame_doubt : Surface or None
         The same surface, less of what is soft around the stapes taken off by a standard deviation.
     plate : Surface or None
@@ -204,6 +206,7 @@ class Bodies:
     levels: Levels | None
     psf_sigma_mm: float
     frame_blur_mm: float = 0.0
+    frame_noise_mm4: float = 0.0
     frame_doubt: Surface | None = None
     plate_face: PlateFace | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)

@@ -240,10 +240,10 @@ def _footplate(
     notices: Sequence[Notice],
 ) -> tuple[FootplateFrame, list[Notice]]:
     """Find the footplate; a body that cannot be a stapes is refused unless somebody named it."""
-    blur = 0.0 if bodies is None else bodies.frame_blur_mm
+    blur, noise = (0.0, 0.0) if bodies is None else (bodies.frame_blur_mm, bodies.frame_noise_mm4)
     named = options.is_mesh or options.seed_mm is not None or options.labels is not None
     try:
-        footplate = footplate_frame(surface, known.hints, blur)
+        footplate = footplate_frame(surface, known.hints, blur, noise)
     except CtInertiaError:
         # Landmarks that do not fit a wrong body are not at fault: tell of the body first.
         found = [] if named else implausible(footplate_frame(surface, blur_mm=blur), moments.volume_mm3)

@@ -90,7 +90,10 @@ class FootplateFrame:
 
 
 def footplate_frame(
-    surface: SurfaceLike, hints: AnatomyHints | None = None, blur_mm: float = 0.0
+    surface: SurfaceLike,
+    hints: AnatomyHints | None = None,
+    blur_mm: float = 0.0,
+    noise_mm4: float = 0.0,
 ) -> FootplateFrame:
     """Find the footplate frame of a stapes' surface.
 
@@ -103,6 +106,9 @@ def footplate_frame(
     blur_mm : float
         Standard deviation of the blur of the grey values whose half level the surface is; 0 for a surface
         that is exact.
+    noise_mm4 : float
+        Spectral density of the surface's height noise at long waves beyond what its short waves show: that of
+        noise which neighbouring voxels share.
 
     Raises
     ------
@@ -126,7 +132,7 @@ def footplate_frame(
     notices += [*oriented.notices, *_shape_notices(solved)]
     return FootplateFrame(
         scan_from_footplate=frame,
-        contributions=contributions_of(solved),
+        contributions=contributions_of(solved, noise_mm4),
         outline_mm=outline,
         face_area_mm2=solved.face.area,
         length_mm=length,

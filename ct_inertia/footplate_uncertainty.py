@@ -23,8 +23,15 @@ _BLUR_MOST_MM = 0.04
 _ROUGH = 3e-5
 
 
-def contributions_of(solved: Solved) -> dict[str, Array]:
+def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]:
     """Return the covariance of the frame by source, (6, 6) each, SI.
+
+    Parameters
+    ----------
+    solved : Solved
+    noise_mm4 : float
+        Spectral density of the surface's height noise at long waves beyond what its short waves show: noise
+        that neighbours share has few of these.
 
     Notes
     -----
@@ -34,7 +41,8 @@ def contributions_of(solved: Solved) -> dict[str, Array]:
     """
     region = solved.region
     y_axis = solved.axes[:, 1]
-    density = height_noise(region.diffusion, _inner(solved), region.normals, region.grain_mm)
+    shown = height_noise(region.diffusion, _inner(solved), region.normals, region.grain_mm)
+    density = shown + noise_mm4
     frame = (solved.origin, solved.axes)
     noise = height_covariance(
         frame, solved.face.centres, solved.face.areas, plane_weights, density

@@ -48,7 +48,7 @@ def frame_surface(
     curvature on average). That is counted as blur.
     """
     spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
-    block = np.maximum(np.floor(_GRID_MM / spacing + 1e-6), 1.0).astype(np.int64)
+    block = _blocks(spacing)
     first, part = _around(share, block)
     if np.any(block > 1):
         part = _block_means(part, block)
@@ -66,6 +66,45 @@ def frame_surface(
     surface = iso_surface(steep, 0.0, transform)
     variance = variance + _CHORDS * (spacing * block) ** 2
     return surface, float(np.sqrt(sigma_mm**2 + variance.mean()))
+
+
+def height_noise_of(noise: float, correlation: float, scan_from_index: Array, blur_mm: float) -> float:
+    """Return the spectral density of the height noise that shared noise of the grey values makes, mm4.
+
+    That is what the frame surface has at long waves beyond what white noise would give it.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of the share of bone in one voxel.
+    correlation : float
+        Variance of sums of noise over that of white noise.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+    blur_mm : float
+        As ``frame_surface`` returns it.
+
+    Notes
+    -----
+    Noise of standard deviation s has at long waves the spectral density s^2 c V in space, c the correlation
+    and V the volume of a voxel, (c - 1) / c of it more than white noise; on a surface it is 1 / L of that, L
+    the length over which noise is averaged along the normal: blocks or smoothing, and its own correlation. A
+    share that errs by e moves the half level by e over the slope 1 / (sqrt(2 pi) blur).
+    """
+    shared = max(correlation - 1.0, 0.0)
+    spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
+    block = _blocks(spacing)
+    size = float(np.prod(spacing))
+    mean = (
+        float(np.prod(block)) ** (1.0 / 3.0) if np.any(block > 1) else 2.0 * np.sqrt(np.pi) * _SMOOTH_VOXELS
+    )
+    length = size ** (1.0 / 3.0) * np.sqrt(mean**2 + (1.0 + shared) ** (2.0 / 3.0) - 1.0)
+    return float(noise**2 * shared * size / length * 2.0 * np.pi * blur_mm**2)
+
+
+def _blocks(spacing_mm: Array) -> NDArray[np.int64]:
+    """Return over how many voxels along x, y, z grey values are averaged."""
+    return np.maximum(np.floor(_GRID_MM / spacing_mm + 1e-6), 1.0).astype(np.int64)
 
 
 def doubted_surface(measured: Measured, scan_from_index: Array) -> Surface | None:

@@ -15,7 +15,7 @@ from ct_inertia.border import border_notices
 from ct_inertia.coarse import Glance, calmed, take_glance
 from ct_inertia.cutting import Cut, cut_out
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.frame_surface import doubted_surface, frame_surface
+from ct_inertia.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.isosurface import volume_matched
 from ct_inertia.label_box import label_box
 from ct_inertia.levels import Guess
@@ -122,6 +122,12 @@ def _assembled(
         stapes=stapes,
         frame_surface=coarse,
         frame_blur_mm=blur,
+        frame_noise_mm4=height_noise_of(
+            measured.levels.noise / measured.levels.contrast,
+            measured.correlation,
+            cut.scan_from_box(grid),
+            blur,
+        ),
         frame_doubt=doubted_surface(measured, cut.scan_from_box(grid)),
         plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from ct_inertia.anatomy import AnatomyHints
 from ct_inertia.footplate import footplate_frame
 from ct_inertia.footplate_face import without_blur
-from ct_inertia.frame_surface import frame_surface
+from ct_inertia.frame_surface import frame_surface, height_noise_of
 from ct_inertia.surface import enclosed_volume
 from ct_inertia.surface_field import Diffusion, Mesh
 from kinematics.frames import vector_from_rotation
@@ -83,3 +84,26 @@ def test_the_face_of_the_real_stapes_keeps_its_height(voxel, height_um):
     assert np.degrees(np.linalg.norm(vector_from_rotation(between.rotation))) < 0.3
     error = np.concatenate([1e-3 * between.translation_mm, vector_from_rotation(between.rotation)])
     assert np.all(np.abs(error) < 3.0 * np.sqrt(np.diag(frame.covariance)))
+
+
+def test_noise_that_neighbours_share_moves_a_face_as_foretold():
+    voxel, sigma, length, noise = 0.03, 0.036, 1.0, 0.05
+    grid = np.diag([voxel, voxel, voxel, 1.0])
+    side = 44
+    z = voxel * np.arange(24) - 0.35
+    step = (0.5 * (1.0 - erf(z / (sigma * np.sqrt(2.0)))))[:, None, None]
+    random = np.random.default_rng(4)
+    means = []
+    for _ in range(40):
+        shared = gaussian_filter(random.normal(size=(24, side, side)), length, mode="wrap")
+        share = (step + noise / shared.std() * shared).astype(np.float32)
+        share[share < 0.1] = 0.0
+        surface, blur = frame_surface(share, grid, sigma)
+        face = surface.vertices_mm[
+            np.all(np.abs(surface.vertices_mm - [0.66, 0.66, 0.35]) < [0.55, 0.55, 0.2], axis=1)
+        ]
+        means.append(face[:, 2].mean())
+    correlation = (2.0 * np.sqrt(np.pi) * length) ** 3
+    foretold = height_noise_of(noise, correlation, grid, blur) / 1.1**2
+    assert np.var(means) / foretold == pytest.approx(1.0, abs=0.6)
+    assert height_noise_of(noise, 1.0, grid, blur) == 0.0
