@@ -52,7 +52,7 @@ def table(arguments: argparse.Namespace) -> Iterator[str]:
     yield "|-|-|-|-|-|-|-|-|"
     sd = arguments.position_um * 1e-3
     for geometry in GEOMETRIES:
-        for fault in FAULTS:
+        for fault in FAULTS if arguments.geometry in geometry else ():
             if not possible(fault, geometry) or (arguments.fault and arguments.fault not in fault):
                 continue
             found = named = right = beside = likeliest = 0
@@ -88,6 +88,8 @@ def clean(arguments: argparse.Namespace) -> list[str]:
     rows = ["| geometry | files with an alarm | p of channels < 0.05 | p-values uniform (KS) |", "|-|-|-|-|"]
     sd = arguments.position_um * 1e-3
     for geometry in GEOMETRIES:
+        if arguments.geometry not in geometry:
+            continue
         alarms, chances = 0, []
         for number in range(arguments.clean):
             seed = 500_000 + 1000 * arguments.seed + number
@@ -119,6 +121,7 @@ def main() -> None:
     parser.add_argument("--position-um", type=float, default=0.0, help="position errors, standard deviation")
     parser.add_argument("--positions-unstated", action="store_true", help="do not state them")
     parser.add_argument("--no-sd", action="store_true", help="do not state the noise")
+    parser.add_argument("--geometry", default="", help="only geometries whose name holds this")
     parser.add_argument("--fault", default="", help="only faults whose name holds this")
     parser.add_argument("--show", action="store_true", help="tell every scene that went wrong")
     parser.add_argument("--seed", type=int, default=1)

@@ -261,7 +261,24 @@ class Search:
                 ]
         if any(found.batch.kind == "axes" for found in self.tested):
             faults.append(kinds.axes(self.raw))
-        return [self.fitted(fault) for fault in [*faults, *self._swaps()]]
+        return self._likely([*faults, *self._swaps()])
+
+    def _likely(self, faults: list[Fault]) -> list[FaultFit]:
+        """Fit faults, without those that cannot come near the best: none takes more than leaving out does."""
+        bends = self.structure.p_value <= ALARM_SHARE * self.alarm and not self.structure.concentrated
+        if self.places.owners or bends:
+            return [self.fitted(fault) for fault in faults]
+        sets = dict.fromkeys(tuple(fault.channels) for fault in faults)
+        most = {own: _blame(self.given, list(own)) / self.scale for own in sets}
+        made, best = [], 0.0
+        for fault in sorted(faults, key=lambda fault: -most[tuple(fault.channels)]):
+            if most[tuple(fault.channels)] < best - _NEAR:
+                continue
+            fit = self.fitted(fault)
+            made.append(fit)
+            if self._credible(fit) and self._finding(fit).p_value < self.alarm:
+                best = max(best, log_evidence(fit, self.scale, self._alike(fault)))
+        return made
 
     def _freely(self) -> dict[tuple[int, ...], float]:
         """Return, per channel and point, what any change of its rows would explain beside the positions."""

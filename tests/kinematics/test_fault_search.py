@@ -15,6 +15,7 @@ from kinematics.faults.fault_kinds import gain
 from kinematics.faults.fault_model import fit_fault, solve, static
 from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, batches
+from kinematics.faults.search import Search
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
@@ -147,3 +148,16 @@ def test_no_test_sees_what_is_not_there_and_every_test_sees_a_sign():
     made.factor[:] = 1.0
     assert bound(made) == pytest.approx(0.01, abs=1e-3)
     assert measured(made, 1).shape == made.sd.shape
+
+
+@pytest.mark.parametrize("fault", ["gain 2 %", "sign", "direction 3 deg", "label swap", "noise x4"])
+def test_suspects_that_are_not_fitted_could_not_have_been_the_culprit(fault, monkeypatch):
+    made = drawn(41, "stapes, 9 points, lasers at 20 deg", fault)
+    fitted = []
+    kept = Search.fitted
+    monkeypatch.setattr(Search, "fitted", lambda self, one: fitted.append(one) or kept(self, one))
+    few, number = run(made, 41), len(fitted)
+    monkeypatch.setattr(Search, "_likely", lambda self, faults: [self.fitted(one) for one in faults])
+    found = [(v.verdict, v.estimate) for v in run(made, 41).channels]
+    assert found == [(v.verdict, v.estimate) for v in few.channels]
+    assert number <= len(fitted) - number
