@@ -13,6 +13,7 @@ from ct_inertia.plane_fit import fitted_to_grey
 from ct_inertia.volume import Volume
 from kinematics.notices import Notice
 
+# Cosine and distance up to which the face beside the stapes is the same as that of the plate.
 _SAME_WAY, _SAME_PLACE_MM = 0.97, 0.4
 # What such faces were off by on simulated scans of bone sunk into the plate.
 _COVERED_MM, _COVERED_RAD = 0.08, 0.045

@@ -19,6 +19,7 @@ _LEAST = 60
 _FLAT = 0.1
 _BESIDE = 2.5
 _BENT_SD = 0.3
+# Rounds of the fit of widths, medians from which on an edge departs, and edges that must face each axis.
 _WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
 
 

@@ -22,17 +22,22 @@ Array = NDArray[np.float64]
 
 # Of the collar around the stapes: where blur leaves less bone than this it is looked at.
 _MOST_BONE = 0.12
-_CELL_MM = 0.2
-_LEAST_CELL = 12
-_LEAST_SHARE = 0.03
-_STANDS_OUT = 5.0
+# In cells of this width and of so many voxels at least.
+_CELL_MM, _LEAST_CELL = 0.2, 12
+# A cell is soft from this share of the contrast on, and so many standard deviations of noise.
+_LEAST_SHARE, _STANDS_OUT = 0.03, 5.0
+# There is something soft when so much of the collar and so many cells are.
 _LEAST_PART, _LEAST_CELLS = 0.001, 3
+# Voxels that are looked at, evenly spread: they bound the time.
 _MOST_LOOKED_AT = 150_000
-_WINDOW_SIGMAS = 2.0
-_ROUNDS = 5
-_MOST_SOFT = 0.85
-_CLEAR = 0.4
+# Width of the window over which the medium is even, in widths of the blur, and rounds of the alternation.
+_WINDOW_SIGMAS, _ROUNDS = 2.0, 5
+# The densest medium that can be told from bone, and the share of bone up to which a voxel tells the medium.
+_MOST_SOFT, _CLEAR = 0.85, 0.4
+# How wrong what was taken off may be, as a share of itself (standard deviation): for the mass, for the frame,
+# and where the plate is part of it, which it is from the last of these shares on.
 _SD, _FRAME_SD, _PLATE_SD, _TOUCHED = 0.15, 0.3, 0.5, 0.02
+# Share of the volume from which on a notice is worth reading.
 _TOLD = 5e-4
 
 

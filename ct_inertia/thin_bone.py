@@ -13,8 +13,11 @@ from ct_inertia.levels import Air, Surroundings
 
 Array = NDArray[np.float64]
 
+# Blurred shares of bone from which on voxels are fitted, and their plain mean is compared.
 _NEARLY, _MORE_NEARLY = 0.9, 0.95
+# Fewer voxels than this tell no level.
 _LEAST = 500
+# Share of the difference between both that counts as uncertainty.
 _TREND_SD = 0.6
 
 

@@ -18,7 +18,9 @@ from kinematics.faults.findings import Finding
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Key = tuple[int, int]
+# Rows belong where they leave twice their noise at most, or a hundredth of what they leave at home.
 _NOISE, _LEFT = 2.0, 0.01
+# By how much the log likelihood must be better beyond the price of its parameters: odds of 20 000.
 _MARGIN = 10.0
 
 
@@ -64,10 +66,11 @@ def label_findings(
     Notes
     -----
     Rows y are held against rows p of a motion that other channels measured, with the variance of both:
-    sum |y - p|^2 / var is chi-squared when they belong there. That is accepted when it is as small as noise
-    makes it, or a hundredth of what it was, and lies by more than the Bayesian information criterion
-    (Schwarz 1978) below the best real change of the rows and the best course of a factor over frequency,
-    the faults that a single point can have.
+    S = sum |y - p|^2 / var is the negative log likelihood of complex normal noise, and 2 S is chi-squared when
+    they belong there. That is accepted when S is as small as noise makes it, or a hundredth of what it was,
+    and lies by more than the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) below
+    the best real change of the rows and the best course of a factor over frequency, the faults that a single
+    point can have.
     """
     motions = {key: found for key, found in motions.items() if found.level > 0.0}
     suspects = [

@@ -18,11 +18,12 @@ from kinematics.motion_files import standard_deviation
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Share of the motion that one ligament of constant matrices leaves even of right data.
 _MODEL = 0.02
+# Misfits, 1 of right labels: others are tried above _BAD, and taken below _GOOD and _BETTER of the given.
 _BETTER, _GOOD, _BAD = 0.2, 2.0, 5.0
-_MOST_RUNS = 4
-_REACH = 5
-_LINES = 200
+# Runs of which all orders are tried, the largest shift in lines, and lines looked at: they bound the time.
+_MOST_RUNS, _REACH, _LINES = 4, 5, 200
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,13 @@ from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# How many of the roughest lines are exchanged with each other in trial.
 _MOST = 8
-_ROUGH = 30.0
-_SETTLES = 0.05
+# A jump, in units of its expected square, and what an exchange may leave of it.
+_ROUGH, _SETTLES = 30.0, 0.05
+# The cubic through the four neighbours of a line, at the line (Lagrange).
 _BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
+# How many times the usual chi2 a line that agrees much worse has at least.
 _LOUD = 3.0
 
 

@@ -15,11 +15,16 @@ from kinematics.spatial import dof_indices, point_rows
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.intp]
+# Up to so many lines are all looked at; of more, about as many in groups of neighbours, for shifts by REACH.
 _WHOLE = 300
 _BLOCKS, REACH = 43, 3
+# A point is left out when that takes this share of the misfit, and so many times what noise would.
 _FALL, _TIMES = 0.3, 4.0
+# One of its channels alone, when that takes nearly all of it, or what the others hold is little above noise.
 _ALONE, _QUIET = 0.97, 1.4
+# The weakest direction of motion must keep this share of the strongest's lever.
 _HELD = 1e-3
+# Points that are left out at most, and the best candidates that are tried for each.
 _MOST, _TRIED = 8, 5
 
 

@@ -10,8 +10,8 @@ from kinematics.faults.findings import Finding
 from kinematics.faults.search import Search
 
 Array = NDArray[np.float64]
-_SURE = 6.0
-_SHARE = 0.02
+# What may remain: so many standard deviations of the energy of noise, or this share of what there was.
+_SURE, _SHARE = 6.0, 0.02
 
 
 def corrected(data: Compact, findings: list[Finding]) -> Compact:

@@ -13,10 +13,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Fewer values than this tell no noise.
 LEAST_SAMPLES = 8
+# Fewer segments than this tell no drift.
 _SEGMENTS = 4
+# Leverage at which a channel has no residual left.
 _WHOLE = 0.999
+# The mean over the channels stands for their median unless they differ by so many standard deviations.
 _APART = 3.0
+# Energy of motion over that of noise, from which on it can be a fault that follows it.
 _MOVING = 100.0
 
 

@@ -20,19 +20,22 @@ from kinematics.fit.line_noise import blocks
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Held = NDArray[np.bool_]
-_SAMPLE = 480
-_ROUNDS = 100
-_SETTLED = 2e-4
-_WIDTH = 4.0
+# Lines on which rows and motion are found together, and rounds of it; done when the misfit falls by less.
+_SAMPLE, _ROUNDS, _SETTLED = 480, 100, 2e-4
+# Changes of a row are held to so many times its size, motion to so many times its variance: hardly at all.
+_WIDTH, _LOOSE = 4.0, 10.0
+# Up to so many of its standard deviations a change is brought to equal noise; beyond, it stays a fault.
 _SURE = 4.0
+# A slope over the measurement is filled in only where this share of what is known of the mean is known of it.
 _COVERED = 0.15
-_LEAST = 1e-4
+# Shares of information and of noise below which nothing is divided.
+_LEAST, _KEPT = 1e-4, 0.1
+# Lines for each parameter of a channel's change.
 _LINES = 3
+# Chance below which a change of rows is clear.
 _CLEAR = 1e-5
-_KEPT = 0.1
-_LEAK = 4.0
-_ANOTHER = 0.4
-_LOOSE = 10.0
+# The misfit must fall by so many times, unless a channel reads something other by this share.
+_LEAK, _ANOTHER = 4.0, 0.4
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,15 @@ from kinematics.faults.unknown_noise import NOISY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Of the probability of a false alarm, what the tests of noise may use; search.py shares out the rest.
 ALARM_SHARE = 0.05
+# How many times the stated sd noise must be to be told; less is a matter of chi2.
 _NOISY_KNOWN = 1.5
+# Ratio of variances by which channels of unknown noise may differ without a fault.
 _ALIKE = 1.2**2
-_LOUDEST = 5
-_QUIET = 1.3
+# How many of the loudest channels are looked at, and from which ratio of variances on.
+_LOUDEST, _QUIET = 5, 1.3
+# Leverage above which the residual of a channel says nothing of its noise.
 _UNSEEN = 0.98
 
 

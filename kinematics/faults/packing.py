@@ -9,7 +9,9 @@ from kinematics.fit.line_kernels import projected
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Up to so many lines all singular vectors are taken.
 _WHOLE = 64
+# Ratio of the eigenvalues of a Gram matrix below which the digits of its small ones are lost.
 _NARROW = 1e-9
 
 

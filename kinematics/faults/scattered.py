@@ -14,9 +14,13 @@ from kinematics.faults.search import Search
 from kinematics.spatial import dof_indices
 
 Array = NDArray[np.float64]
+# Fewer points than this tell no scatter.
 _LEAST_POINTS = 4
+# The range of position errors that is searched, the larger end in levers of the body.
 _SMALLEST_M, _OF_LEVER = 1e-7, 0.2
+# How many times the stated error it must be.
 _MORE = 1.5
+# What each parameter of a single fault, and the choice of its place, cost of log likelihood beside it.
 _PER_PARAMETER = 5.0
 
 

@@ -13,14 +13,18 @@ from kinematics.faults.fault_model import State, solve
 from kinematics.faults.mixing import axes_of
 
 Array = NDArray[np.float64]
+# How many times the sd of the others noise must be to be called a fault.
 NOISY = 2.0
+# Fewer complex values than this tell channels not apart.
 _LEAST_SAMPLES = 32
+# Up to so many channels are estimated jointly: the time goes with the cube of their number.
 _MOST_JOINTLY = 150
-_ROUNDS = 6
-_QUIETEST = 0.05
-_RIDGE = 1e-3
+# Rounds of the estimate, done when the logarithms move by less.
+_ROUNDS, _SETTLED = 6, 0.01
+# The least variance over the common one, and the weight of a prior at 1 that keeps the equations solvable.
+_QUIETEST, _RIDGE = 0.05, 1e-3
+# Standard deviations of chi2 from which on scatter is sure.
 _SURE = 2.0
-_SETTLED = 0.01
 
 
 def evened(data: Compact) -> tuple[Compact, Array]:

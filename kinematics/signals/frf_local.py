@@ -18,9 +18,11 @@ from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noi
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Degree of the polynomials (Pintelon et al. 2010 take 2).
 _ORDER = 2
-_LEAST_FREEDOM = 4
-_STEADY_DOF = 60
+# Degrees of freedom for the noise of a line at the least, and to how many neighbours are gathered.
+_LEAST_FREEDOM, _STEADY_DOF = 4, 60
+# Numbers that are held at once.
 _HELD = 2_000_000
 
 

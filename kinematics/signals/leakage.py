@@ -9,9 +9,11 @@ from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_EDGE = 0.02
-_LOUD = 0.1
+# The end of a segment that is looked at, and what share of its mean power is too much there.
+_EDGE, _LOUD = 0.02, 0.1
+# Lines to each side over which windows spread: the main lobe of the widest (flat top) has five.
 _WIDEST = 6
+# Excitation is even where its least power around is this share of its largest.
 _SAME = 0.1
 
 

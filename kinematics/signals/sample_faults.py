@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
+# Shorter records are not looked at.
 _LEAST = 64
-_TOP = 0.002
-_BINS = 6
-_CROWDED = 8.0
-_FEWEST = 8
-_PAIRS = 3
-_BLOCK = 256
-_SPIKE = 20.0
-_STILL = 8
-_BESIDE = 16
-_MOVING = 20.0
+# Clipping: width of the outermost stretch as a share of the range, stretches that are compared, by how much
+# more must lie in the outermost (a sine: 3), and how many samples and neighbouring pairs of them at least.
+_TOP, _BINS, _CROWDED, _FEWEST, _PAIRS = 0.002, 6, 8.0, 8, 3
+# Spikes: samples of a stretch whose median is the usual difference, and how many times that stands out.
+_BLOCK, _SPIKE = 256, 20.0
+# Pauses: equal samples in a row, samples beside them that must move, by how many of the smallest steps.
+_STILL, _BESIDE, _MOVING = 8, 16, 20.0
 
 
 def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str], file: str) -> list[Notice]:

@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 from kinematics.takes.take_shapes import Shapes
 
 Array = NDArray[np.float64]
-_WANTED_FREEDOM = 100.0
-_LEAST_FREEDOM = 8.0
+# Degrees of freedom to which neighbouring lines are added up (the sd is known to 7 % then), and the fewest
+# that tell noise at all.
+_WANTED_FREEDOM, _LEAST_FREEDOM = 100.0, 8.0
+# The least degrees of freedom f that f - 2 is made of: with 4 or fewer, one over chi2 has no variance.
 _LEAST_OWN = 4.0
+# Blocks of lines that are looked at for correlation.
 _LOOKED_AT = 8
 
 
