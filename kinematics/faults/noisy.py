@@ -12,7 +12,7 @@ from kinematics.faults.unknown_noise import NOISY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Of the probability of a false alarm, what the tests of noise may use; search.py shares out the rest.
+# Of the probability of a false alarm, what the tests of noise may use; see _ALARM_SHARE of search.py.
 ALARM_SHARE = 0.05
 # How many times the stated sd noise must be to be told; less is a matter of chi2.
 _NOISY_KNOWN = 1.5

@@ -112,8 +112,8 @@ class ContrastSums:
         for lag, pairs in enumerate(self.pairs, start=1):
             if pairs > 0.0:
                 whole = (self.lines - lag) / pairs
-                product = abs(self.products[lag - 1]) ** 2 * whole**2
-                factor += 2.0 * max(product - self.chances[lag - 1] * whole, 0.0) / self.left**2
+                product = abs(self.products[lag - 1]) ** 2
+                factor += 2.0 * whole**2 * max(product - self.chances[lag - 1], 0.0) / self.left**2
         return float(factor)
 
 
