@@ -68,9 +68,9 @@ def label_findings(
     Rows y are held against rows p of a motion that other channels measured, with the variance of both:
     S = sum |y - p|^2 / var is the negative log likelihood of complex normal noise, and 2 S is chi-squared
     when they belong there. That is accepted when S is as small as noise makes it, or a hundredth of what it
-    was, and lies by more than the Bayesian information criterion (Schwarz 1978, doi:10.1214/aos/1176344136) below
-    the best real change of the rows and the best course of a factor over frequency, the faults that a single
-    point can have.
+    was, and lies by more than the Bayesian information criterion (Schwarz 1978,
+    doi:10.1214/aos/1176344136) below the best real change of the rows and the best course of a factor over
+    frequency, the faults that a single point can have.
     """
     motions = {key: found for key, found in motions.items() if found.level > 0.0}
     suspects = [

@@ -44,11 +44,9 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     lobe = np.abs(np.fft.fft(taper)[: _WIDEST + 1]) ** 2
     steps = np.arange(_WIDEST + 1)
     moment = float(2.0 * np.sum(lobe * steps**2) / (lobe[0] + 2.0 * np.sum(lobe[1:])))
-    near = np.abs(np.fft.fft(taper**2)[:3]) ** 2
-    r1, r2 = near[1] / near[0], near[2] / near[0]
     bias = 0.5 * moment * (value[:, 2:] - 2.0 * value[:, 1:-1] + value[:, :-2])
     variance = np.maximum(2.0 * sd[:, 1:-1] ** 2, np.finfo(float).tiny)
-    chance = (0.5 * moment) ** 2 * (6.0 - 8.0 * r1 + 2.0 * r2)
+    chance = (0.5 * moment) ** 2 * noise_of_differences(taper)
     excess = np.mean(np.abs(bias) ** 2 / variance, axis=0) - chance
     wide = chance * (1.0 + 4.0 / np.sqrt(len(value)))
     beyond = (excess > 1.0 + wide) & _even(power)[1:-1]
@@ -65,6 +63,18 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
         "--resolution, or longer records."
     )
     return [Notice("leakage", text)]
+
+
+def noise_of_differences(taper: Array) -> float:
+    """Return the variance of second differences of a response over that of one line, 6 - 8 r1 + 2 r2.
+
+    Parameters
+    ----------
+    taper : ndarray, (segment,)
+        Window of the segments; for random excitation.
+    """
+    near = np.abs(np.fft.fft(taper**2)[:3]) ** 2
+    return float((6.0 * near[0] - 8.0 * near[1] + 2.0 * near[2]) / near[0])
 
 
 def _even(power: Array) -> NDArray[np.bool_]:

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from ct_inertia.level_fit import BodyFit
+from ct_inertia.levels import Air, Surroundings
 from ct_inertia.plane_faces import PlaneFace
 from ct_inertia.plate_covered import covered_face
 from ct_inertia.psf import edge_widths
 from ct_inertia.segmentation import find_bodies
+from ct_inertia.thin_bone import thin_bone
 from ct_inertia.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
@@ -94,3 +97,18 @@ def test_a_face_of_the_plate_that_cannot_be_fitted_is_told():
     assert "--plate-fiducials" in notices[0].text
     assert np.sqrt(kept.covariance[0, 0]) > 0.05
     assert np.array_equal(kept.normal, face.normal)
+
+
+def test_the_level_of_bone_one_voxel_thick_is_found():
+    rng = np.random.default_rng(3)
+    body = np.zeros((9, 60, 60), dtype=np.float32)
+    body[4, 5:-5, 5:-5] = 1.0
+    grey = (1000.0 + 5000.0 * body + rng.normal(0.0, 50.0, body.shape)).astype(np.float32)
+    nothing = np.zeros(body.shape, dtype=bool)
+    around = Surroundings(grey, body > 0.5, nothing, np.full(3, H))
+    fit = BodyFit(5000.0, 1e-3, 0.2 * H, 0.0, body)
+    whole = tuple(slice(0, n) for n in body.shape)
+    found = thin_bone(fit, around, ~nothing, whole, Air(1000.0, 50.0, 1.0, 1.0, 0.0))
+    assert found is not None
+    assert abs(found.level - 6000.0) < 5.0 * max(found.sd, 1.0)
+    assert found.sd < 100.0

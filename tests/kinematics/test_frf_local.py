@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import get_window, lfilter
 
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Welch, welch_frf
 from kinematics.signals.frf_local import Local, local_frf
+from kinematics.signals.leakage import noise_of_differences
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])
@@ -116,3 +117,15 @@ def test_segments_cut_out_of_a_vibration_without_a_window_are_told() -> None:
     drive = rng.standard_normal(4096) * (np.arange(4096) % 256 < 40)
     answer = GAINS * lfilter([0.5], [1.0, -0.4], drive)
     assert not leaks(welch_frf([(drive, answer + 0.002 * rng.standard_normal(answer.shape))], RATE, how))
+
+
+@pytest.mark.parametrize("window", ["boxcar", "hann"])
+def test_the_noise_of_second_differences_is_that_of_responses_by_segments(window: str) -> None:
+    rng = np.random.default_rng(7)
+    taper = get_window(window, 64)
+    drive, noise = (np.fft.rfft(taper * rng.standard_normal((800, 100, 64))) for _ in range(2))
+    value = np.sum(noise * drive.conj(), axis=1) / np.sum(np.abs(drive) ** 2, axis=1)
+    value = value[:, 4:28]
+    bent = value[:, 2:] - 2.0 * value[:, 1:-1] + value[:, :-2]
+    measured = np.mean(np.abs(bent) ** 2) / np.mean(np.abs(value) ** 2)
+    assert noise_of_differences(taper) == pytest.approx(measured, rel=0.04)
