@@ -29,6 +29,7 @@ from kinematics.fit.beams import BeamSet
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _BESIDE = 0.1
+_REFILLS = 3
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,11 @@ class Diagnosis:
 
 
 def diagnose(
-    data: Compact, position_sd_m: Array, noise_known: bool = True, alarm: float = FALSE_ALARM
+    data: Compact,
+    position_sd_m: Array,
+    noise_known: bool = True,
+    alarm: float = FALSE_ALARM,
+    bounded: bool = False,
 ) -> Diagnosis:
     """Search one body in one run for faults.
 
@@ -93,7 +98,7 @@ def diagnose(
     doubt = None
     if not noise_known:
         data, doubt = evened(data)
-    data = _mixed(data)
+    data = data if bounded else _mixed(data)
     findings: list[Finding] = []
     current = data
     searches: list[Search] = []
@@ -103,13 +108,13 @@ def diagnose(
         found = search.best()
         if found is None:
             break
-        if found.fit is not None and filled_freely(current):
-            filled = refilled(current, found)
-            again = Search(filled, prior, noise_known, alarm, doubt)
-            better = again.best()
-            if better is not None and set(better.channels) == set(found.channels):
-                found, current, searches[-1] = better, filled, again
-                data = data if findings else filled
+        if filled_freely(current):
+            for suspect in [found] if found.fit is not None else found.rivals:
+                better, filled, again = _refilled(current, prior, noise_known, alarm, doubt, suspect)
+                if again is not None:
+                    found, current, searches[-1] = better, filled, again
+                    data = data if findings else filled
+                    break
         if found.kind == "flexible":
             found = _explained(current, prior, noise_known, alarm, doubt, found)
         if found.kind == "flexible" or len(findings) >= most:
@@ -134,6 +139,35 @@ def diagnose(
             return _made((spread,), searches[0], searches[0], data)
         findings = _again(data, prior, noise_known, alarm, doubt, findings)
     return _made(tuple(findings), searches[0], search, data, kept)
+
+
+def _refilled(
+    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, found: Finding
+) -> tuple[Finding, Compact, Search | None]:
+    """Return a finding with gaps filled by it, in turn until it stays, the data so, and their search.
+
+    The search is None where it finds something else there.
+    """
+    filled, last = data, None
+    for _ in range(_REFILLS):
+        trial = refilled(data, found)
+        search = Search(trial, prior, noise_known, alarm, doubt)
+        better = search.best()
+        if better is None or better.fit is None or set(better.channels) != set(found.channels):
+            break
+        settled = better.kind == found.kind and _settled(better, found)
+        found, filled, last = better, trial, search
+        if settled:
+            break
+    return found, filled, last
+
+
+def _settled(one: Finding, two: Finding) -> bool:
+    """Tell whether two estimates of a fault differ by less than half their standard deviations."""
+    if one.fit is None or two.fit is None:
+        return True
+    moved = np.abs(one.fit.parameters - two.fit.parameters)
+    return bool(np.all(moved <= 0.5 * np.sqrt(np.maximum(np.diag(one.fit.covariance), 0.0))))
 
 
 def _explained(

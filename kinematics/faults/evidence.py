@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import lgamma, log, pi
+from math import exp, lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ def log_evidence(fit: FaultFit, level: float, places: int) -> float:
     Laplace's approximation (MacKay 2003, Information theory, inference and learning algorithms, ch. 27-28)
     with a
     multivariate Cauchy prior of the parameters in units of Fault.scale; a factor has half its prior around
-    -1.
+    -1. Information that the prior holds is added, so that a fault of which the data say nothing has a factor
+    of 1, however many parameters it has.
     """
     gain = fit.drop / level - log(max(places, 1))
     size = fit.fault.size
@@ -37,7 +38,9 @@ def log_evidence(fit: FaultFit, level: float, places: int) -> float:
     information = np.linalg.pinv(fit.covariance * level, rcond=1e-12, hermitian=True)
     even = information * np.outer(fit.fault.scale, fit.fault.scale)
     values = np.linalg.eigvalsh(even)
-    width = 0.5 * size * log(2.0 * pi) - 0.5 * float(np.sum(np.log(np.maximum(values, 1.0))))
+    densest = lgamma(0.5 * (1 + size)) - lgamma(0.5) - 0.5 * size * log(pi)
+    unseen = 2.0 * pi * exp(2.0 * densest / size)
+    width = 0.5 * size * log(2.0 * pi) - 0.5 * float(np.sum(np.log(np.maximum(values, 0.0) + unseen)))
     return gain + _log_prior(fit) + width
 
 

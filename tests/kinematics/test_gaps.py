@@ -18,6 +18,13 @@ def test_a_large_fault_beside_missing_values_is_named(fault):
     assert said == dict.fromkeys(made.culprits, made.verdict)
 
 
+@pytest.mark.parametrize("seed", [1001, 1004])
+def test_a_laser_of_wrong_sign_beside_two_fifths_missing_is_named_and_not_refused(seed):
+    made = scene(seed, FIVE, "laser sign")
+    said = verdicts(made, with_gaps(measured(made, seed), seed, 0.4))
+    assert said == dict.fromkeys(made.culprits, "sign")
+
+
 def test_a_file_with_two_fifths_missing_is_not_accused():
     made = scene(31_002, FIVE)
     assert verdicts(made, with_gaps(measured(made, 31_002), 31_002, 0.4)) == {}
