@@ -187,7 +187,7 @@ def invisible(q: ComplexArray, dof: tuple[str, ...], directions: Array) -> Invis
         return np.array(made)
 
     tilt = np.full(len(places), np.nan)
-    if np.linalg.svd(directions, compute_uv=False)[1:].max() < PARALLEL * np.sqrt(len(directions)):
+    if np.linalg.svd(directions, compute_uv=False)[1:].max(initial=0.0) < PARALLEL * np.sqrt(len(directions)):
         large = float(np.max(size[:3]))
         beside = [np.tan(np.radians(TURN_DEG)) * large / size[place] for place in places]
         tilt = np.where(np.array(places) < 3, beside, np.nan)

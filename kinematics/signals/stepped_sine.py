@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
@@ -59,19 +59,23 @@ def stepped_frf(
     Raises
     ------
     KinematicsError
-        No step, a step too short or above half the sampling rate, or without signal in the reference.
+        No step, a step too short or above half the sampling rate, or without signal in the reference; the
+        faults of all steps are listed.
     """
     how = how or SteppedSine()
-    fits = []
+    fits: list[_Fitted] = []
+    faults: list[str] = []
     for one, place in _named(steps, where):
-        cut = int(how.settle * len(one.reference))
-        check_signals(one.reference, one.responses, sample_rate_hz, place)
-        signals = np.vstack([one.reference[cut:], one.responses[:, cut:]])
-        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
-        _check_lead(fit, 0, place)
-        ratio = fit.amplitude[1:] / fit.amplitude[0]
-        error = (fit.residual[1:] - ratio[:, None] * fit.residual[0]) / fit.amplitude[0]
-        fits.append(_Fitted(one.freq_hz, fit, ratio, error, abs(fit.amplitude[0])))
+        with collecting(faults):
+            cut = int(how.settle * len(one.reference))
+            check_signals(one.reference, one.responses, sample_rate_hz, place)
+            signals = np.vstack([one.reference[cut:], one.responses[:, cut:]])
+            fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
+            _check_lead(fit, 0, place)
+            ratio = fit.amplitude[1:] / fit.amplitude[0]
+            error = (fit.residual[1:] - ratio[:, None] * fit.residual[0]) / fit.amplitude[0]
+            fits.append(_Fitted(one.freq_hz, fit, ratio, error, abs(fit.amplitude[0])))
+    raise_all(KinematicsError, faults)
     return _spectrum(fits, how)
 
 
@@ -92,15 +96,18 @@ def stepped_amplitudes(
         line, the same for all channels. ``reference`` is 1.
     """
     how = how or SteppedSine()
-    fits = []
+    fits: list[_Fitted] = []
+    faults: list[str] = []
     for one, place in _named(steps, where):
-        signals = one.responses[:, int(how.settle * one.responses.shape[1]) :]
-        lead = int(np.argmax(np.std(signals, axis=1)))
-        check_signals(signals[lead], signals, sample_rate_hz, place)
-        fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
-        _check_lead(fit, lead, place)
-        turn = abs(fit.amplitude[lead]) / fit.amplitude[lead]
-        fits.append(_Fitted(one.freq_hz, fit, fit.amplitude * turn, fit.residual * turn, 1.0))
+        with collecting(faults):
+            signals = one.responses[:, int(how.settle * one.responses.shape[1]) :]
+            lead = int(np.argmax(np.std(signals, axis=1)))
+            check_signals(signals[lead], signals, sample_rate_hz, place)
+            fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
+            _check_lead(fit, lead, place)
+            turn = abs(fit.amplitude[lead]) / fit.amplitude[lead]
+            fits.append(_Fitted(one.freq_hz, fit, fit.amplitude * turn, fit.residual * turn, 1.0))
+    raise_all(KinematicsError, faults)
     return _spectrum(fits, how)
 
 

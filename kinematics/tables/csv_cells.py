@@ -121,6 +121,8 @@ def _hint(cell: str, decimal: str) -> str:
         return "Write decimal commas or decimal points throughout, and nothing between thousands"
     if "," in cell:
         return "Write a point for the decimals, or semicolons between the columns"
+    if not any(letter.isdigit() for letter in cell):
+        return "Write a plain number, or leave the cell empty where the value is missing"
     return "Write a plain number such as 1000 or 1e-6"
 
 

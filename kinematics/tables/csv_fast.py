@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kinematics.tables.csv_text import Sheet
 
 Array = NDArray[np.float64]
-MISSING = ("", "nan", "NaN", "NAN", "Nan", "NA", "N/A", "n/a", "#N/A", "null", "-nan")
+MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 Piece = tuple[dict[str, Array], dict[str, tuple[NDArray[np.intp], list[str]]]]
 _PIECE = 4 << 20
 _STRETCH = 1 << 18

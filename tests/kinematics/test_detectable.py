@@ -233,3 +233,12 @@ def test_the_report_says_what_never_shows():
 )
 def test_sizes_are_written_without_exponents_and_angles_stay_angles(value, unit, text):
     assert size_of(value, unit) == text
+
+
+def test_along_one_beam_a_turn_is_a_tilt_that_cannot_be_seen():
+    q = np.zeros((4, 6), dtype=complex)
+    q[:, 2] = 1e-8
+    never = invisible(q, ("z",), np.array([[0.0, 0.0, 1.0]]))
+    several = invisible(q, ("z",), np.tile([0.0, 0.0, 1.0], (3, 1)))
+    np.testing.assert_array_equal(never.tilt, several.tilt)
+    assert np.all(np.isfinite(never.tilt))

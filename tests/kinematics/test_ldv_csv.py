@@ -87,6 +87,17 @@ def test_dialects_read_the_same(tmp_path):
         same(read_ldv(write(tmp_path, text)), plain)
 
 
+@pytest.mark.parametrize("word", ["n/a", "NA", "N/A", "#N/A", "null", "None", "-", "missing"])
+def test_words_for_missing_values_are_refused_with_their_place(tmp_path, word):
+    rows = ["s,1,0,0,0,y,100,1,2", f"s,1,0,0,0,y,200,{word},3", "s,1,0,0,0,y,300,1,1"]
+    with pytest.raises(KinematicsError) as caught:
+        read_ldv(table(tmp_path, HEAD, rows))
+    found = (
+        f're_m_s must be a number; got "{word}" (ldv.csv, line 3). Write a plain number, or leave the cell'
+    )
+    assert str(caught.value).startswith(found)
+
+
 def test_empty_and_nan_are_missing(tmp_path):
     rows = ["s,1,0,0,0,y,100,,2", "s,1,0,0,0,y,200,NaN,nan", "s,1,0,0,0,y,300,1,1"]
     values = read_ldv(table(tmp_path, rows=rows)).bodies[0].displacement[0, 0]

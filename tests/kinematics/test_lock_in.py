@@ -155,3 +155,20 @@ def test_a_step_of_another_frequency_is_refused():
         stepped_frf(moved, RATE)
     with pytest.raises(KinematicsError, match="the reference must be a sine well above its noise"):
         stepped_frf(moved, RATE, SteppedSine(refine=False))
+
+
+@pytest.mark.parametrize("estimate", [stepped_frf, stepped_amplitudes])
+def test_the_faults_of_all_steps_are_told_at_once(estimate):
+    rng = np.random.default_rng(8)
+    good = record(rng, 500.0)
+    steps = [
+        good,
+        Step(RATE, good.reference, good.responses),
+        Step(500.0, good.reference[:20], good.responses[:, :20]),
+        Step(800.0, good.reference, good.responses),
+    ]
+    with pytest.raises(KinematicsError) as caught:
+        estimate(steps, RATE)
+    told = str(caught.value).splitlines()
+    places = [f"step 2 at {RATE:g} Hz", "step 3 at 500 Hz", "step 4 at 800 Hz"]
+    assert [place in line for place, line in zip(places, told, strict=True)] == [True] * 3
