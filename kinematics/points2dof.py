@@ -11,17 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.faults.across import diagnosed, told_across
+from kinematics.faults.across import told_across
 from kinematics.faults.across_lines import column_offset, exchanged_lines
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.phase import phase_notice
+from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.noise import with_noise
 from kinematics.fit.ratio import parse_reference, per_reference
-from kinematics.fit.record_noise import cautious, with_record_noise
+from kinematics.fit.record_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.fit.shared_errors import pose_derivatives, position_errors
 from kinematics.geometry.calibrate import Calibration
@@ -198,10 +199,7 @@ def points2dof(
             key = (run, number)
             fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
-            searched[key], careful = fits[key], cautious(placed, run, screen.body)
-            if careful is not None:
-                searched[key] = with_noise(placed, run, careful, beams[number], options.robust)[0]
-            diagnoses[key] = diagnosed(placed, screen.body, searched[key], known[key])
+            diagnoses[key], searched[key] = searched_body(placed, run, screen.body, fits[key], known[key])
     diagnoses |= told_across(placed, searched, diagnoses, known)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):

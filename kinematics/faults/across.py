@@ -16,6 +16,7 @@ from kinematics.faults.findings import Finding
 from kinematics.faults.neglected import extended_beams
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_course import noise_course
+from kinematics.fit.record_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels, Measurement
 
@@ -48,7 +49,7 @@ def diagnosed(
     if without:
         data = data.without(without).repacked()
     alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
-    return diagnose(data, body.position_sd_mm * 1e-3, known, alarm)
+    return diagnose(data, body.position_sd_mm * 1e-3, known, alarm, holds_record_noise(placed, body))
 
 
 def told_across(

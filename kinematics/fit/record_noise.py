@@ -2,37 +2,133 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.motion import RigidMotion
 
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_LEAST_OWN = 1e-4
+_ROUNDS = 2
+_RIDGE = 1e-12
 
-def cautious(measured: Measurement, run: int, body: BodyChannels) -> BodyChannels | None:
-    """Return a body whose sd hold the shared noise of records in any direction; None when it has none.
+
+def cautious(
+    measured: Measurement,
+    run: int,
+    body: BodyChannels,
+    basis: Array,
+    *,
+    without: Sequence[int] = (),
+    left: Sequence[int] = (),
+) -> tuple[BodyChannels, BodyChannels] | None:
+    """Return a body with bounds on the shared noise of records, and one in which that is no fault at all.
+
+    Parameters
+    ----------
+    measured : Measurement
+    run : int
+    body : BodyChannels
+    basis : ndarray, (channel, m)
+        Columns that span the readings of all rigid motions.
+    without : sequence of int
+        Channels of which the second body's motion holds nothing.
+    left : sequence of int
+        Those of them that will be left out of its fit.
+
+    Returns
+    -------
+    tuple of two BodyChannels, or None
+        None when the body has no such noise.
 
     Notes
     -----
     A search for faults that takes the noise of beams for independent would find the beams of one point at
     fault together. As matrices v v^H <= diag(|v_i| sum |v_j|): own noise and that diagonal bound the noise of
-    any combination of beams.
+    any combination of beams. Weights made of it are not those of the noise itself, though, and what a fit
+    with other weights leaves is correlated with its motion: directions and positions that act on motions
+    which are mostly noise would be blamed. What is left is not correlated with the estimate of least
+    variance (Gauss and Markov; Rao 1973, Linear Statistical Inference, sec. 4a): the motion of the second
+    body is moved to that, and what is left stays as it is. That estimate follows a faulty channel further
+    than a usual one: the second body tells whether anything is at fault, the first tells what.
     """
-    if body.sd is None or body.relative or not any(one.run == run for one in measured.record_noise):
+    if body.sd is None or body.relative:
         return None
-    sd, changed = body.sd, False
+    value, wide = body.displacement[run], body.sd[run].copy()
+    own = body.sd[run] ** 2
+    records = []
     for one in measured.record_noise:
         channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
         if one.run != run or len(channels) < 2:
             continue
-        sd, changed = (sd if changed else sd.copy()), True
-        size = np.abs(body.displacement[run, channels])
+        size = np.abs(value[channels])
         others = np.nansum(size, axis=0) - size
-        sd[run, channels] = np.sqrt(sd[run, channels] ** 2 + one.sd**2 * size * others)
-    return replace(body, sd=sd) if changed else None
+        wide[channels] = np.sqrt(wide[channels] ** 2 + one.sd**2 * size * others)
+        own[channels] = np.maximum(own[channels] - (one.sd * size) ** 2, _LEAST_OWN * own[channels])
+        records.append((np.array(channels), 2.0 * one.sd**2))
+    if not records:
+        return None
+    own[list(without)] = np.inf
+    bound = wide**2
+    bound[list(left)] = np.inf
+    usual = _least_squares(basis, value, bound, [], value)
+    best = usual
+    for _ in range(_ROUNDS):
+        best = _least_squares(basis, value, own, records, basis @ best)
+    sd, moved = body.sd.copy(), body.displacement.copy()
+    sd[run], moved[run] = wide, value - basis @ (usual - best)
+    return replace(body, sd=sd), replace(body, sd=sd, displacement=moved)
+
+
+def _least_squares(
+    basis: Array,
+    value: ComplexArray,
+    variance: Array,
+    records: Sequence[tuple[NDArray[np.intp], Array]],
+    model: ComplexArray,
+) -> ComplexArray:
+    """Return the coefficients (m, freq) of least variance.
+
+    Parameters
+    ----------
+    basis : ndarray, (channel, m)
+    value, model : ndarray, (channel, freq), complex
+    variance : ndarray, (channel, freq)
+        Of the real part of each channel's own noise.
+    records : sequence of (ndarray (n,), ndarray (freq,))
+        Channels that share an error, and the mean square of that, which multiplies ``model``.
+
+    Notes
+    -----
+    The inverse of D + s v v^H is D^-1 - D^-1 v v^H D^-1 / (1 / s + v^H D^-1 v) (Sherman and Morrison 1950).
+    """
+    used = np.isfinite(value.real) & np.isfinite(variance) & (variance > 0.0)
+    weight = np.where(used, 0.5 / np.where(used, variance, 1.0), 0.0)
+    held = weight * np.where(used, value, 0.0)
+    gram = np.einsum("ci,cf,cj->fij", basis, weight, basis, optimize=True).astype(complex)
+    right = held.T @ basis
+    for channels, square in records:
+        along = weight[channels] * model[channels]
+        size = np.sum(weight[channels] * np.abs(model[channels]) ** 2, axis=0)
+        share = square / (1.0 + square * size)
+        seen = along.T @ basis[channels]
+        gram -= share[:, None, None] * seen[:, :, None] * seen[:, None, :].conj()
+        right -= (share * np.sum(model[channels].conj() * held[channels], axis=0))[:, None] * seen
+    scale = np.maximum(np.trace(gram, axis1=1, axis2=2).real, np.finfo(float).tiny)
+    gram += _RIDGE * scale[:, None, None] * np.eye(basis.shape[1])
+    return np.asarray(np.linalg.solve(gram, right[:, :, None])[:, :, 0].T)
+
+
+def holds_record_noise(measured: Measurement, body: BodyChannels) -> bool:
+    """Tell whether beams of a point of a body share the noise of the reference of a record."""
+    points = {(body.body, point) for point in body.points if body.points.count(point) > 1}
+    return any(points.intersection(one.points) for one in measured.record_noise)
 
 
 def with_record_noise(

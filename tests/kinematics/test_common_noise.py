@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
+from kinematics.faults.across import diagnosed
+from kinematics.fit.noise import with_noise
+from kinematics.fit.record_noise import cautious
 from kinematics.measurement import RecordNoise, from_arrays
 from kinematics.motion_files import standard_deviation
 from kinematics.points2dof import Options, points2dof
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.recording import Recording
+from kinematics.spatial import point_rows
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 FREQ = np.array([100.0, 200.0, 300.0])
@@ -77,9 +81,10 @@ def test_it_stands_in_the_covariance_of_the_motion():
         type(plain)(**{**vars(plain), "common_sd": shared[:, :2]})
 
 
-def scanned(seed):
+def scanned(seed, moving=range(6)):
     """Return points read one after the other with a noisy reference, and their true motion."""
     made = scene(1, lines=80, count=6)
+    made.q[:, [k for k in range(6) if k not in moving]] *= 0.01
     rng = np.random.default_rng([seed, 6])
     clean = readings(made.positions_mm, made.directions, made.q)
     share = 0.04
@@ -107,6 +112,31 @@ def test_points_scanned_with_a_noisy_reference_state_their_motion_honestly():
     assert np.all(np.abs(np.mean(scores, axis=0) - 1.0) < 0.15)
     assert np.max(np.abs(np.mean(plain, axis=0) - 1.0)) > 0.4
     assert found <= 1 < blamed
+
+
+def searched_usually(measured):
+    """Return the findings of a search that takes the noise of a point's beams for bounded, not for common."""
+    one = measured.bodies[0]
+    basis = np.linalg.qr(point_rows(one.positions_mm * 1e-3, one.directions))[0]
+    fit = points2dof(measured).fits[0, 0]
+    bounded = cautious(measured, 0, one, basis)[0]
+    return diagnosed(measured, one, with_noise(measured, 0, bounded, fit.beams, "none")[0], True).findings
+
+
+def test_noise_of_records_is_no_fault_where_motion_is_little_but_noise():
+    """Beams of a point seem to turn with the noise that they share along motions that are not excited."""
+    assert searched_usually(scanned(1, moving=(1,))[0])
+    for seed in range(10):
+        assert not points2dof(scanned(seed, moving=(1,))[0]).diagnoses[0, 0].findings
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1.3])
+def test_a_fault_beside_noise_of_records_is_found_in_its_channel(factor):
+    for seed in (1, 3):
+        measured, _ = scanned(seed, moving=(1,))
+        measured.bodies[0].displacement[:, 7] *= factor
+        (finding,) = points2dof(measured).diagnoses[0, 0].findings
+        assert finding.channels == [7]
 
 
 def test_records_of_several_points_are_told_from_one_record_of_all():

@@ -1,0 +1,88 @@
+"""Search a body for faults whose points were recorded one after the other with a noisy reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kinematics.faults.across import diagnosed
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.findings import Finding
+from kinematics.faults.neglected import extended_beams
+from kinematics.fit.noise import with_noise
+from kinematics.fit.record_noise import cautious
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels, Measurement
+
+_WHOLE = ("laser", "lasers", "body")
+_TRIED = 3
+
+
+def searched_body(
+    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool
+) -> tuple[Diagnosis, LineFit]:
+    """Search one body in one run for faults, and return the fit in which they were looked for.
+
+    Parameters
+    ----------
+    placed : Measurement
+    run : int
+    body : BodyChannels
+    fit : LineFit
+        Of the degrees of freedom that are wanted.
+    known : bool
+        The noise is stated.
+
+    Notes
+    -----
+    Where records have the noise of a reference to themselves, a fault counts only while the motion of least
+    variance shows one, and is named by the usual fit: the culprit is left out and the motion found anew.
+    """
+    basis = extended_beams(body, fit.beams.dof).basis
+    made = cautious(placed, run, body, basis)
+    if made is None or not known:
+        return diagnosed(placed, body, fit, known), fit
+    usual = with_noise(placed, run, made[0], fit.beams, fit.robust)[0]
+
+    def told(without: list[int], out: list[int]) -> Diagnosis:
+        """Search without some channels, in a motion that may hold nothing of others."""
+        moved = cautious(placed, run, body, basis, without=without, left=out)
+        again = usual if moved is None else with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
+        return diagnosed(placed, body, again, known, out)
+
+    findings: list[Finding] = []
+    first = last = told([], [])
+    most = max(2, len(set(body.points)) // 3)
+    while last.findings:
+        out = sorted({channel for finding in findings for channel in finding.channels})
+        named = diagnosed(placed, body, usual, known, out)
+        found = (named.findings or last.findings)[0]
+        if found.kind == "flexible" or found.owner in _WHOLE:
+            found = _single(told, (named, last), out) or found
+        if found.kind == "flexible" or found.owner in _WHOLE or len(findings) >= most:
+            whole = named if named.findings else last
+            return replace(whole, findings=(*findings, *whole.findings[:1])), usual
+        findings.append(found)
+        out = sorted({*out, *found.channels})
+        last = told(out, out)
+    return replace(last, findings=tuple(findings), kept=first.kept), usual
+
+
+def _single(
+    told: Callable[[list[int], list[int]], Diagnosis], seen: Sequence[Diagnosis], out: list[int]
+) -> Finding | None:
+    """Return a fault of one channel without which nothing is found; None when there is none."""
+    tried: set[int] = set()
+    for one in seen:
+        energy = np.where(np.isfinite(one.energy), one.energy, 0.0)
+        energy[out] = 0.0
+        tried.update(int(channel) for channel in np.argsort(-energy)[:_TRIED])
+    for channel in tried:
+        if told([*out, channel], [*out, channel]).findings:
+            continue
+        whole = told([*out, channel], out).findings
+        if whole and whole[0].channels == [channel]:
+            return whole[0]
+    return None
