@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.fill import Filled, Gaps
+from kinematics.faults.fill import Filled, FilledLines, Gaps
 from kinematics.faults.mixing import Mixing
-from kinematics.faults.packing import gathering, motion_of
+from kinematics.faults.packing import Measured, gathering, motion_of
+from kinematics.faults.whole_lines import measured
 from kinematics.fit.beams import BeamSet
-from kinematics.fit.line_kernels import mixed as mixed_lines
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
@@ -54,6 +54,9 @@ class Source:
             share, line = common
             size = float(np.mean(line))
             return cls(fit, freq_hz, 1.0 / (np.sqrt(2.0) * share * size), size / line, True)
+        if common is not None:
+            held, own, line = measured(fit.value, fit.solution, common)
+            return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False)._with_gaps(held, own)
         channels, lines = fit.value.shape
         held = np.empty((channels, lines), dtype=bool)
         own, used = np.zeros(channels), np.zeros(channels)
@@ -67,11 +70,15 @@ class Source:
             mean = np.sum(_variance(fit, noise, part)[0] / own[:, None], axis=0)
             number = np.sum(held[:, part], axis=0)
             line[part] = np.sqrt(number / np.where(mean > 0.0, mean, np.inf))
-        made = cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False)
-        if np.all(held[:, fit.solution.good]):
-            return made
-        gaps = _gaps(made, held, np.sqrt(1.0 / own))
-        return replace(made, gaps=gaps, filled=gaps.filled())
+        return cls(fit, freq_hz, 1.0 / np.sqrt(2.0 * own), line, False)._with_gaps(held, own)
+
+    def _with_gaps(self, held: NDArray[np.bool_], own: Array) -> Source:
+        """Fill what is missing at lines that are packed; ``own`` is the noise variance of each channel."""
+        good = self.fit.solution.good
+        if np.all(held if np.all(good) else held[:, good]):
+            return self
+        gaps = _gaps(self, held, np.sqrt(1.0 / own))
+        return replace(self, gaps=gaps, filled=gaps.filled())
 
 
 def _gaps(source: Source, held: NDArray[np.bool_], weight: Array) -> Gaps:
@@ -296,26 +303,30 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     back = np.linalg.pinv(upper, rcond=1e-9) @ data.white(np.eye(count)).T.dot(span).T
     packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
-    plain = gaps is None
+    common = fit.noise.common()
     for number, (start, stop) in enumerate(pairwise(edges)):
         lines = slice(start, stop) if whole else good[start:stop]
         b, divisor = source.line[lines], data.divisor[:, number][:, None]
+        read: Measured | FilledLines
         if gaps is not None and filled is not None:
-            z, residual = filled.z[:, good[start:stop]], gaps.residual(filled, good[start:stop])
+            read = FilledLines(gaps, filled, good[start:stop])
         else:
-            residual = fit.value[:, lines]
-            z = fit.solution.z[:, lines] if first else motion_of(back, divisor[:, 0], residual)
-        moving = z * b
+            held = fit.value[:, lines]
+            z = fit.solution.z[:, lines] if first else motion_of(back, divisor[:, 0], held)
+            read = Measured(held, divisor, basis, z)
+        moving = read.z * b
         vectors, into = gathering(moving)
-        error = mixed_lines(residual, b[:, None] * into)
-        if plain:
-            error = error / divisor - basis @ (moving @ into)
-        off = (basis, z, divisor) if plain else None
+        error = read.mixed(b[:, None] * into)
         packed.append((moving @ into, error))
         mixed.append(np.abs(into) ** 2)
-        rest.append(_rest(residual, off, (b, vectors, into, error), share))
+        rest.append(_rest(read, (b, vectors, into, error), share))
         if first and not source.even:
             mix = np.sum(np.abs(into) ** 2, axis=1)
+            if common is not None and gaps is not None:
+                there, sizes = gaps.held[:, lines], np.stack([mix, mix * (b * common[1][lines]) ** 2], axis=1)
+                some, own = (there @ sizes).T
+                seen, variance = seen + some, variance + 2.0 * common[0] ** 2 * own
+                continue
             own, used = _variance(fit, fit.noise, lines)
             seen += used @ mix
             variance += 2.0 * own @ (mix * b**2)
@@ -345,18 +356,14 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
 
 
 def _rest(
-    held: ComplexArray,
-    off: tuple[Array, ComplexArray, ComplexArray] | None,
-    mixing: tuple[Array, ComplexArray, ComplexArray, ComplexArray],
-    share: int,
+    read: Measured | FilledLines, mixing: tuple[Array, ComplexArray, ComplexArray, ComplexArray], share: int
 ) -> ComplexArray:
     """Return mixtures (channel, n) of equal noise of the residuals that the packed lines leave.
 
     Parameters
     ----------
-    held : ndarray, (channel, n), complex
-        Residuals, or readings that are still to be divided and freed of the motion.
-    off : tuple of basis (channel, m), motion (m, n) and divisor (channel, 1), or None
+    read : Measured or FilledLines
+        Gives residuals.
     mixing : tuple
         Weights of the lines, all mixing vectors, those of the packed lines, and the packed residuals.
     share : int
@@ -365,13 +372,10 @@ def _rest(
     b, vectors, into, error = mixing
     lines, rank = into.shape
     if lines == rank:
-        return np.zeros((len(held), 0), dtype=complex)
+        return np.zeros((len(error), 0), dtype=complex)
     if len(vectors) == lines:
-        others = (b[:, None] * vectors[rank:].conj().T)[:, :share]
-        made = held @ others
-        return np.asarray(made if off is None else made / off[2] - off[0] @ (off[1] @ others))
+        return read.mixed((b[:, None] * vectors[rank:].conj().T)[:, :share])
     pick = np.unique(np.linspace(0, lines - 1, min(share, lines)).round().astype(int))
     left = 1.0 - np.sum(np.abs(into[pick]) ** 2, axis=1)
     pick, left = pick[left > 0.1], left[left > 0.1]
-    own = held[:, pick] if off is None else held[:, pick] / off[2] - off[0] @ off[1][:, pick]
-    return np.asarray((own * b[pick] - error @ into[pick].conj().T) / np.sqrt(left))
+    return np.asarray((read.at(pick) * b[pick] - error @ into[pick].conj().T) / np.sqrt(left))

@@ -10,11 +10,15 @@ large, rows and motion are found together from the readings that there are, and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.known_share import LEAST, brought, shares_of
+from kinematics.faults.whole_lines import mixed_whole, motion_whole
 from kinematics.fit.line_noise import blocks
 
 Array = NDArray[np.float64]
@@ -24,12 +28,8 @@ Held = NDArray[np.bool_]
 _SAMPLE, _ROUNDS, _SETTLED = 480, 100, 2e-4
 # Changes of a row are held to so many times its size, motion to so many times its variance: hardly at all.
 _WIDTH, _LOOSE = 4.0, 10.0
-# Up to so many of its standard deviations a change is brought to equal noise; beyond, it stays a fault.
-_SURE = 4.0
-# A slope over the measurement is filled in only where this share of what is known of the mean is known of it.
-_COVERED = 0.15
-# Shares of information and of noise below which nothing is divided.
-_LEAST, _KEPT = 1e-4, 0.1
+# Share of noise below which nothing is divided.
+_KEPT = 0.1
 # Lines for each parameter of a channel's change.
 _LINES = 3
 # Chance below which a change of rows is clear.
@@ -71,12 +71,12 @@ class Filled:
     measured: Array
     kept: Array
 
-    def residual(self, lines: NDArray[np.intp]) -> ComplexArray:
+    def residual(self, lines: NDArray[np.intp], some: Held | slice = slice(None)) -> ComplexArray:
         """Return what stands for the residuals (channel, n) of missing values at some lines."""
         moved = self.moved[:, lines]
-        made = self.change @ _varying(moved, self.tau[lines])
+        made = self.change[some] @ _varying(moved, self.tau[lines])
         if self.moved is not self.z:
-            made += self.basis @ (moved - self.z[:, lines])
+            made += self.basis[some] @ (moved - self.z[:, lines])
         return np.asarray(made)
 
     def evened(self, error: ComplexArray, motion: ComplexArray, tau: Array) -> ComplexArray:
@@ -94,7 +94,7 @@ class Filled:
     @property
     def lift(self) -> Array:
         """What residuals apart from the motion are multiplied with, (channel,)."""
-        return np.asarray(1.0 / np.sqrt(np.maximum(self.share * self.kept * self.measured, _LEAST)))
+        return np.asarray(1.0 / np.sqrt(np.maximum(self.share * self.kept * self.measured, LEAST)))
 
 
 def _varying(z: ComplexArray, tau: Array) -> ComplexArray:
@@ -161,10 +161,44 @@ class Gaps:
             )
         return made
 
+    def mixed(self, filled: Filled, lines: NDArray[np.intp], vectors: ComplexArray) -> ComplexArray:
+        """Return the residuals (channel, n) of some lines of one segment, filled, times vectors (n, k)."""
+        gaps, live, number = ~self._whole[lines], self.a > 0.0, self.segment[lines[0]]
+        made = mixed_whole(self.value, live, lines, gaps, vectors) / self.divisor[:, number][:, None]
+        made -= self.basis @ (filled.z[:, lines[~gaps]] @ vectors[~gaps])
+        for part in blocks(len(made), int(np.sum(gaps))):
+            some = np.flatnonzero(gaps)[part]
+            made += self.residual(filled, lines[some]) @ vectors[some]
+        if not np.all(live):
+            made[~live] = filled.residual(lines, ~live) @ vectors
+        return np.asarray(made)
+
+    @cached_property
+    def _whole(self) -> Held:
+        """Lines (line,) at which no channel in use is missing."""
+        live = self.a > 0.0
+        here = self.held if np.all(live) else self.held[live]
+        return np.asarray(np.count_nonzero(here, axis=0) == len(here))
+
+    @property
+    def _split(self) -> tuple[NDArray[np.intp], list[tuple[int, NDArray[np.intp]]]]:
+        """Lines that are packed and have gaps, and all that are packed, by segment, where some have none."""
+        gaps = ~self._whole[self.good]
+        if np.all(gaps):
+            return self.good, []
+        edges = np.searchsorted(self.segment[self.good], np.arange(self.divisor.shape[1] + 1))
+        parts = [(n, self.good[a:b]) for n, (a, b) in enumerate(pairwise(edges)) if b > a]
+        return self.good[gaps], parts
+
     def _values(self, lines: NDArray[np.intp]) -> ComplexArray:
         """Return the readings (channel, n) of some lines, zero where missing."""
-        held = np.where(self.held[:, lines], self.value[:, lines], 0.0)
-        return np.asarray(held / self.divisor[:, self.segment[lines]])
+        made = np.where(self.held[:, lines], self.value[:, lines], 0.0)
+        made *= self._inverse[:, self.segment[lines]]
+        return np.asarray(made)
+
+    @cached_property
+    def _inverse(self) -> ComplexArray:
+        return np.asarray(1.0 / self.divisor)
 
     def _weights(self, lines: NDArray[np.intp]) -> Array:
         return np.asarray(self.held[:, lines] * (self.a[:, None] * self.line[lines]) ** 2)
@@ -181,8 +215,18 @@ class Gaps:
         z = np.zeros((size, self.value.shape[1]), dtype=complex)
         products = (self.basis[:, :, None] * self.basis[:, None]).reshape(count, -1)
         share, number = np.zeros(count), np.zeros(count)
-        for part in blocks(count * size, len(self.good)):
-            lines = self.good[part]
+        loose, parts = self._split
+        if parts:
+            live, own = self.a > 0.0, self.a**2
+            common = (own @ products).reshape(size, size)
+            once = np.linalg.inv(common + 1e-10 * max(float(np.trace(common)), 1e-300) * np.eye(size))
+            back = once @ (self.basis.T * own)
+            for segment, lines in parts:
+                z[:, lines] = motion_whole(back, self.divisor[:, segment], self.value, live, lines)
+            number += live * float(len(self.good) - len(loose))
+            share += number * (1.0 - own * (products @ once.ravel()))
+        for part in blocks(count, len(loose)):
+            lines = loose[part]
             weights = self._weights(lines)
             gram = (weights.T @ products).reshape(-1, size, size)
             trace = np.einsum("fmm->f", gram)
@@ -291,48 +335,52 @@ class Gaps:
         gram = np.zeros((count, 2 * size, 2 * size), dtype=complex)
         right = np.zeros((count, 2 * size), dtype=complex)
         whole = np.zeros((2 * size, 2 * size), dtype=complex)
-        for part in blocks(count, len(self.good)):
-            lines = self.good[part]
+        loose, parts = self._split
+        for segment, lines in parts:
+            both, gaps = _varying(z[:, lines], self.tau[lines]), ~self._whole[lines]
+            vectors = (np.where(gaps, 0.0, self.line[lines] ** 2) * both).conj().T
+            seen = mixed_whole(self.value, self.a > 0.0, lines, gaps, vectors)
+            right += seen / self.divisor[:, segment][:, None] - self.basis @ (z[:, lines] @ vectors)
+            whole += both @ vectors
+        gram += whole.conj().T
+        for part in blocks(count, len(loose)):
+            lines = loose[part]
             both = _varying(z[:, lines], self.tau[lines])
             weights = self.held[:, lines] * self.line[lines] ** 2
             gram += _grams(weights, both)
             right += (weights * self._residual(lines, z[:, lines])) @ both.conj().T
             whole += (self.line[lines] ** 2 * both) @ both.conj().T
         change, share = np.zeros_like(right), np.ones(count)
-        for channel in np.flatnonzero((self.a > 0.0) & ~np.all(self.held[:, self.good], axis=1)):
+        some = np.flatnonzero((self.a > 0.0) & ~np.all(self.held[:, self.good], axis=1))
+        wide = shares_of(whole, gram[some])
+        narrow = shares_of(whole[:size, :size], gram[some, :size, :size])
+        for number, channel in enumerate(some):
+            known = [(shares[number], turn[number]) for shares, turn in (wide, narrow)]
             sd = np.sqrt(2.0) / self.a[channel]
-            change[channel], share[channel] = _brought(whole, gram[channel], right[channel], size, sd)
+            change[channel], share[channel] = brought(known, right[channel], sd)
         return change, share
 
 
-def _brought(
-    whole: ComplexArray, known: ComplexArray, score: ComplexArray, size: int, sd: float
-) -> tuple[ComplexArray, float]:
-    """Return a change of equal noise along all directions of the motion, and the share that is known."""
-    static = _shares(whole[:size, :size], known[:size, :size])[0]
-    share = float(np.clip(np.mean(static), _LEAST, 1.0)) if len(static) else 1.0
-    made = np.zeros(len(score), dtype=complex)
-    for width in (2 * size, size):
-        shares, turn = _shares(whole[:width, :width], known[:width, :width])
-        if not len(shares) or (width > size and np.min(shares) < _COVERED * share):
-            continue
-        use = shares > _LEAST
-        along = (score[:width] @ turn)[use] / shares[use]
-        noise = sd / np.sqrt(shares[use])
-        far = np.minimum(1.0, _SURE * noise / np.maximum(np.abs(along), 1e-300))
-        along = along * (1.0 - (1.0 - np.sqrt(shares[use] / share)) * far)
-        made[:width] = along @ turn[:, use].conj().T
-        break
-    return made, share
+@dataclass(frozen=True)
+class FilledLines:
+    """A run of lines (n,) of one segment, filled where readings are missing."""
 
+    gaps: Gaps
+    filled: Filled
+    lines: NDArray[np.intp]
 
-def _shares(whole: ComplexArray, known: ComplexArray) -> tuple[Array, ComplexArray]:
-    """Return the shares (k,) known along directions of the motion, and these, (n, k), of unit energy."""
-    values, vectors = np.linalg.eigh(whole)
-    keep = values > 1e-10 * max(float(values[-1]), 1e-300)
-    root = vectors[:, keep] / np.sqrt(values[keep])
-    shares, turn = np.linalg.eigh(root.conj().T @ known @ root)
-    return np.clip(shares, 0.0, 1.0), root @ turn
+    @property
+    def z(self) -> ComplexArray:
+        """Motion (m, n)."""
+        return np.asarray(self.filled.z[:, self.lines])
+
+    def mixed(self, vectors: ComplexArray) -> ComplexArray:
+        """Return the residuals times vectors (n, k)."""
+        return self.gaps.mixed(self.filled, self.lines, vectors)
+
+    def at(self, pick: NDArray[np.intp]) -> ComplexArray:
+        """Return the residuals (channel, k) of some of the lines."""
+        return self.gaps.residual(self.filled, self.lines[pick])
 
 
 def _grams(weights: Array, both: ComplexArray) -> NDArray[Any]:

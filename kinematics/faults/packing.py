@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit.line_kernels import projected
+from kinematics.fit.line_kernels import mixed, projected
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -48,3 +50,21 @@ def motion_of(back: Array, divisor: ComplexArray, value: ComplexArray) -> Comple
     if len(turned):
         made = made + 1j * projected(np.ascontiguousarray(rows.imag[:, turned]), value[turned])
     return made
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Lines without gaps: readings ``held`` (channel, n) over ``divisor``, rows and motion (m, n)."""
+
+    held: ComplexArray
+    divisor: ComplexArray
+    basis: Array
+    z: ComplexArray
+
+    def mixed(self, vectors: ComplexArray) -> ComplexArray:
+        """Return the residuals times vectors (n, k)."""
+        return np.asarray(mixed(self.held, vectors) / self.divisor - self.basis @ (self.z @ vectors))
+
+    def at(self, pick: NDArray[np.intp]) -> ComplexArray:
+        """Return the residuals (channel, k) of some of the lines."""
+        return np.asarray(self.held[:, pick] / self.divisor - self.basis @ self.z[:, pick])
