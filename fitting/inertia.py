@@ -19,6 +19,8 @@ from kinematics.spatial import (
 )
 
 Array = NDArray[np.float64]
+# No body that is measured here has a mass or moment of inertia beyond these.
+SMALLEST, LARGEST = 1e-30, 1e6
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def inertia_of(mass: MassMatrix | Array, dof: tuple[str, ...]) -> Inertia:
 
 
 def check_mass(matrix: Array, where: str = "") -> None:
-    """Refuse a mass matrix that is not finite, symmetric and positive definite.
+    """Refuse a mass matrix that is not finite, of a body's size, symmetric and positive definite.
 
     Raises
     ------
@@ -128,6 +130,12 @@ def check_mass(matrix: Array, where: str = "") -> None:
     if np.any(diagonal <= 0.0):
         raise FittingError(
             sentence("the diagonal of the mass matrix", "positive", diagonal.min(), where, "Check its units")
+        )
+    if np.any((diagonal < SMALLEST) | (diagonal > LARGEST)):
+        worst = diagonal[np.argmax(np.abs(np.log(diagonal)))]
+        want = f"within {SMALLEST:g} and {LARGEST:g} (kg, kg m2)"
+        raise FittingError(
+            sentence("the diagonal of the mass matrix", want, f"{worst:g}", where, "Check its units")
         )
     root = np.sqrt(diagonal)
     scaled = matrix / np.outer(root, root)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.bands import frequency_dependence
+from fitting.bands import fewer_bands, frequency_dependence
 from fitting.budget import budget_of, derived_quantities
 from fitting.damping import DampingLaw
 from fitting.estimators import EstimatorOptions
@@ -21,6 +21,7 @@ from fitting.model import modes
 from fitting.observation import observe
 from fitting.problem import Problem
 from fitting.profile import profile_intervals
+from fitting.ranges import check_motion, check_result, unsolvable
 from fitting.starts import improve
 from fitting.symmetric import split
 from fitting.uncertainty import chi2, degrees
@@ -64,7 +65,15 @@ def fit_kd(
     KinematicsError
         A body is missing.
     """
-    options = options or KDOptions()
+    try:
+        return _fitted(motion, mass, options or KDOptions(), base_mass)
+    except np.linalg.LinAlgError as fault:
+        raise unsolvable() from fault
+
+
+def _fitted(
+    motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base_mass: Array | None
+) -> KDFit:
     inertia = inertia_of(mass, options.dof)
     observation = observe(
         motion,
@@ -75,6 +84,7 @@ def fit_kd(
         options.exclude_hz,
         with_load=options.inplane != "ignore" or inertia.complete,
     )
+    check_motion(observation)
     scale = Scale.of(observation, inertia.rows(observation.dof, ()))
     settings = EstimatorOptions(options.robust, options.constraint)
     problem = Problem(observation, inertia, scale, DampingLaw(), options.estimator, settings, base_mass)
@@ -113,6 +123,7 @@ def _result(
     scaled = best.estimate.parameters
     stiffness, damping = split(scaled * problem.units, problem.n)
     budget = budget_of(problem, lines, best)
+    check_result(stiffness, damping, budget.covariance, budget.noise)
     found = modes(problem.mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)
     unknowns = lines.parameters + (1 if problem.law.name == "fractional" else 0)
@@ -144,7 +155,8 @@ def _result(
     if options.bands:
         local = frequency_dependence(problem, lines, best.estimate, budget.widened, options.bands)
         fit = replace(fit, frequency=local)
-    return replace(fit, notices=unique([*motion.notices, *verdicts(fit)]))
+    told = fewer_bands(lines.count, options.bands)
+    return replace(fit, notices=unique([*motion.notices, *verdicts(fit), *told]))
 
 
 __all__ = ["KDFit", "KDOptions", "fit_kd"]

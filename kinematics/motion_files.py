@@ -17,9 +17,11 @@ from kinematics.notices import Notice, from_json
 from kinematics.provenance import content_hash
 from kinematics.spatial import DOF_NAMES, DOF_UNITS
 from kinematics.tables.csv_table import Table, read_table
+from kinematics.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
+LARGEST_COUNT = 1e15
 _ROWS = 2000
 _PER_REFERENCE = "_per_ref"
 
@@ -274,17 +276,31 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
 
 def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[str]:
     faults = []
-    for row in np.flatnonzero(~(freq > 0.0) | np.isinf(freq)):
-        faults.append(sentence("freq_hz", "positive and finite", f"{freq[row]:g}", table.where(int(row))))
-    for row in np.flatnonzero(np.any((sd < 0.0) | np.isinf(sd), axis=1)):
+    told = table.told_rows("freq_hz")
+    for row in np.flatnonzero(~(freq >= LOWEST_HZ) | (freq > HIGHEST_HZ)):
+        if not (told[row] and np.isnan(freq[row])):
+            finite = 0.0 < freq[row] < np.inf
+            want = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz" if finite else "positive and finite"
+            faults.append(sentence("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))
+    for name in {"chi2", "n_dof"} & set(table.numbers):
+        values = table.numbers[name]
+        odd = (values < 0.0) | (values > LARGEST_COUNT)
+        if name == "n_dof":
+            odd |= values != np.where(np.isnan(values), values, np.round(values))
+            odd &= ~np.isnan(values)
+        for row in np.flatnonzero(odd):
+            want = "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
+            faults.append(sentence(name, want, f"{values[row]:g}", table.where(int(row))))
+    for row in np.flatnonzero(np.any((sd < 0.0) | (sd > LARGEST), axis=1)):
         faults.append(
             sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
         )
     for name, values in table.numbers.items():
-        infinite = np.flatnonzero(np.isinf(values)) if "_re_" in name or "_im_" in name else ()
-        for row in infinite:
+        large = np.flatnonzero(np.abs(values) > LARGEST) if "_re_" in name or "_im_" in name else ()
+        for row in large:
             where = table.where(int(row))
-            faults.append(sentence(name, "finite, or empty", f"{values[row]:g}", where))
+            want = "finite, or empty" if np.isinf(values[row]) else f"below {LARGEST:g}, or empty"
+            faults.append(sentence(name, want, f"{values[row]:g}", where))
     for row in np.flatnonzero(body < 0):
         faults.append(sentence("body", "a name", "an empty cell", table.where(int(row))))
     return faults

@@ -14,6 +14,7 @@ SUFFIXES = "m, mm, um, nm (displacement), m_s, mm_s, ... (velocity), m_s2, ... (
 # No motion reaches these: larger numbers come from damaged files.
 LARGEST = 1e100
 HIGHEST_HZ = 1e12
+LOWEST_HZ = 1e-12
 FARTHEST_MM = 1e9
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import sentence
 from kinematics.readers.recording import Recording
-from kinematics.units import FARTHEST_MM, HIGHEST_HZ, LARGEST
+from kinematics.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 
 def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:
@@ -39,6 +39,10 @@ def value_faults(recordings: Sequence[Recording]) -> list[str]:
         if len(one.freq_hz) and one.freq_hz[-1] > HIGHEST_HZ:
             want = f"below {HIGHEST_HZ:g} Hz"
             faults.append(sentence("the frequencies", want, f"{one.freq_hz[-1]:g} Hz", one.where))
+        slow = one.freq_hz[(one.freq_hz > 0.0) & (one.freq_hz < LOWEST_HZ)]
+        if len(slow):
+            want = f"{LOWEST_HZ:g} Hz or more"
+            faults.append(sentence("the frequencies", want, f"{slow[0]:g} Hz", one.where))
         bad = np.isinf(one.value.real) | np.isinf(one.value.imag)
         faults += _told(one, bad, "the values", "finite, or NaN where missing", one.value)
         bad = ~bad & ((np.abs(one.value.real) > LARGEST) | (np.abs(one.value.imag) > LARGEST))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.errors import sentence
 from kinematics.tables.csv_table import Table
 from kinematics.tables.ldv_columns import DIRECTION, Columns
-from kinematics.units import HIGHEST_HZ, LARGEST
+from kinematics.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -39,14 +39,17 @@ def each(
 def check_frequencies(table: Table, faults: list[str]) -> NDArray[np.bool_]:
     """Return which rows (rows,) have a positive and finite frequency, and add the others' faults."""
     freq = table.numbers["freq_hz"]
-    usable = (freq > 0.0) & (freq <= HIGHEST_HZ)
+    usable = (freq >= LOWEST_HZ) & (freq <= HIGHEST_HZ)
     if not np.all(usable):
         high = (freq > HIGHEST_HZ) & (freq < np.inf)
         step = "Give the frequency in Hz"
         want = f"{HIGHEST_HZ:g} Hz at most"
         each(high, "freq_hz", want, lambda row: _cell(float(freq[row])), table, faults, step)
+        low = (freq > 0.0) & (freq < LOWEST_HZ)
+        want = f"{LOWEST_HZ:g} Hz or more"
+        each(low, "freq_hz", want, lambda row: _cell(float(freq[row])), table, faults, step)
         each(
-            ~usable & ~high & ~(table.told_rows("freq_hz") & np.isnan(freq)),
+            ~usable & ~high & ~low & ~(table.told_rows("freq_hz") & np.isnan(freq)),
             "freq_hz",
             "positive and finite",
             lambda row: _cell(float(freq[row])),

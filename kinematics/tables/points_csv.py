@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.tables.csv_table import Table, read_table
+from kinematics.units import FARTHEST_MM
 
 Array = NDArray[np.float64]
 _POSITION = ("x_mm", "y_mm", "z_mm")
@@ -94,7 +95,7 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
 
 
 def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
-    """List the cells of number columns that are empty or infinite."""
+    """List the cells of number columns that are empty, infinite or, in mm, no place on earth."""
     faults = []
     for name in columns:
         told = table.told_rows(name)
@@ -103,13 +104,20 @@ def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
             got = "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
             step = "Give the number, or leave the row out"
             faults.append(sentence(name, "a finite number", got, table.where(int(row)), step))
+        if name.endswith("_mm"):
+            values = table.numbers[name]
+            for row in np.flatnonzero((np.abs(values) > FARTHEST_MM) & np.isfinite(values)):
+                want, got = f"within {FARTHEST_MM:g} mm", f"{values[row]:g}"
+                faults.append(sentence(name, want, got, table.where(int(row)), "Give the position in mm"))
     return faults
 
 
 def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[str]:
-    """List the standard deviations that are not positive and finite."""
-    rows = np.flatnonzero((sd <= 0.0) | np.isinf(sd))
+    """List the standard deviations that are not positive and finite, or beyond all positions."""
+    rows = np.flatnonzero((sd <= 0.0) | (sd > FARTHEST_MM))
     step = "Give the standard deviation per coordinate in mm"
+    wanted = {True: f"{FARTHEST_MM:g} mm at most", False: "positive and finite"}
     return [
-        sentence(name, "positive and finite", f"{sd[row]:g}", table.where(int(row)), step) for row in rows
+        sentence(name, wanted[bool(0.0 < sd[row] < np.inf)], f"{sd[row]:g}", table.where(int(row)), step)
+        for row in rows
     ]

@@ -9,6 +9,7 @@ import pytest
 
 from fitting.errors import FittingError
 from fitting.kd import KDOptions, fit_kd
+from fitting.ranges import check_result
 from kinematics.errors import KinematicsError, StapeskitError
 from kinematics.spatial import DOF_NAMES
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
@@ -137,3 +138,39 @@ def test_as_many_equations_as_unknowns_give_an_answer_that_says_what_it_is_worth
 def test_one_direction_for_six_degrees_of_freedom_is_answered_with_what_is_not_known() -> None:
     fit = fit_kd(six_dof_motion(0.05, 1, "y"), six_dof_mass(), KDOptions(dof=DOF_NAMES, inplane="ignore"))
     assert "weak_identifiability" in {notice.code for notice in fit.notices}
+
+
+def test_a_line_far_beyond_the_others_is_named() -> None:
+    motion = six_dof_motion(0.01, 1, lines=30)
+    q = motion.q.copy()
+    body = motion.bodies.index("stapes")
+    q[0, body, 12, DOF_NAMES.index("y")] = 1e5
+    with pytest.raises(FittingError) as caught:
+        fit_kd(replace(motion, q=q), M)
+    told = str(caught.value)
+    assert told.startswith("the structure's y must be of a size like at the other lines")
+    assert f"got 100000 m ({motion.freq_hz[12]:.6g} Hz). Correct this line" in told.replace("1e+05", "100000")
+
+
+@pytest.mark.parametrize("factor", [1e289, 1e-40])
+def test_masses_of_no_body_are_refused(factor: float) -> None:
+    motion = paper_motion()
+    with pytest.raises(FittingError, match="the diagonal of the mass matrix must be within 1e-30 and 1e"):
+        fit_kd(motion, M * factor)
+
+
+def test_equations_without_a_finite_solution_are_told(monkeypatch) -> None:
+    def never(*_given: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("fitting.kd.choose", never)
+    with pytest.raises(FittingError, match="got equations without a finite solution"):
+        fit_kd(paper_motion(), M)
+
+
+def test_variances_below_zero_are_no_result() -> None:
+    good = np.eye(2)
+    check_result(good, -good, good, good)
+    for spoiled in (np.diag([1.0, -1.0]), np.diag([1.0, np.nan])):
+        with pytest.raises(FittingError, match="of sizes from which stiffness and damping follow"):
+            check_result(good, good, spoiled, good)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from kinematics.errors import KinematicsError
 from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tables.points_csv import read_points
 from tests.kinematics.written_csv import FIRST, HEAD, ROWS, plain, same, written
 
 
@@ -225,11 +226,13 @@ def test_numbers_are_read_to_the_nearest(tmp_path, value):
 
 def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
     rows = ["s,1,0,0,0,y,1e13,1,2", "s,1,0,0,0,y,5,1e101,2", "s,1,0,0,0,y,6,1e400,-1e308"]
+    rows += ["s,1,0,0,0,y,4e-298,1,2"]
     with pytest.raises(KinematicsError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
     assert sorted(told) == [
         "freq_hz must be 1e+12 Hz at most; got 1e+13 (ldv.csv, line 2, freq_hz)",
+        "freq_hz must be 1e-12 Hz or more; got 4e-298 (ldv.csv, line 5, freq_hz)",
         "im_m_s must be below 1e+100; got -1e+308 (ldv.csv, line 4, im_m_s)",
         "re_m_s must be below 1e+100; got 1e+101 (ldv.csv, line 3, re_m_s)",
         "re_m_s must be finite; got inf (ldv.csv, line 4, re_m_s)",
@@ -240,6 +243,19 @@ def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
     far = written(tmp_path, plain(["s,1,0,0,0,1e301,0,0,5,1,2"], HEAD.replace("dir", "dir_x,dir_y,dir_z")))
     with pytest.raises(KinematicsError, match="must be a unit vector"):
         read_ldv(far)
+
+
+def test_positions_beyond_any_place_are_refused(tmp_path):
+    rows = ["a,1,0,0,1e200,0.1", "a,2,0,n/a,0,0.1", "a,3,0,0,0,1e300"]
+    path = written(tmp_path, "body,point,x_mm,y_mm,z_mm,sd_mm\n" + "\n".join(rows) + "\n", "points.csv")
+    with pytest.raises(KinematicsError) as caught:
+        read_points(path)
+    told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
+    assert sorted(told) == [
+        "sd_mm must be 1e+09 mm at most; got 1e+300 (points.csv, line 4)",
+        'y_mm must be a number; got "n/a" (points.csv, line 3)',
+        "z_mm must be within 1e+09 mm; got 1e+200 (points.csv, line 2)",
+    ]
 
 
 NOISE = [
