@@ -21,6 +21,7 @@ from ct_inertia.surface import Surface
 from kinematics.frames import RigidTransform
 from kinematics.notices import Notice, from_json
 from kinematics.pages import page
+from kinematics.pages.numbers import plus_minus
 from kinematics.spatial import DOF_NAMES
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def _found_section(content: Mapping[str, Any]) -> page.Section:
     rows = [
         (
             "mass with what was added" if found["added_masses"] else "mass",
-            f"{content['mass_kg'] * 1e6:.4f} ± {deviation['mass_kg'] * 1e6:.2g} mg",
+            f"{plus_minus(content['mass_kg'] * 1e6, deviation['mass_kg'] * 1e6)} mg",
             _ANATOMY["mass_mg"] + " mg",
         ),
         ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³", ""),

@@ -88,6 +88,27 @@ class FrequencyDependence:
         return ", ".join(parts)
 
 
+def fewer_bands(lines: int, bands: int) -> list[Notice]:
+    """Return the warning that the lines do not suffice for the parts of the band that were asked for.
+
+    Parameters
+    ----------
+    lines : int
+        Lines that are fitted, of all runs.
+    bands : int
+        Asked for; the usual number is not told of.
+    """
+    made = lines // _FEWEST_LINES
+    if bands in (0, USUAL_BANDS) or made >= bands:
+        return []
+    now = f"in {made} parts of the band" if made > 1 else "in no parts of the band"
+    text = (
+        f"K and D are compared {now}, not in the {bands} that were asked for: a part holds at least "
+        f"{_FEWEST_LINES} of the {lines} lines. Leave --bands at {USUAL_BANDS}, or measure more lines."
+    )
+    return [Notice("fewer_bands", text)]
+
+
 def frequency_dependence(
     problem: Problem, lines: Lines, found: Estimate, widened: float = 1.0, bands: int = USUAL_BANDS
 ) -> FrequencyDependence | None:

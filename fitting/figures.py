@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitting.bands import FrequencyDependence
 from fitting.responses import Responses
+from kinematics.pages.drawings import amplitude_axis
 from kinematics.pages.page import new_figure
 from kinematics.spatial import DOF_UNITS
 
@@ -115,11 +116,7 @@ def _unwrapped(response: NDArray[np.complex128], noise: Array) -> Array:
 
 
 def _log_scale(axis: Axes) -> None:
-    from matplotlib.ticker import LogFormatter
-
-    axis.set_yscale("log")
-    axis.yaxis.set_major_formatter(LogFormatter(labelOnlyBase=False))
-    axis.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    amplitude_axis(axis, 0.5)
     axis.tick_params(axis="y", which="minor", labelsize=8)
 
 

@@ -17,6 +17,7 @@ from fitting.responses import responses
 from fitting.symmetric import entry_units, join
 from fitting.uncertainty import ATTENUATION, NOISE
 from kinematics.pages import page
+from kinematics.pages.numbers import plus_minus
 from kinematics.pages.page import Page, Section
 from kinematics.spatial import DOF_UNITS
 
@@ -77,10 +78,10 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         parts = []
         for place, name in enumerate(fit.dof):
             unit = units[place][place] if letter == "K" else fit.law.unit(units[place][place])
-            parts.append(f"{name} {values[place, place]:.4g} ± {sds[place, place]:.2g} {unit}")
+            parts.append(f"{name} {plus_minus(values[place, place], sds[place, place])} {unit}")
         rows.append((f"{letter} diagonal", ", ".join(parts)))
     listed = [
-        f"{mode.frequency_hz:.1f} ± {sd:.2g} Hz (zeta {mode.damping_ratio:.3f} ± {ratio:.1g})"
+        f"{plus_minus(mode.frequency_hz, sd)} Hz (zeta {plus_minus(mode.damping_ratio, ratio)})"
         for mode, sd, ratio in zip(
             fit.modes.pairs, fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd, strict=True
         )
@@ -219,13 +220,13 @@ def _modal(fit: KDFit) -> Section:
         derived = fit.derived
         cells = [
             str(place + 1),
-            f"{mode.frequency_hz:.1f} ± {derived.frequency_sd_hz[place]:.2g}",
-            f"{mode.undamped_frequency_hz:.1f} ± {derived.undamped_frequency_sd_hz[place]:.2g}",
-            f"{mode.damping_ratio:.4f} ± {derived.damping_ratio_sd[place]:.1g}",
+            plus_minus(mode.frequency_hz, derived.frequency_sd_hz[place]),
+            plus_minus(mode.undamped_frequency_hz, derived.undamped_frequency_sd_hz[place]),
+            plus_minus(mode.damping_ratio, derived.damping_ratio_sd[place]),
         ]
         for index, (_, scale) in enumerate(scales):
             value, sd = abs(mode.shape[index]) * scale, derived.shape_sd[place, index] * scale
-            cells.append(f"{value:.4g} ± {sd:.1g}")
+            cells.append(plus_minus(value, sd))
         rows.append(cells)
     section = Section("Modes").add(
         page.table(header, rows),
@@ -281,7 +282,8 @@ def _budget(fit: KDFit) -> Section:
     for part in (slice(0, half), slice(half, None)):
         names = fit.parameters[part]
         section.add(page.table(["share of the variance", *names], [[row[0], *row[1:][part]] for row in rows]))
-    section.add(page.text(" ".join(_leading(fit, shares))))
+    numbered = ", ".join(f"{place + 1} {name}" for place, name in enumerate(fit.dof))
+    section.add(page.text(f"{' '.join(_leading(fit, shares))} Rows and columns of K and D: {numbered}."))
     if fit.budget.widened > 1.0:
         section.add(
             page.text(
@@ -297,16 +299,14 @@ def _leading(fit: KDFit, shares: Mapping[str, Mapping[str, float]]) -> list[str]
     """Say for each diagonal entry which source leads."""
     if len(shares) == 1:
         return [f"All of it is {source_words(next(iter(shares)))}: no other source was stated."]
-    words = []
-    n = len(fit.dof)
+    led: dict[str, list[str]] = {}
     for letter in "KD":
-        for place in range(n):
-            name = f"{letter}{place + 1}{place + 1}"
+        for place in range(1, len(fit.dof) + 1):
+            name = f"{letter}{place}{place}"
             source = max(shares, key=lambda key, entry=name: shares[key][entry])  # type: ignore[misc]
-            words.append(
-                f"Of the variance of {name}, {100.0 * shares[source][name]:.0f} % is {source_words(source)}."
-            )
-    return words
+            led.setdefault(source, []).append(f"{name} ({100.0 * shares[source][name]:.0f} %)")
+    parts = [f"{source_words(source)} of {', '.join(names)}" for source, names in led.items()]
+    return [f"The largest part of the variance is {'; '.join(parts)}."]
 
 
 def source_words(source: str) -> str:

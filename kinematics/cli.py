@@ -304,6 +304,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
 
     from kinematics.motion_files import standard_deviation
     from kinematics.pages import geometry_report
+    from kinematics.pages.drawings import line_words
 
     motion = result.motion
     rows = [
@@ -313,8 +314,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
         ),
         (
             "lines",
-            f"{len(motion.freq_hz)}, {motion.freq_hz[0]:.6g} to {motion.freq_hz[-1]:.6g} Hz, "
-            f"{len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}",
+            f"{line_words(motion.freq_hz)}, {len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}",
         ),
     ]
     rows += [("input", text) for text in result.measurement.said[:4]]

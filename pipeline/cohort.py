@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,9 +171,25 @@ def _unit(letter: str, first: str, second: str) -> str:
     return (f"{force}/m", force, f"{force} m/rad")[turns]
 
 
-def write_cohort_csv(path: Path, ears: Sequence[Ear]) -> None:
-    """Write one row per ear: name, side, warnings, and each quantity with its sd; SI units in the names."""
+def labels(ears: Sequence[Ear]) -> list[str]:
+    """Return a name for each ear that no other has: its folder stands with it where studies share a name."""
+    times = Counter(ear.name for ear in ears)
+    return [ear.name if times[ear.name] == 1 else f"{ear.name} ({ear.folder})" for ear in ears]
+
+
+def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] | None = None) -> None:
+    """Write one row per ear: name, side, warnings, and each quantity with its sd; SI units in the names.
+
+    Parameters
+    ----------
+    path : Path
+    ears : sequence of Ear
+    faults : mapping of str to str, optional
+        Studies that failed, by folder, and why: rows at the end with nothing but the column error.
+    """
     import pandas as pd
+
+    failed = {} if faults is None else faults
 
     columns: dict[str, Any] = {
         "study": [ear.name for ear in ears],
@@ -185,7 +202,13 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear]) -> None:
         end = _column_unit(one.unit)
         columns[f"{one.name}{end}"] = one.values
         columns[f"{one.name}_sd{end}"] = one.deviations
-    pd.DataFrame(columns).to_csv(path, index=False, lineterminator="\n")
+    columns["error"] = [""] * len(ears)
+    table = pd.DataFrame(columns)
+    if failed:
+        errors = [" ".join(text.split()) for text in failed.values()]
+        empty = pd.DataFrame({"study": list(failed), "folder": list(failed), "error": errors})
+        table = pd.concat([table.astype({"warnings": "Int64"}), empty])
+    table.to_csv(path, index=False, lineterminator="\n")
 
 
 def _column_unit(unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from kinematics.pages import page
+from kinematics.pages.drawings import plain
+from kinematics.pages.numbers import plus_minus
 from kinematics.pages.page import Page
-from pipeline.cohort import Ear, Quantity, quantities
-from pipeline.report import plus_minus
+from pipeline.cohort import Ear, Quantity, labels, quantities
 
 _FEW = 5
 
@@ -19,7 +21,9 @@ _FEW = 5
 def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]) -> None:
     """Write cohort.html: the ears side by side, and a plain comparison."""
     found = quantities(ears)
-    made = Page("Cohort", f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units.")
+    count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units."
+    lost = f" {len(faults)} more failed." if faults else ""
+    made = Page("Cohort", count + lost)
     if faults:
         made.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
     rows = [
@@ -53,9 +57,9 @@ def _side_by_side(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
         blocks.append(page.subheading(heading))
         if len(ears) <= _FEW:
             cells = [(_headed(one), *(_cell(one, k) for k in range(len(ears)))) for one in part]
-            blocks.append(page.table(("", *(ear.name for ear in ears)), cells))
+            blocks.append(page.table(("", *labels(ears)), cells))
         else:
-            cells = [(ear.name, *(_cell(one, k) for one in part)) for k, ear in enumerate(ears)]
+            cells = [(name, *(_cell(one, k) for one in part)) for k, name in enumerate(labels(ears))]
             blocks.append(page.table(("study", *map(_headed, part)), cells))
     return blocks
 
@@ -67,7 +71,7 @@ def _on_diagonal(one: Quantity) -> bool:
 
 def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
     """Draw one panel per quantity."""
-    columns = 3
+    columns, named = 3, labels(ears)
     lines = -(-len(shown) // columns)
     drawing = page.new_figure(10.5, 1.9 * lines + 0.3)
     panels = drawing.subplots(lines, columns, squeeze=False).ravel()
@@ -79,14 +83,21 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
         panel.axhline(one.mean, color="#9aa5b1", lw=1, zorder=0)
         panel.set_title(_headed(one), fontsize=9, loc="right")
         panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places)
-        labels = [ear.name if len(ears) <= _FEW else str(k + 1) for k, ear in enumerate(ears)]
-        panel.set_xticklabels(labels, fontsize=8)
+        few = len(ears) <= _FEW
+        panel.set_xticklabels(
+            [_narrow(one) if few else str(k + 1) for k, one in enumerate(named)], fontsize=8
+        )
         panel.tick_params(axis="y", labelsize=8)
         panel.grid(True, axis="y", color="#eef1f4")
         panel.spines[["top", "right"]].set_visible(False)
     for panel in panels[len(shown) :]:
         panel.set_axis_off()
     return drawing
+
+
+def _narrow(name: str) -> str:
+    """Return a name in lines that stand below a tick beside others."""
+    return "\n".join(textwrap.wrap(plain(name), 14))
 
 
 def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:

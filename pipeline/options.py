@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
     from ct_inertia.readers.raw import RawLayout
     from fitting.kd import KDOptions
+    from kinematics.pages.page import Section
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
     from kinematics.signals.series_options import SeriesOptions
@@ -68,6 +69,15 @@ def in_study_words(text: str, table: str = "scan") -> str:
         return found.group()
 
     return _OPTION.sub(key, text)
+
+
+def section_in_study_words(section: Section, table: str) -> Section:
+    """Return a section of a page whose texts name the keys of a study file."""
+    from markupsafe import Markup
+
+    from kinematics.pages.page import Section
+
+    return Section(section.heading, [Markup(in_study_words(str(one), table)) for one in section.blocks])
 
 
 def mass_options(scan: Scan) -> MassOptions:

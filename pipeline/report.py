@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from kinematics.motion_files import read_motion
 from kinematics.notices import unique
 from kinematics.pages import page
+from kinematics.pages.numbers import plus_minus
 from kinematics.pages.page import Page, Section
 from kinematics.provenance import input_record, versions
 from pipeline.records import Told
@@ -88,24 +88,6 @@ def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[st
     passive = "yes" if all(kd["passive"].values()) else "NO"
     rows.append(("stable; passive", f"{stable}; {passive}"))
     return rows
-
-
-def plus_minus(value: float, sd: float | None) -> str:
-    """Write a value with its standard deviation, both to the second digit of the latter.
-
-    Examples
-    --------
-    >>> plus_minus(1736.4, 17.2), plus_minus(3.0531e-08, 7.2e-10)
-    ('1736 ± 17', '(3.053 ± 0.072)e-8')
-    """
-    if sd is None or not 0.0 < sd < math.inf:
-        return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
-    power = math.floor(math.log10(max(abs(value), sd)))
-    power = 0 if -3 < power < 6 else power
-    value, sd = value * 10.0**-power, sd * 10.0**-power
-    digits = max(0, 1 - math.floor(math.log10(sd)))
-    text = f"{value:.{digits}f} ± {sd:.{digits}f}"
-    return text if power == 0 else f"({text})e{power}"
 
 
 def ordered(told: Mapping[str, Told]) -> list[Section]:

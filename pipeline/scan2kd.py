@@ -13,7 +13,7 @@ from kinematics.notices import Notice, unique
 from kinematics.output import staged
 from kinematics.provenance import content_hash
 from pipeline.errors import PipelineError
-from pipeline.options import in_study_words
+from pipeline.options import in_study_words, section_in_study_words
 from pipeline.progress import Progress
 from pipeline.records import (
     FOLDER,
@@ -137,7 +137,8 @@ def _stage(
         except StapeskitError as fault:
             raise PipelineError(in_study_words(str(fault), stage.table)) from fault
         told = Told(
-            told.sections, tuple(Notice(n.code, in_study_words(n.text, stage.table)) for n in told.notices)
+            tuple(section_in_study_words(one, stage.table) for one in told.sections),
+            tuple(Notice(n.code, in_study_words(n.text, stage.table)) for n in told.notices),
         )
         write_told(work.fresh, stage.name, told)
         hashes = {one: content_hash(work.fresh / one) for one in (*names, told_name(stage.name))}

@@ -96,7 +96,7 @@ def run_studies(
     files: list[Path] = []
     if ears:
         with staged(out) as fresh:
-            write_cohort_csv(fresh / "cohort.csv", ears)
+            write_cohort_csv(fresh / "cohort.csv", ears, faults)
             write_cohort_page(fresh / "cohort.html", ears, faults)
         files = [out / "cohort.csv", out / "cohort.html"]
     return CohortResult(out, ears, faults, codes, tuple(files))

@@ -65,8 +65,9 @@ file = "ldv.csv"
 # n_avg = 20
 # Of a .mat or .h5 file with names of its own: which variable is what (TOML).
 # mapping = "names.toml"
-# Of time series: which column is what beam at what point (CSV), and how responses are estimated: h1, h2 or
-# hv, averages or the spacing of lines; the period of a periodic excitation; the steps of a stepped sine.
+# Of time series: which column is what beam at what point (CSV), and how responses are estimated:
+# h1, h2, hv or lpm, averages or the spacing of lines; the period of a periodic excitation; the steps of a
+# stepped sine.
 # channels = "channels.csv"
 # reference_channel = "force"
 # frf = "h1"

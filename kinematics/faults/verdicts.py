@@ -180,7 +180,9 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             text = f"body {body.body}{where}: beam axes do not agree with the positions: {estimate}."
         else:
             names = _channel_list(finding.channels, body)
-            text = f"{names}{where}: {verdict}, {estimate}; correct it or leave the channel out."
+            swapped = verdict == "label_swap" and "exchanged" in estimate
+            step = "exchange the two names" if swapped else "correct it or leave the channel out"
+            text = f"{names}{where}: {verdict}, {estimate}; {step}."
         notices.append(Notice(f"channel_{verdict}" if verdict != "flexible" else "flexible", text))
     return notices
 

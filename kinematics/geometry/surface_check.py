@@ -67,4 +67,4 @@ def shift_words(made: SurfaceCheck) -> str:
     if size == 0.0:
         return "none seen"
     along = ", ".join(f"{value:.2f}" for value in made.shift_mm / made.size_mm[0])
-    return f"{size:.0f} ± {sd:.0f} um along ({along})"
+    return f"{size:.0f} ± {sd:.0f} µm along ({along})"

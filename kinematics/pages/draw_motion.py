@@ -140,7 +140,7 @@ def stroboscope_figure(result: Points2Dof, now: Moment, scenery: Scenery | None 
     low, high = everything.min(axis=0), everything.max(axis=0)
     span = float(np.max(high - low)) or 1.0
     middle, half = 0.5 * (low + high), 0.5 * (high - low) + 0.16 * span
-    sights = views(scenery.z_is)
+    sights = views()
     figure, axes = equal_panels(sights, half, above=1.0)
     tints = matplotlib.colormaps["twilight_shifted"](np.linspace(0.06, 0.94, PHASES + 1)[:-1])
     phases = 2.0 * np.pi * np.arange(PHASES) / PHASES

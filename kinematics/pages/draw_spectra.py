@@ -13,6 +13,7 @@ from kinematics.pages.drawings import (
     GRID,
     INK,
     RUN_STYLES,
+    amplitude_axis,
     colour,
     frequency_axis,
     kept_lines,
@@ -55,8 +56,6 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
     runs : tuple of int
         At most four.
     """
-    from matplotlib.ticker import LogFormatter
-
     count = len(motion.dof)
     figure = new_figure(11.0, 1.85 * count + 0.8)
     axes = figure.subplots(count, 2, sharex=True, squeeze=False)
@@ -74,10 +73,9 @@ def spectra_figure(motion: RigidMotion, runs: tuple[int, ...] = (0,)) -> Figure:
                 _bands(
                     amplitude, phase, *curve, run_label(body_name, motion.runs[run], len(motion.runs)), look
                 )
-        amplitude.set_yscale("log")
+        amplitude_axis(amplitude)
         per = f" / {motion.reference}" if motion.reference else ""
         amplitude.set_ylabel(f"|{name}{per}| ({label})", fontsize=9)
-        amplitude.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.0, 0.4)))
         amplitude.tick_params(axis="y", which="minor", labelsize=7)
         phase.set_ylabel(f"phase of {name} (°)", fontsize=9)
         phase.set_ylim(-190, 190)

@@ -100,6 +100,38 @@ def frequency_axis(view: Axes, freq_hz: Array) -> None:
         view.set_xlim(low, high)
 
 
+def line_words(freq_hz: Array) -> str:
+    """Return how many lines there are, and where.
+
+    Examples
+    --------
+    >>> line_words(np.array([100.0, 200.0])), line_words(np.array([862.3]))
+    ('2, 100 to 200 Hz', '1, at 862.3 Hz')
+    """
+    low, high = f"{freq_hz[0]:.6g}", f"{freq_hz[-1]:.6g}"
+    return f"{len(freq_hz)}, {low} to {high} Hz" if len(freq_hz) > 1 else f"1, at {low} Hz"
+
+
+def amplitude_axis(view: Axes, most_minor: float = 0.4) -> None:
+    """Make an axis of amplitudes logarithmic, with plain numbers at its ticks.
+
+    Parameters
+    ----------
+    view : Axes
+    most_minor : float
+        Decades up to which all ticks between powers of ten have numbers; see matplotlib's LogFormatter.
+    """
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    view.set_yscale("log")
+    view.yaxis.set_major_formatter(Plain(labelOnlyBase=False))
+    view.yaxis.set_minor_formatter(Plain(labelOnlyBase=False, minor_thresholds=(2.0, most_minor)))
+
+
 def kept_lines(size: Array, most: int) -> Indices:
     """Return ascending indices of at most ``most`` lines that keep every peak and every trough.
 

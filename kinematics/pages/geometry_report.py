@@ -31,8 +31,8 @@ def rows(result: Points2Dof) -> list[tuple[str, str]]:
     fit = result.placement.registration
     error = centre_error(result)
     if fit is not None and error is not None:
-        text = f"{len(fit.residuals_mm)} {fit.kind}, residual {fit.rms_mm * 1e3:.3g} um rms"
-        made.append(("registration", f"{text}, footplate centre ± {error * 1e3:.3g} um"))
+        text = f"{len(fit.residuals_mm)} {fit.kind}, residual {fit.rms_mm * 1e3:.3g} µm rms"
+        made.append(("registration", f"{text}, footplate centre ± {error * 1e3:.3g} µm"))
     for check in result.placement.checks:
         made.append((f"{check.body} on the {check.surface}", _check_words(check)))
     if result.calibration is not None:
@@ -42,7 +42,7 @@ def rows(result: Points2Dof) -> list[tuple[str, str]]:
 
 def _check_words(check: SurfaceCheck) -> str:
     rms = float(np.sqrt(np.mean(check.distance_mm**2)))
-    said = [f"{len(check.points)} points {rms * 1e3:.3g} um rms off it"]
+    said = [f"{len(check.points)} points {rms * 1e3:.3g} µm rms off it"]
     if np.isfinite(check.chi2):
         said.append(f"p {check.p_value:.2g}")
     return ", ".join(said)

@@ -96,7 +96,7 @@ def picture_data(result: Points2Dof, now: Moment, scenery: Scenery) -> dict[str,
     bodies = [_body(result, k, clouds[k]) for k in range(len(motion.bodies))]
     reference = DOF_UNITS[motion.reference.rpartition(":")[2]] if motion.reference else ""
     return {
-        "views": _views(views(scenery.z_is), scenery, 0.5 * (low + high), 0.5 * (high - low) + 0.16 * span),
+        "views": _views(views(), scenery, 0.5 * (low + high), 0.5 * (high - low) + 0.16 * span),
         "freq": [float(f"{f:.9g}") for f in motion.freq_hz[lines]],
         "log": log_spaced(motion.freq_hz),
         "runs": list(motion.runs),

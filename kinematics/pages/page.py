@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinematics.notices import Notice
+from kinematics.pages.numbers import printed
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -36,6 +37,7 @@ table { border-collapse: collapse; margin: 10px 0; font-size: 14px; font-variant
 th, td { padding: 4px 11px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 th { background: var(--tint); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
 table.text td, table.text th { text-align: left; white-space: normal; vertical-align: top; overflow-wrap: break-word; }
+table.two th:nth-child(2), table.two td:nth-child(2) { text-align: left; }
 td small { color: var(--soft); }
 figure { margin: 14px 0; } figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4px; }
@@ -154,15 +156,21 @@ def subheading(words: str) -> Markup:
     return _render("<h3>{{ t }}</h3>", t=words)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]], words: bool = False) -> Markup:
-    """Return a table; ``words`` aligns text to the left and lets it wrap."""
+def table(
+    header: Sequence[str], rows: Iterable[Sequence[object]], words: bool = False, named_by: int = 1
+) -> Markup:
+    """Return a table; ``words`` aligns text to the left and lets it wrap.
+
+    Of a table of numbers the first ``named_by`` columns, 1 or 2, are names and stand to the left.
+    """
     return _render(
-        '<div class="scroll"><table{% if words %} class="text"{% endif %}><thead><tr>{% for h in header %}'
+        '<div class="scroll"><table{% if words %} class="text"{% elif two %} class="two"{% endif %}><thead><tr>{% for h in header %}'
         '<th scope="col">{{ h }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=header,
         rows=[list(row) for row in rows],
         words=words,
+        two=named_by == 2,
     )
 
 
@@ -171,7 +179,7 @@ def notices(found: Iterable[Notice]) -> Markup:
     return _render(
         "{% for n in found %}<div class='notice'><code>{{ n.code }}</code> {{ n.text }}</div>{% else %}"
         "<div class='notice good'>No warnings.</div>{% endfor %}",
-        found=list(found),
+        found=[Notice(one.code, printed(one.text)) for one in found],
     )
 
 

@@ -11,8 +11,15 @@ import numpy as np
 
 from kinematics.notices import Notice
 from kinematics.pages import geometry_report, page
+from kinematics.pages.drawings import line_words
 from kinematics.pages.page import Page, Section
-from kinematics.pages.report_faults import channel_count, groups_of, residual_section, verdict_section
+from kinematics.pages.report_faults import (
+    channel_count,
+    clean_words,
+    groups_of,
+    residual_section,
+    verdict_section,
+)
 from kinematics.pages.report_geometry import points_section, registration_section
 from kinematics.pages.report_motion import motion_section, moving_section
 from kinematics.pages.report_repeats import repeats_section
@@ -87,7 +94,7 @@ def _in_short(result: Points2Dof) -> str:
     """Return the outcome of the diagnosis in one sentence."""
     wrong = [v for v in result.channels if v.verdict != "ok"]
     if not wrong:
-        return f"All {channel_count(result)} agree with rigid motion within their noise."
+        return f"{channel_count(result)}: {clean_words(result)}"
     several = len(result.motion.runs) > 1
     named = []
     for group in groups_of(result)[:5]:
@@ -127,7 +134,7 @@ def _inputs(result: Points2Dof) -> list[Markup]:
             "; ".join(f"{body.body}: {_noise_words(body)}" for body in measurement.bodies),
         ),
         ("runs", ", ".join(measurement.runs)),
-        ("lines", f"{len(freq)}, {freq[0]:.6g} to {freq[-1]:.6g} Hz"),
+        ("lines", line_words(freq)),
         ("coordinates", f"given in the frame {result.placement.transform.source}"),
         ("degrees of freedom", ", ".join(result.options.dof)),
         ("robust", result.options.robust),

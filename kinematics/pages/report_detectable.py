@@ -54,12 +54,14 @@ def _found(result: Points2Dof) -> list[Markup]:
     if not rows:
         return []
     run = f" in run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
+    blind = any(cell == "-" for row in (*rows, *points) for cell in row)
+    dash = " A dash: it would never show." if blind else ""
     return [
         page.subheading("What would have been found"),
         page.table(("body", "error of", "typical", "largest", "at"), rows, words=True),
         page.text(
             f"The smallest error{run} that is found with 95 % probability, along the direction in which it "
-            "shows least; smaller ones can hide behind a clean verdict. A dash: it would never show."
+            f"shows least; smaller ones can hide behind a clean verdict.{dash}"
         ),
         page.folded(
             "Every point",
@@ -108,7 +110,7 @@ def _never(result: Points2Dof) -> list[Markup]:
     if not rows:
         return []
     single = any("tilted" in row[1] for row in rows)
-    tilt = "" if single else " Beams of one direction only would hide a tilt as well; these have several."
+    tilt = "" if single else " A tilt of the beams against the points would show, as their directions differ."
     return [
         page.subheading("What never shows"),
         page.table(("body", "error", *dof), rows, words=True),

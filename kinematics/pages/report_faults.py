@@ -108,7 +108,7 @@ def verdict_section(result: Points2Dof) -> Section:
             )
         )
     else:
-        section.add(page.text("Every channel agrees with the rigid motion of its body within its noise."))
+        section.add(page.text(clean_words(result)))
     section.add(*detectable_blocks(result))
     section.add(page.folded("All channels", *_all_channels(result)))
     if groups:
@@ -119,6 +119,13 @@ def verdict_section(result: Points2Dof) -> Section:
             )
         )
     return section
+
+
+def clean_words(result: Points2Dof) -> str:
+    """Say that no channel stands out, and whether all of them err by more than their noise."""
+    if any(notice.code == "noise_level" for notice in result.notices):
+        return "none stands out, but all err by more than their stated noise (warning noise_level)."
+    return "every one agrees with the rigid motion of its body within its noise."
 
 
 def channel_count(result: Points2Dof) -> str:

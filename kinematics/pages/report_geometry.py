@@ -57,10 +57,6 @@ def points_section(result: Points2Dof, scenery: Scenery) -> Section:
             rows,
             words=True,
         ),
-        page.text(
-            "A rotation of all points and beams together, and a common shift of all points, leave no "
-            "residual: only the registration guards against them."
-        ),
     )
     return section
 

@@ -124,4 +124,4 @@ def _shared_table(result: Points2Dof) -> Markup:
             variance = np.real(np.einsum("arfd,ab,brfd->rfd", d.conj(), c, d, optimize=True))
             share = np.sqrt(np.nanmean(variance, axis=(0, 1))) / np.maximum(size, 1e-300)
             rows.append((body, source.replace("_", " "), *(f"{100.0 * value:.2g} %" for value in share)))
-    return page.table(("body", "source", *motion.dof), rows)
+    return page.table(("body", "source", *motion.dof), rows, named_by=2)

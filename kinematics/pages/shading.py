@@ -47,10 +47,9 @@ def _unit(axis: str) -> Array:
     return vector
 
 
-def views(z_is: str = "") -> tuple[View, View, View]:
-    """Return the views along z, from anterior and from lateral; there superior is up where z_is tells."""
-    lateral = View("+y", "-x", "+z") if z_is == "superior" else View("+y", "+x", "-z")
-    return View("+z", "+x", "+y"), View("+x", "-z", "+y"), lateral
+def views() -> tuple[View, View, View]:
+    """Return the views along z, from anterior and from lateral, as in the reports of scan and stiffness."""
+    return View("+z", "+x", "+y"), View("+x", "-z", "+y"), View("+y", "+x", "-z")
 
 
 @dataclass(frozen=True)

@@ -120,21 +120,21 @@ def _unused(options: InputOptions, kinds: Sequence[str]) -> list[str]:
 
 def _refuse_options(options: InputOptions, path: Path) -> None:
     columns = {
-        "--body": "column body",
-        "--run": "column run",
-        "--beam": "columns of the direction",
-        "--amplitude": "unit of its columns",
-        "--length-unit": "columns x_mm, y_mm, z_mm",
-        "--n-avg": "column n_avg",
-        "--mapping": "header",
-        "--channels": "columns (those of time series have time_s)",
-        SERIES: "columns (those of time series have time_s)",
+        "--body": "column body says it",
+        "--run": "column run says it",
+        "--beam": "columns of the direction say it",
+        "--amplitude": "units of its columns say it",
+        "--length-unit": "columns x_mm, y_mm, z_mm say it",
+        "--n-avg": "column n_avg says it",
+        "--mapping": "header says it",
+        "--channels": "columns say it (those of time series have time_s)",
+        SERIES: "columns say it (those of time series have time_s)",
     }
     step = "Leave it out"
     raise_all(
         KinematicsError,
         [
-            sentence(name, f"left out for a tidy table, whose {columns[name]} say it", "it", path.name, step)
+            sentence(name, f"left out for a tidy table, whose {columns[name]}", "it", path.name, step)
             for name in options.said
         ],
     )

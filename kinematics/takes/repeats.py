@@ -23,6 +23,12 @@ _APART = 0.03
 _FURTHER = 10.0
 
 
+def _words(take: Take) -> str:
+    """Name a take within its run."""
+    level = f"level {take.level:.12g}" if np.isfinite(take.level) else ""
+    return " at ".join(filter(None, [f"repeat {take.repeat}" if take.repeat else "", level])) or take.run
+
+
 @dataclass(frozen=True)
 class RunRepeats:
     """The comparison of the takes of one run.
@@ -99,7 +105,7 @@ class RunRepeats:
         """Write one finding in words."""
         p = f"p = {test.p_value:.2g}"
         percent = f"{100.0 * test.size:+.2g} %"
-        which = self.takes[test.take].name if test.take >= 0 else ""
+        which = _words(self.takes[test.take]) if test.take >= 0 else ""
         return {
             "gain_trend": f"the amplitude of all channels drifts by {percent} over the repeats ({p})",
             "phase_trend": f"the phase of all channels drifts by {np.degrees(test.size):+.2g} degrees ({p})",
@@ -150,7 +156,7 @@ class RunRepeats:
             return ""
         fate = "the mean of all was taken, and its scatter" if self.were_pooled else "the scatter"
         return (
-            f"{self.takes[worst].name} differs by {100.0 * (size[worst] - 1.0):+.2g} % in amplitude and "
+            f"{_words(self.takes[worst])} differs by {100.0 * (size[worst] - 1.0):+.2g} % in amplitude and "
             f"{turn[worst]:+.3g} degrees in phase, in all channels alike, from the middle of them; {fate} "
             "stands as an error that all lines share. Responses per reference do not contain it."
         )

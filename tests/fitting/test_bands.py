@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.bands import frequency_dependence
+from fitting.bands import USUAL_BANDS, fewer_bands, frequency_dependence
 from fitting.errors import FittingError
 from fitting.experiment import driven_base
 from fitting.kd import KDOptions, fit_kd
@@ -112,3 +112,15 @@ def test_few_lines_give_fewer_bands_and_none_gives_none() -> None:
 def test_one_band_is_refused() -> None:
     with pytest.raises(FittingError, match="--bands must be 0, or 2 to 100 parts of the band; got 1"):
         KDOptions(bands=1)
+
+
+@pytest.mark.parametrize(("lines", "bands", "said"), [(200, 100, "25 parts"), (12, 3, "no parts")])
+def test_fewer_bands_than_asked_for_are_told(lines, bands, said):
+    (notice,) = fewer_bands(lines, bands)
+    assert notice.code == "fewer_bands"
+    assert said in notice.text
+    assert str(bands) in notice.text
+
+
+def test_bands_that_can_be_had_are_not_told_of():
+    assert fewer_bands(200, 25) == fewer_bands(12, USUAL_BANDS) == fewer_bands(12, 0) == []

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.measurement import BodyChannels, Measurement
+from kinematics.pages.report_faults import clean_words
 from kinematics.points2dof import Options, points2dof
 from tests.kinematics.simulated import FAULTS, body, measurement, scene
 
@@ -100,6 +101,7 @@ def test_understated_noise_is_no_fault_of_a_channel():
     assert found == {}
     text = next(notice.text for notice in result.notices if notice.code == "noise_level")
     assert "residuals are 2 times the stated noise" in text
+    assert "all err by more than their stated noise" in clean_words(result)
 
 
 def test_a_fitted_subset_does_not_accuse_channels_of_the_motion_it_leaves_out():

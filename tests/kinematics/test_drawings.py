@@ -15,7 +15,16 @@ from kinematics.pages.draw_motion import (
     surface_body,
 )
 from kinematics.pages.draw_residuals import channel_labels, residual_figure, residual_map
-from kinematics.pages.drawings import distinct, kept_lines, log_spaced, shortened, unit
+from kinematics.pages.drawings import (
+    amplitude_axis,
+    distinct,
+    kept_lines,
+    line_words,
+    log_spaced,
+    shortened,
+    unit,
+)
+from kinematics.pages.page import new_figure
 from kinematics.pages.scenery import Scenery, coarse, scenery_of
 from kinematics.pages.shading import View, shade, silhouette, views
 from kinematics.points2dof import points2dof
@@ -51,14 +60,13 @@ def result():
     return points2dof(measurement(body("stapes", one), body("base", two), freq_hz=one.freq_hz))
 
 
-@pytest.mark.parametrize("z_is", ["superior", "inferior", ""])
-def test_every_view_is_right_handed_and_superior_is_up(z_is):
-    for view in views(z_is):
+def test_every_view_is_right_handed_and_lies_as_in_the_other_reports():
+    for view in views():
         right, up, eye = view.axes
         assert np.array_equal(np.cross(right, up), eye)
-    lateral = views(z_is)[2]
-    assert lateral.eye == "+y"
-    assert lateral.up == ("+z" if z_is == "superior" else "-z")
+    along, _, lateral = views()
+    assert (along.eye, lateral.eye) == ("+z", "+y")
+    assert along.right == lateral.right == "+x"
 
 
 def test_the_axes_of_every_panel_count_the_way_they_are_drawn(result):
@@ -69,7 +77,7 @@ def test_the_axes_of_every_panel_count_the_way_they_are_drawn(result):
         "seen from lateral (+y)",
     ]
     figure.canvas.draw()
-    for panel, view in zip(figure.axes, views("superior"), strict=True):
+    for panel, view in zip(figure.axes, views(), strict=True):
         for axis, signed in ((panel.xaxis, view.right), (panel.yaxis, view.up)):
             ticks = axis.get_ticklocs()
             words = [label.get_text().replace("−", "-") for label in axis.get_ticklabels()]
@@ -246,3 +254,21 @@ def test_maps_of_few_wide_or_logarithmic_lines_are_drawn():
         assert {view.get_xscale() for view in maps} == {"log" if len(freq) == 40 else "linear"}
         assert {view.get_xlim() for view in maps} == {(first.edges_hz[0] / 1e3, first.edges_hz[-1] / 1e3)}
         assert first.edges_hz[0] > 0.0
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.4, 3.0), (40.0, 300.0), (0.02, 60.0), (1e-3, 1e4)])
+def test_ticks_of_amplitudes_are_plain_numbers(low, high):
+    figure = new_figure(4.0, 2.0)
+    view = figure.subplots()
+    view.plot([1.0, 2.0], [low, high])
+    amplitude_axis(view)
+    figure.canvas.draw()
+    words = [one.get_text() for which in ("major", "minor") for one in view.yaxis.get_ticklabels(which=which)]
+    shown = [word for word in words if word]
+    assert len(shown) > 1
+    assert [f"{float(word):g}" for word in shown] == shown
+
+
+def test_lines_are_counted_in_words():
+    assert line_words(np.array([100.0, 200.0])) == "2, 100 to 200 Hz"
+    assert line_words(np.array([862.3])) == "1, at 862.3 Hz"

@@ -6,6 +6,7 @@ import numpy as np
 
 from kinematics.notices import Notice
 from kinematics.pages import page
+from kinematics.pages.numbers import plus_minus, printed
 
 EVIL = '<script>alert("x")</script> & more'
 
@@ -58,3 +59,17 @@ def test_matrix_writes_no_deviation_beside_a_zero_of_the_pattern():
     html = page.matrix(np.diag([1.5, 2.5]), ["y", "alpha"], "M", np.diag([0.1, 0.2]))
     assert "± 0.1" in html
     assert "± 0<" not in html
+
+
+def test_values_are_written_to_the_second_digit_of_their_deviation():
+    assert plus_minus(1736.4, 17.2) == "1736 ± 17"
+    assert plus_minus(3.0531e-08, 7.2e-10) == "(3.053 ± 0.072)·10⁻⁸"
+    assert plus_minus(2.5, None) == "2.5 ± unknown"
+
+
+def test_messages_have_the_letters_of_a_page():
+    text = "0.2 urad enter per nm, 14 um off, factor 1.08 +- 0.01; give --density RHO+-SD, x_um, a volume"
+    assert printed(text) == (
+        "0.2 µrad enter per nm, 14 µm off, factor 1.08 ± 0.01; give --density RHO+-SD, x_um, a volume"
+    )
+    assert "1.08 ± 0.01" in page.notices([Notice("channel_gain", text)])

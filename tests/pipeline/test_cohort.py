@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cohort import Ear, Quantity, quantities, read_ear, write_cohort_csv
+from pipeline.cohort import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
 from pipeline.cohort_page import write_cohort_page
 from pipeline.several import folder_names, run_studies
 
@@ -82,6 +82,16 @@ def test_page_compares_only_what_can_be_compared(finished, tmp_path):
     assert "http" not in same
 
 
+def test_studies_of_one_name_are_told_apart(finished, tmp_path):
+    one = read_ear(finished[1], "ear")
+    same = [Ear("ear", folder, "left", one.mass, one.kd) for folder in ("a", "b")]
+    assert labels([*same, Ear("other", "c", "left", one.mass, one.kd)]) == ["ear (a)", "ear (b)", "other"]
+    write_cohort_page(tmp_path / "cohort.html", same, {})
+    text = (tmp_path / "cohort.html").read_text(encoding="utf-8")
+    assert '<th scope="col">ear (a)</th>' in text
+    assert '<th scope="col">ear (b)</th>' in text
+
+
 def test_folders_are_named_by_file_or_by_place():
     names = folder_names(
         [Path("/a/left.toml"), Path("/b/study.toml"), Path("/c/study.toml"), Path("/d/c/study.toml")]
@@ -103,7 +113,13 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     assert "Did you mean [fit]?" in result.faults["broken"]
     assert "scan.file must be an existing file" in result.faults["broken"]
     assert not (tmp_path / "all" / "broken").exists()
-    assert (tmp_path / "all" / "cohort.csv").read_text(encoding="utf-8").count("\n") == 2
+    with (tmp_path / "all" / "cohort.csv").open() as stream:
+        done, failed = csv.DictReader(stream)
+    assert (done["study"], done["error"]) == ("ear one", "")
+    assert float(done["mass_kg"]) == result.ears[0].mass["mass_kg"]
+    assert int(done["warnings"]) == result.ears[0].warnings
+    assert (failed["folder"], failed["mass_kg"]) == ("broken", "")
+    assert "Did you mean [fit]?" in failed["error"]
     assert "broken" in (tmp_path / "all" / "cohort.html").read_text(encoding="utf-8")
     assert any(line.startswith("ear1: fit") for line in lines)
 

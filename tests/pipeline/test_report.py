@@ -5,6 +5,10 @@ from html.parser import HTMLParser
 
 import pytest
 
+from kinematics.pages import page as written
+from kinematics.pages.page import Section
+from pipeline.options import section_in_study_words
+
 HEADINGS = (
     "This ear",
     "Warnings",
@@ -81,3 +85,11 @@ def test_notes_key_results_warnings_and_hashes(page, finished):
 def test_every_warning_is_in_words_of_the_study_file(finished):
     for notice in finished[2].notices:
         assert "--" not in notice.text
+
+
+def test_texts_name_the_keys_of_the_study_file(page):
+    made = Section("Segmentation", [written.text("--seed <x> and --box correct it, or --robust t4; --mm")])
+    (block,) = section_in_study_words(made, "scan").blocks
+    assert block == "<p>scan.seed_mm &lt;x&gt; and scan.box_mm correct it, or ldv.robust t4; --mm</p>"
+    for option in ("--seed", "--threshold", "--labels", "--robust", "--bands"):
+        assert option not in page[0]

@@ -1,0 +1,45 @@
+"""Numbers as people write them: a value with its standard deviation, powers of ten, ± and µ."""
+
+from __future__ import annotations
+
+import math
+import re
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_PLUS_MINUS = re.compile(r" \+- (?=[\d.])")
+_MICRO = re.compile(r"(?<=[\d ])u(?=(?:m|rad)\b)")
+
+
+def plus_minus(value: float, sd: float | None) -> str:
+    """Write a value with its standard deviation, both to the second digit of the latter.
+
+    Parameters
+    ----------
+    value : float
+    sd : float, optional
+        None, NaN or infinite: unknown.
+
+    Examples
+    --------
+    >>> plus_minus(1736.4, 17.2), plus_minus(3.0531e-08, 7.2e-10)
+    ('1736 ± 17', '(3.053 ± 0.072)·10⁻⁸')
+    """
+    if sd is None or not 0.0 < sd < math.inf:
+        return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
+    power = math.floor(math.log10(max(abs(value), sd)))
+    power = 0 if -3 < power < 6 else power
+    value, sd = value * 10.0**-power, sd * 10.0**-power
+    digits = max(0, 1 - math.floor(math.log10(sd)))
+    text = f"{value:.{digits}f} ± {sd:.{digits}f}"
+    return text if power == 0 else f"({text})·10{str(power).translate(_RAISED)}"
+
+
+def printed(text: str) -> str:
+    """Return a message of the terminal with the letters that a page has: ± and µ.
+
+    Examples
+    --------
+    >>> printed("factor 1.08 +- 0.01, 0.2 urad per nm; density RHO+-SD")
+    'factor 1.08 ± 0.01, 0.2 µrad per nm; density RHO+-SD'
+    """
+    return _MICRO.sub("µ", _PLUS_MINUS.sub(" ± ", text))
