@@ -27,6 +27,8 @@ ALARM = {
     "5 repeats, Hann window": {"window": True},
     "5 repeats, channels of unequal noise, no sd": {"unequal": True, "sd": False},
     "5 repeats, SNR 10": {"snr": 10.0},
+    "3 repeats, sd estimated from 3 averages": {"repeats": 3, "averages": 3},
+    "10 repeats, sd estimated from 3 averages": {"repeats": 10, "averages": 3},
 }
 FAULTS = {
     "resonance −0.3 % over 5 repeats": ("repeat_creep", {"creep": -0.003}),
@@ -54,6 +56,8 @@ def simulate(
     gain_sd=0.03,
     window=False,
     unequal=False,
+    averages=0,
+    vary=0.0,
     creep=0.0,
     outlier=0.0,
     loud=0.0,
@@ -89,6 +93,13 @@ def simulate(
             noise = (noise - 0.5 * (np.roll(noise, 1, axis=2) + np.roll(noise, -1, axis=2))) / np.sqrt(1.5)
         spread = np.broadcast_to(spread[None, :, None], response.shape)
         value = gain[:, None, None] * response + spread * noise[..., 1:-1]
+        if vary:
+            value = value * (
+                1.0 + vary * (rng.normal(size=(len(takes), count, 2)) @ np.array([1.0, 1j]))[..., None]
+            )
+        if averages:
+            freedom = 2 * (averages - 1)
+            spread = spread * np.sqrt(rng.chisquare(freedom, spread.shape) / freedom)
         points = tuple(str(k // 3) for k in range(count))
         places, beams = rng.normal(size=(count, 3)), np.tile(np.eye(3), (count // 3, 1))
         bodies.append(BodyChannels(name, points, places, beams, value, spread if sd else None, not sd))
@@ -136,6 +147,11 @@ def pooling(replicates, seed):
         "3 repeats, no sd": {"repeats": 3, "sd": False},
         "2 repeats, no sd": {"repeats": 2, "sd": False},
         "5 repeats, unequal noise, no sd": {"unequal": True, "sd": False},
+        "3 repeats, sd estimated from 3 averages": {"repeats": 3, "averages": 3},
+        "10 repeats, sd estimated from 3 averages": {"repeats": 10, "averages": 3},
+        "3 repeats, channels differ by 3 % between them": {"repeats": 3, "vary": 0.03},
+        "5 repeats, channels differ by 10 % between them": {"vary": 0.1},
+        "5 repeats, channels differ by 10 %, no sd": {"vary": 0.1, "sd": False},
         "3 levels 1, 2, 4": {"levels": (1.0, 2.0, 4.0), "repeats": 1},
     }
     for row, (name, options) in enumerate(cases.items()):

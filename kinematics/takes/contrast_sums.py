@@ -72,7 +72,9 @@ class ContrastSums:
             self.chances[lag - 1] += float(np.vdot(size[lag:], size[:-lag]))
             self.pairs[lag - 1] += len(left) - lag
 
-    def compared(self, own: float, rest: float, stated: bool) -> tuple[float | None, float]:
+    def compared(
+        self, own: float, rest: float, stated: bool, doubt: float = 0.0
+    ) -> tuple[float | None, float]:
         """Return the p-value of the energy and the noise per complex value it was compared with.
 
         Parameters
@@ -81,17 +83,21 @@ class ContrastSums:
             Complex degrees of freedom of the contrast and of what remains.
         stated : bool
             The noise is known: 2 per complex value.
+        doubt : float
+            Relative variance of the noise power that is stated for one take at one channel and line. The
+            mean of n of them, with which an energy of n values is compared, adds its share to that of chance.
         """
         from scipy import special
 
         if rest < 1.0:
             if not stated:
                 return None, 0.0
-            return float(special.chdtrc(2.0 * own, self.energy)), 2.0
+            widen = 1.0 + doubt
+            return float(special.chdtrc(2.0 * own / widen, self.energy / widen)), 2.0
         noise = self.left / rest
         if noise <= 0.0:
             return (1.0 if self.energy <= 0.0 else 0.0), 0.0
-        widen = self._correlation() * self._unequal(rest)
+        widen = self._correlation() * self._unequal(rest) * (1.0 + doubt)
         ratio = self.energy / own / noise
         return float(special.fdtrc(2.0 * own / widen, 2.0 * rest / widen, ratio)), noise
 
@@ -160,20 +166,22 @@ class Outliers:
             self._lever[take] += float(np.sum(length * np.abs(gain[:, take])))
             self._lines[take] += len(length)
 
-    def worst(self, freedom: float) -> tuple[float, int, float, float, float] | None:
+    def worst(self, freedom: float, doubt: float = 0.0) -> tuple[float, int, float, float, float] | None:
         """Return the most certain outlier: p-value, take, lever, energy and noise; None without any.
 
         Parameters
         ----------
         freedom : float
             Complex degrees of freedom of one take.
+        doubt : float
+            As of ``ContrastSums.compared``.
         """
         count = len(self._sums)
         found = []
         for take, sums in enumerate(self._sums):
             if self._spent[take] or not self._lines[take]:
                 continue
-            p, noise = sums.compared(freedom, freedom * (count - self._taken - 1), False)
+            p, noise = sums.compared(freedom, freedom * (count - self._taken - 1), False, doubt)
             if p is not None:
                 lever = float(self._lever[take] / self._lines[take])
                 found.append((p, -sums.energy, take, lever, noise))

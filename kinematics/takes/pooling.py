@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,13 @@ from kinematics.notices import Notice
 from kinematics.takes.repeat_shift import frequency_shifts
 from kinematics.takes.repeats import ALARM, RunRepeats, compare
 from kinematics.takes.scatter_noise import scatter_noise
+from kinematics.takes.stated_freedom import inverse_moments, stated_freedom
 from kinematics.takes.take_shapes import Shapes, Stack, shapes_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _TOGETHER = 0.7
+_WIDER = 1.1
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     over their noise. Where no standard deviation is stated, the scatter between takes gives it, pooled
     over neighbouring lines of each channel to f degrees of freedom and widened by f / (f - 2), the mean of
     1 / chi2, so that chi2 of later fits keeps its mean; f is smaller where neighbouring lines scatter as one.
+    Stated standard deviations that scatter from take to take as estimates of few averages do are raised to
+    what they mean on the average; where takes differ by more than stated, the larger of both stands.
     """
     if not measurement.takes:
         return Pooled(measurement)
@@ -129,12 +133,31 @@ def _takes_of(measurement: Measurement, run: str) -> tuple[list[int], list[Take]
 def _shapes(measurement: Measurement, places: Sequence[int]) -> Shapes:
     """Return the shapes of the takes of a run; their scatter gives the noise where none is stated."""
     rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
-    stack = Stack(measurement.bodies, tuple(places), rate)
+    stack = _believed(Stack(measurement.bodies, tuple(places), rate))
     shapes = shapes_of(stack)
     if not stack.known and (noise := scatter_noise(shapes)) is not None:
         del shapes
         shapes = shapes_of(replace(stack, noise=noise))
     return shapes
+
+
+def _believed(stack: Stack) -> Stack:
+    """Return the takes with the noise that stated sd mean on the average, when they are estimates."""
+    takes = len(stack.places)
+    if not stack.known or takes < 2:
+        return stack
+
+    def logs() -> Iterator[Array]:
+        for part in stack.blocks():
+            sd = stack.sd(part)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                yield np.where(sd > 0.0, 2.0 * np.log(sd), np.nan)
+
+    mean, doubt = inverse_moments(stated_freedom(logs()), takes)
+    if mean <= 1.0:
+        return stack
+    noise = np.broadcast_to(np.sqrt(mean), (stack.channels, len(stack.rate)))
+    return replace(stack, noise=noise, doubt=doubt)
 
 
 def _alone(measurement: Measurement, place: int) -> tuple[ComplexArray, Array | None]:
@@ -162,10 +185,11 @@ def _pool(
             spread[:, part] = shapes.noise_scale[:, part] * np.abs(mean[part]) / np.sqrt(total)
         common[:, part][total <= 0.0] = np.nan
         spread[:, part][total <= 0.0] = np.nan
+    noise = scatter_noise(shapes) if not stack.known or factor > _WIDER else None
     if stack.known:
-        spread *= max(1.0, factor if factor > 1.1 else 1.0)
+        spread *= 1.0 if noise is None else np.maximum(noise, 1.0)
+        spread *= factor if noise is None and factor > _WIDER else 1.0
         return (common, spread), False
-    noise = scatter_noise(shapes)
     if noise is None:
         return (common, None), False
     spread *= noise

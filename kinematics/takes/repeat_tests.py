@@ -158,15 +158,15 @@ def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated:
             left = np.einsum("ftk,fkc->ftc", basis, spanned, optimize=True)
             held.add(spanned[:, -1], np.subtract(residual, left, out=left))
         outliers.add(data, own, residual)
-    energies = []
+    energies, doubt = [], count * shapes.stack.doubt
     for (name, way, others), held in zip(ways, sums, strict=True):
         rest = freedom * (count - 2 - len(others))
-        p, noise = held.compared(freedom, rest, stated)
+        p, noise = held.compared(freedom, rest, stated, doubt)
         if p is not None:
             length = np.linalg.norm(gain * _beside(gain, [*others, way]), axis=1)
             lever = float(np.sqrt(np.mean(length**2))) / float(np.ptp(way))
             energies.append((RepeatTest(name, p, lever), held.energy, noise))
-    worst = outliers.worst(freedom)
+    worst = outliers.worst(freedom, doubt)
     if worst is not None:
         p, take, lever, energy, noise = worst
         energies.append((RepeatTest("shape_outlier", p, lever, take), energy, noise))
@@ -189,7 +189,14 @@ def _beside(gain: NDArray[np.complex128], columns: Sequence[Array]) -> Array:
 
 
 def scatter_test(shapes: Shapes, stated: bool) -> RepeatTest | None:
-    """Compare all changes of shape with the stated noise."""
+    """Compare all changes of shape with the stated noise.
+
+    Notes
+    -----
+    A noise that is itself estimated, with the relative variance v of its inverse, adds m^2 v to the variance
+    2 m of the m squares of a channel and line: their sum is judged with degrees of freedom that are fewer by
+    1 + v + m v / 2 (Satterthwaite 1946, doi:10.2307/3002019).
+    """
     from scipy import special
 
     lines = shapes.clear
@@ -197,4 +204,7 @@ def scatter_test(shapes: Shapes, stated: bool) -> RepeatTest | None:
         return None
     freedom = 2.0 * (shapes.gain.shape[1] - 1) * float(np.sum(shapes.counts[lines] - 1))
     energy = sum(energy_of(shapes.residual(part, shapes.data(part))) for part in shapes.clear_blocks())
-    return RepeatTest("shape_scatter", float(special.chdtrc(freedom, energy)), np.sqrt(energy / freedom))
+    doubt = shapes.stack.doubt
+    widen = 1.0 + doubt + (shapes.gain.shape[1] - 1) * doubt
+    p = float(special.chdtrc(freedom / widen, energy / widen))
+    return RepeatTest("shape_scatter", p, np.sqrt(energy / freedom))

@@ -17,6 +17,7 @@ ComplexArray = NDArray[np.complex128]
 _CLEAR = 5.0
 _LEAST_CHANNELS = 3
 _VALUES = 200_000
+_STEADY = 31
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,15 @@ class Stack:
         (2 pi f) to the order of the measured quantity: noise that is not stated is level in it.
     noise : ndarray, (channel, freq), or None
         Factor on the noise of every channel.
+    doubt : float
+        Relative variance of the true noise power over the stated one of all takes together.
     """
 
     bodies: tuple[BodyChannels, ...]
     places: tuple[int, ...]
     rate: Array
     noise: Array | None = None
+    doubt: float = 0.0
 
     @cached_property
     def stated(self) -> bool:
@@ -155,7 +159,7 @@ def shapes_of(stack: Stack) -> Shapes:
     for part in stack.blocks():
         value, sd = stack.value(part), stack.sd(part)
         used = _usable(value, sd)
-        take_scale[part], noise_scale[:, part] = _noise_scales(sd, used)
+        take_scale[part], noise_scale[:, part] = _noise_scales(sd, used, stack.doubt > 0.0)
         whole = np.all(used, axis=0)
         data = _white(value, whole, take_scale[part], noise_scale[:, part])
         counts[part] = np.sum(whole, axis=0)
@@ -184,13 +188,22 @@ def _white(value: ComplexArray, whole: NDArray[np.bool_], take: Array, channel: 
     return data.transpose(2, 0, 1)
 
 
-def _noise_scales(sd: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Part the noise into one factor for each take (n, take) and one for each channel (channel, n)."""
+def _noise_scales(sd: Array, used: NDArray[np.bool_], doubted: bool) -> tuple[Array, Array]:
+    """Part the noise into one factor for each take (n, take) and one for each channel (channel, n).
+
+    The factors of takes are averaged over neighbouring lines where the noise is ``doubted``: an error in one
+    would make all channels of a line louder.
+    """
     logs = np.where(used, np.log(np.where(used, sd, 1.0)), np.nan)
     whole = np.all(used, axis=0)
     count = np.maximum(np.sum(whole, axis=0), 1)
     mean = np.sum(np.where(whole[None], logs, 0.0), axis=1) / count
-    take = np.exp(mean - np.mean(mean, axis=0)).T
+    apart = mean - np.mean(mean, axis=0)
+    if doubted:
+        from scipy.ndimage import uniform_filter1d
+
+        apart = uniform_filter1d(apart, _STEADY, axis=1, mode="nearest")
+    take = np.exp(apart).T
     number = np.maximum(np.sum(used, axis=0), 1)
     channel = np.exp(np.sum(np.where(used, logs - np.log(take.T)[:, None, :], 0.0), axis=0) / number)
     return take, channel

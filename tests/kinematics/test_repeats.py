@@ -16,6 +16,7 @@ from kinematics.points2dof import Options, points2dof
 from kinematics.tables.ldv_csv import read_ldv
 from kinematics.takes.pooling import pooled
 from kinematics.takes.repeats import code_of
+from kinematics.takes.stated_freedom import inverse_moments, stated_freedom
 from tests.kinematics.simulated import HEADER, readings, scene
 
 
@@ -333,3 +334,67 @@ def test_one_of_three_repeats_that_stands_apart_is_named(gain, percent, degrees)
     assert found is not None
     assert float(found[1]) == pytest.approx(percent, abs=0.5)
     assert abs(float(found[2])) == pytest.approx(degrees, abs=0.5)
+
+
+def test_sd_of_three_averages_are_no_scatter_of_the_repeats():
+    """They scatter as chi2 of 4 degrees of freedom: sd alone, without the number of averages, show it."""
+    alarms, scores = 0, []
+    for seed in range(40):
+        made, _ = measured(seed, repeats(3))
+        rng = np.random.default_rng(seed)
+        rough = [
+            replace(body, sd=body.sd * np.sqrt(rng.chisquare(4, body.sd.shape) / 4)) for body in made.bodies
+        ]
+        result = pooled(replace(made, bodies=tuple(rough)))
+        alarms += bool(result.repeats[0].found)
+        assert abs(result.repeats[0].sd_factor - 1.0) < 0.15
+        body = result.measurement.bodies[1]
+        left = body.displacement[0] - np.mean(body.displacement[0], axis=0)
+        scores.append(np.mean(np.abs(left) ** 2 / 2.0 / body.sd[0] ** 2) * 6 / 5)
+    assert alarms <= 6
+    assert abs(np.mean(scores) - 1.0) < 0.08
+
+
+@pytest.mark.parametrize("freedom", [4, 18, np.inf])
+def test_freedom_of_stated_noise_is_told_by_its_scatter(freedom):
+    rng = np.random.default_rng(3)
+    shape = (4, 12, 300)
+    scatter = 1.0 if np.isinf(freedom) else rng.chisquare(freedom, shape) / freedom
+    logs = np.log(rng.uniform(0.5, 2.0, (4, 1, 1)) * rng.uniform(0.1, 9.0, (1, 12, 300)) * scatter)
+    assert stated_freedom(iter([logs])) == pytest.approx(freedom, rel=0.1)
+
+
+@pytest.mark.parametrize(("freedom", "takes"), [(4, 3), (6, 2), (18, 5)])
+def test_mean_of_true_over_estimated_noise_power(freedom, takes):
+    rng = np.random.default_rng(4)
+    drawn = np.exp(-np.mean(np.log(rng.chisquare(freedom, (400_000, takes)) / freedom), axis=1))
+    mean, doubt = inverse_moments(freedom, takes)
+    assert mean == pytest.approx(np.mean(drawn), rel=0.01)
+    assert doubt == pytest.approx(np.var(drawn) / np.mean(drawn) ** 2, rel=0.1)
+
+
+def test_channels_that_differ_between_repeats_have_the_noise_that_shows():
+    """A change of every channel from repeat to repeat is larger where it moves more."""
+    held = []
+    for seed in range(20):
+        made, truth = measured(seed, repeats(5))
+        rng = np.random.default_rng([seed, 8])
+        bodies = [
+            replace(
+                body,
+                displacement=body.displacement
+                * (1.0 + 0.1 * rng.normal(size=(*body.displacement.shape[:2], 2)) @ [1.0, 1j])[:, :, None],
+            )
+            for body in made.bodies
+        ]
+        result = pooled(replace(made, bodies=tuple(bodies))).measurement
+        value = np.concatenate([body.displacement[0] for body in result.bodies])
+        sd = np.concatenate([body.sd[0] for body in result.bodies])
+        true = np.concatenate(truth)
+        weight = 1.0 / sd**2
+        total = np.sum(weight * np.abs(true) ** 2, axis=0)
+        error = value - true * np.sum(weight * true.conj() * value, axis=0) / total
+        held.append(
+            np.mean(np.abs(error.real) < 1.96 * sd * np.sqrt(1.0 - weight * np.abs(true) ** 2 / total))
+        )
+    assert 0.935 < np.mean(held) < 0.965
