@@ -60,7 +60,10 @@ class Parted:
 def away_from_others(
     cut: Cut, distance_mm: NDArray[np.float32], reach_mm: float, spacing_mm: Array, sigma_mm: float
 ) -> NDArray[np.float32] | None:
-    """Return the distance of each voxel from other bone, mm, capped; None where that is far."""
+    """Return the distance of each voxel from other bone, mm, [z, y, x], capped; None where that is far.
+
+    Parameters are those of part_from_neighbours, ``distance_mm`` [z, y, x] from the stapes.
+    """
     if not np.any(cut.others & (distance_mm < 2.0 * reach_mm)):
         return None
     return capped_distance(cut.others, spacing_mm, 1.01 * max(reach_mm, _CLOSE_SIGMAS * sigma_mm))

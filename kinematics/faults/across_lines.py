@@ -111,7 +111,16 @@ def _scale(rough: Array, sd: Array) -> Array:
 
 
 def column_offset(freq_hz: Array, measured: Sequence[NDArray[np.bool_]], names: Sequence[str]) -> str:
-    """Say that the frequencies of one body are those of another plus, or times, one number; or nothing."""
+    """Say that the frequencies of one body are those of another plus, or times, one number; or nothing.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (freq,)
+    measured : sequence of ndarray (freq,), bool
+        Where each body was measured.
+    names : sequence of str
+        Of the bodies.
+    """
     for one, two in combinations(range(len(names)), 2):
         first, second = freq_hz[measured[one]], freq_hz[measured[two]]
         if len(first) != len(second) or len(first) < 3 or np.array_equal(first, second):

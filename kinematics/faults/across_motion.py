@@ -69,7 +69,7 @@ class Cleared:
 
 
 def chosen_lines(good: NDArray[np.bool_]) -> Lines:
-    """Return the determined lines, or, of many, evenly spread groups of neighbours."""
+    """Return the determined lines, of all (freq,), or, of many, evenly spread groups of neighbours."""
     lines = np.flatnonzero(good)
     if len(lines) <= _WHOLE:
         return lines

@@ -130,7 +130,7 @@ class SharedPass:
 
     @classmethod
     def of(cls, value: ComplexArray, line: Array, size: int) -> SharedPass | None:
-        """Prepare it; None where numpy has to do it."""
+        """Prepare it for values (channel, freq) and ``line`` (freq,); None where numpy has to do it."""
         if compiled() is None or _stride(value, 16) is None or not 0 < size <= _SIZE:
             return None
         lines = value.shape[1]
@@ -141,8 +141,9 @@ class SharedPass:
     ) -> tuple[int, Array]:
         """Fit lines from ``start`` on; return the first that is not done, and sums (channel, 2).
 
-        The channels ``used`` are finite at all lines that are done, and the others nowhere. Sums are those of
-        |residual|^2 and of |residual / line|^2.
+        ``project`` (m, channel), ``back`` (channel, m) and ``weight`` (channel,) are those of
+        line_solver.Factor. The channels ``used`` are finite at all lines that are done, and the others
+        nowhere. Sums are those of |residual|^2 and of |residual / line|^2.
         """
         kernels, lines = compiled(), self.value.shape[1]
         if kernels is None:
@@ -186,8 +187,9 @@ def fit_own(
 ) -> bool:
     """Fit a run of lines, each with weights of its own, and add its sums; return False where numpy has to.
 
-    Lines whose condition is above the second of ``limits`` are left out of the sums and marked as not good;
-    those above the first are refined.
+    ``basis`` (channel, m) has orthonormal columns, ``value`` (channel, freq) NaN where missing. Lines whose
+    condition is above the second of ``limits`` are left out of the sums and marked as not good; those above
+    the first are refined.
     """
     kernels, stride = compiled(), _stride(value, 16)
     stated, size = noise.stated, basis.shape[1]

@@ -249,7 +249,9 @@ def directions_of(
     where: str,
     tree: Mapping[str, Any],
 ) -> list[Array]:
-    """Return the direction of a beam at every point, NaN where it is not said.
+    """Return the direction (3,) of a beam at every point, NaN where it is not said.
+
+    ``values`` (point, F, beam) are those of the signal.
 
     Raises
     ------

@@ -164,7 +164,13 @@ def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str,
 
 
 def sampling_rate(time: Array, where: str) -> float:
-    """Return the sampling rate of evenly spaced times."""
+    """Return the sampling rate, Hz, of evenly spaced times (sample,), s.
+
+    Raises
+    ------
+    KinematicsError
+        Fewer than two times, or such that are not finite, do not ascend, are too close or not evenly spaced.
+    """
     if len(time) < 2 or not np.all(np.isfinite(time)) or not time[-1] > time[0]:
         raise KinematicsError(
             sentence("time_s", "ascending and finite, two samples at least", "others", where)
@@ -187,6 +193,12 @@ def sampling_rate(time: Array, where: str) -> float:
 
 def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
     """Refuse samples that are no finite numbers; channels without any number are left alone.
+
+    Parameters
+    ----------
+    channels : mapping of str to tuple of ndarray (sample,)
+        Records of every channel.
+    file : str
 
     Raises
     ------

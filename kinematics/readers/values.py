@@ -22,7 +22,7 @@ def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex1
 
 
 def in_mm(positions: NDArray[np.float64], metres: float) -> NDArray[np.float64]:
-    """Return positions in mm from those in a unit of so many metres."""
+    """Return positions (..., 3) in mm from those in a unit of so many metres."""
     with np.errstate(over="ignore"):
         return np.asarray(positions * (metres * 1e3))
 

@@ -75,7 +75,7 @@ def _listed(counts: Mapping[str, int], file: str) -> str:
 
 
 def is_clipped(row: Array) -> bool:
-    """Tell whether samples crowd at an extreme: the outermost 0.2 % of the range against what lies below it.
+    """Tell whether samples (n,) crowd at an extreme: the outermost 0.2 % of the range against what is below.
 
     Towards its extremes noise thins out, and a sine, the most crowded of smooth signals, has three times as
     many samples in the outermost stretch as in the mean of the next five. A pulse rests at one extreme: a
@@ -96,7 +96,7 @@ def is_clipped(row: Array) -> bool:
 
 
 def count_spikes(row: Array) -> int:
-    """Count lone samples, or two or three together, that stand out of their surroundings by 20 times.
+    """Count lone samples of (n,), or two or three together, that stand out of their surroundings by 20 times.
 
     Out of the differences to the mean of the samples four before and after, in units of their median in the
     loudest of three neighbouring stretches, so that a burst that sets in is none; a spike stands out
