@@ -108,7 +108,7 @@ def diagnose(
         found = search.best()
         if found is None:
             break
-        if filled_freely(current):
+        if filled_freely(current) or (found.kind == "flexible" and current.source.filled is not None):
             for suspect in [found] if found.fit is not None else found.rivals:
                 better, filled, again = _refilled(current, prior, noise_known, alarm, doubt, suspect)
                 if again is not None:

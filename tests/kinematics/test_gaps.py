@@ -25,6 +25,13 @@ def test_a_laser_of_wrong_sign_beside_two_fifths_missing_is_named_and_not_refuse
     assert said == dict.fromkeys(made.culprits, "sign")
 
 
+def test_a_laser_of_wrong_sign_where_channels_lack_the_upper_lines_is_no_flexible_body():
+    made = scene(41_027, "stapes, 9 points, lasers at 20 deg", "laser sign")
+    value = measured(made, 41_027)
+    value[[1, 7, 11, 12, 17, 23, 24, 25, 26], 96:] = np.nan
+    assert verdicts(made, value) == dict.fromkeys(made.culprits, "sign")
+
+
 def test_a_file_with_two_fifths_missing_is_not_accused():
     made = scene(31_002, FIVE)
     assert verdicts(made, with_gaps(measured(made, 31_002), 31_002, 0.4)) == {}
