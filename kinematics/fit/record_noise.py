@@ -60,20 +60,22 @@ def cautious(
     """
     if body.sd is None or body.relative:
         return None
+    shared = []
+    for one in measured.record_noise:
+        channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
+        if one.run == run and len(channels) > 1:
+            shared.append((one, channels))
+    if not shared:
+        return None
     value, wide = body.displacement[run], body.sd[run].copy()
     own = body.sd[run] ** 2
     records = []
-    for one in measured.record_noise:
-        channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
-        if one.run != run or len(channels) < 2:
-            continue
+    for one, channels in shared:
         size = np.abs(value[channels])
         others = np.nansum(size, axis=0) - size
         wide[channels] = np.sqrt(wide[channels] ** 2 + one.sd**2 * size * others)
         own[channels] = np.maximum(own[channels] - (one.sd * size) ** 2, _LEAST_OWN * own[channels])
         records.append((np.array(channels), 2.0 * one.sd**2))
-    if not records:
-        return None
     own[list(without)] = np.inf
     bound = wide**2
     bound[list(left)] = np.inf
