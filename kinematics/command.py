@@ -22,6 +22,7 @@ from kinematics.errors import StapeskitError, collecting, raise_all, sentence
 from kinematics.notices import Notice
 
 _CHOICE = re.compile(r"argument (\S+): invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
+_NO_NUMBER = re.compile(r"argument (\S+): invalid (int|float) value: '(.*)'", re.DOTALL)
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 
 
@@ -69,6 +70,11 @@ class Parser(argparse.ArgumentParser):
         if found:
             option, got, choices = found.groups()
             expected = "one of " + choices.replace("'", "")
+            return f"{self.prog}: " + sentence(option.split("/")[-1], expected, got)
+        found = _NO_NUMBER.fullmatch(message)
+        if found:
+            option, kind, got = found.groups()
+            expected = "a whole number" if kind == "int" else "a number"
             return f"{self.prog}: " + sentence(option.split("/")[-1], expected, got)
         return f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
 
@@ -189,6 +195,10 @@ class Parser(argparse.ArgumentParser):
         try:
             read = [self._get_value(action, text) for text in texts]
         except argparse.ArgumentError as fault:
+            found = _NO_NUMBER.fullmatch(str(fault))
+            if found:
+                expected = "a whole number" if found[2] == "int" else "a number"
+                raise StapeskitError(sentence(key, expected, value, path.name)) from fault
             raise StapeskitError(f"{fault} ({path.name}).") from fault
         if action.choices is not None and any(entry not in action.choices for entry in read):
             raise StapeskitError(

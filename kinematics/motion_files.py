@@ -107,14 +107,20 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
         for name in ("runs", "bodies", "dof"):
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
         for name in ("freq_hz", "q", "covariance", "chi2", "n_dof"):
-            file[name] = getattr(motion, name)
+            _put(file, name, getattr(motion, name))
         if motion.common_sd is not None:
-            file["common_sd"] = motion.common_sd
+            _put(file, "common_sd", motion.common_sd)
         if motion.shared is not None:
             group = file.create_group("shared")
             group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
-            group["covariance"] = motion.shared.covariance
-            group["derivatives"] = motion.shared.derivatives
+            _put(group, "covariance", motion.shared.covariance)
+            _put(group, "derivatives", motion.shared.derivatives)
+
+
+def _put(group: Any, name: str, values: NDArray[Any]) -> None:
+    """Store an array with checksums, so that a damaged file is refused instead of read."""
+    values = np.asarray(values)
+    group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))
 
 
 def read_motion(path: Path) -> RigidMotion:

@@ -16,6 +16,7 @@ LARGEST = 1e100
 HIGHEST_HZ = 1e12
 LOWEST_HZ = 1e-12
 FARTHEST_MM = 1e9
+NEAREST_MM = 1e-12
 
 
 @dataclass(frozen=True)

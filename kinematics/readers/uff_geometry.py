@@ -156,7 +156,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
 def _length_factor(dataset: Dataset, where: str) -> float:
     numbers = _reals(" ".join(dataset.lines[1:]))
     if not numbers or not numbers[0] > 0.0:
-        got = "none" if not numbers else f"{numbers[0]:g}"
+        got = f"{numbers[0]:g}" if numbers else shown(" ".join(dataset.lines[1:])) or "none"
         raise KinematicsError(
             sentence("the length factor of dataset 164", "positive", got, where, "Export it again")
         )
@@ -164,13 +164,19 @@ def _length_factor(dataset: Dataset, where: str) -> float:
 
 
 def _reals(text: str) -> list[float]:
-    found = []
-    for word in _REAL.findall(text):
+    """Read Fortran numbers, which may touch where a sign begins the next; none beside any other text."""
+    found: list[float] = []
+    last = 0
+    for match in _REAL.finditer(text):
+        between, word = text[last : match.start()], match[0]
+        if between.strip() or (not between and found and word[0] not in "+-"):
+            return []
+        last = match.end()
         plain = word.replace("D", "E").replace("d", "e")
         found.append(
             float(plain if "E" in plain.upper() else re.sub(r"([\d.])([+-]\d{3})$", r"\1E\2", plain))
         )
-    return found
+    return [] if text[last:].strip() else found
 
 
 def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.tables.csv_table import Table, read_table
-from kinematics.units import FARTHEST_MM
+from kinematics.units import FARTHEST_MM, NEAREST_MM
 
 Array = NDArray[np.float64]
 _POSITION = ("x_mm", "y_mm", "z_mm")
@@ -114,9 +114,9 @@ def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
 
 def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[str]:
     """List the standard deviations that are not positive and finite, or beyond all positions."""
-    rows = np.flatnonzero((sd <= 0.0) | (sd > FARTHEST_MM))
+    rows = np.flatnonzero((sd < NEAREST_MM) | (sd > FARTHEST_MM))
     step = "Give the standard deviation per coordinate in mm"
-    wanted = {True: f"{FARTHEST_MM:g} mm at most", False: "positive and finite"}
+    wanted = {True: f"within {NEAREST_MM:g} and {FARTHEST_MM:g} mm", False: "positive and finite"}
     return [
         sentence(name, wanted[bool(0.0 < sd[row] < np.inf)], f"{sd[row]:g}", table.where(int(row)), step)
         for row in rows

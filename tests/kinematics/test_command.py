@@ -189,3 +189,19 @@ def test_all_usage_faults_are_told_together(parser, tmp_path):
     assert len(told) == len(expected)
     for words in expected:
         assert sum(words in line for line in told) == 1
+
+
+def test_words_in_place_of_a_number_are_told_alike_on_the_line_and_in_a_config(tmp_path):
+    made = Parser("fit", "Fit.")
+    made.add_config()
+    made.add_argument("--sd", type=float)
+    made.add_argument("--count", type=int)
+    (tmp_path / "c.toml").write_text('sd = "wide"\ncount = 1.5\n')
+    with pytest.raises(StapeskitError) as caught:
+        made.parse(["--sd", "wide", "--count=few", "--config", str(tmp_path / "c.toml")])
+    assert sorted(str(caught.value).splitlines()) == [
+        "count must be a whole number; got 1.5 (c.toml).",
+        "fit: --count must be a whole number; got few.",
+        "fit: --sd must be a number; got wide.",
+        "sd must be a number; got wide (c.toml).",
+    ]

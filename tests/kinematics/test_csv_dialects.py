@@ -246,13 +246,14 @@ def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
 
 
 def test_positions_beyond_any_place_are_refused(tmp_path):
-    rows = ["a,1,0,0,1e200,0.1", "a,2,0,n/a,0,0.1", "a,3,0,0,0,1e300"]
+    rows = ["a,1,0,0,1e200,0.1", "a,2,0,n/a,0,0.1", "a,3,0,0,0,1e300", "a,4,0,0,0,1e-300"]
     path = written(tmp_path, "body,point,x_mm,y_mm,z_mm,sd_mm\n" + "\n".join(rows) + "\n", "points.csv")
     with pytest.raises(KinematicsError) as caught:
         read_points(path)
     told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
     assert sorted(told) == [
-        "sd_mm must be 1e+09 mm at most; got 1e+300 (points.csv, line 4)",
+        "sd_mm must be within 1e-12 and 1e+09 mm; got 1e+300 (points.csv, line 4)",
+        "sd_mm must be within 1e-12 and 1e+09 mm; got 1e-300 (points.csv, line 5)",
         'y_mm must be a number; got "n/a" (points.csv, line 3)',
         "z_mm must be within 1e+09 mm; got 1e+200 (points.csv, line 2)",
     ]

@@ -205,3 +205,14 @@ def test_motion_checks_itself(motion):
     assert q.shape == (5, 6)
     assert np.array_equal(covariance[:, 3:, 3:], motion.covariance[0, 1])
     assert not covariance[:, :3, 3:].any()
+
+
+@pytest.mark.parametrize("name", ["q", "covariance", "freq_hz", "chi2"])
+def test_a_damaged_number_in_the_hdf5_file_is_told(tmp_path, motion, name):
+    _, path = write_motion(tmp_path, "dof", motion)
+    value = np.ascontiguousarray(getattr(motion, name)).tobytes()[:64]
+    whole = path.read_bytes()
+    place = whole.index(value) + 5
+    path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+    with pytest.raises(KinematicsError, match="the motion file must be a whole HDF5 file of points2dof"):
+        read_motion(path)

@@ -223,3 +223,11 @@ def test_numbers_without_bounds_are_refused(tmp_path):
     )
     steep = uff.function(X, Y).replace(b"  1.25000E+01  1.25000E+01", b"  1.25000E+01 1.25000+307")
     assert "must be different and not negative" in fault(tmp_path, steep)
+
+
+@pytest.mark.parametrize("text", ["1.2.3", "1.0 abc", "1,5", "x", "1.0D+0x"])
+def test_a_length_factor_with_more_than_numbers_is_refused(tmp_path, text):
+    odd = uff.units().replace(b"1.0000000000000000D+00", text.rjust(22).encode(), 1)
+    told = fault(tmp_path, odd, uff.function(X, Y, 1))
+    assert "the length factor of dataset 164 must be positive; got" in told
+    assert text.split()[0] in told
