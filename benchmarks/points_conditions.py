@@ -35,9 +35,8 @@ from benchmarks.fault_scenes import (
     two_faults,
     with_gaps,
 )
+from benchmarks.points_faults import judged
 from kinematics.errors import KinematicsError
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, points2dof
 
 PAIRS = (("sign", "gain 5 %"), ("sign", "sign"), ("gain 5 %", "direction 4 deg"), ("sign", "noise x4"),
          ("position 200 um", "sign"), ("drift 6 %", "gain 5 %"))  # fmt: skip
@@ -45,20 +44,8 @@ PAIRS = (("sign", "gain 5 %"), ("sign", "sign"), ("gain 5 %", "direction 4 deg")
 
 def verdicts(made: Scene, value: np.ndarray, stated: bool = True) -> dict[int, str]:
     """Return what is said of each channel that is not in order; of a file that is refused, that of all."""
-    flat = len({tuple(d) for d in made.directions}) == 1
-    body = BodyChannels(
-        "stapes",
-        made.points,
-        made.reported,
-        made.directions,
-        value[None],
-        made.sd[None] if stated else None,
-        not stated,
-        np.full(len(made.points), np.nan),
-    )
-    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 0)
     try:
-        result = points2dof(data, options=Options(("y", "alpha", "gamma")) if flat else None)
+        result = judged(made, 0, stated, value=value)
     except KinematicsError:
         return dict.fromkeys(range(len(made.points)), "refused")
     return {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}

@@ -21,6 +21,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -29,15 +30,21 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, Points2Dof, points2dof
 
 
-def judged(made: Scene, seed: int, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
-    """Run the diagnosis on a scene."""
+def judged(
+    made: Scene,
+    seed: int,
+    stated: bool = True,
+    position_sd_mm: float = 0.0,
+    value: NDArray[np.complex128] | None = None,
+) -> Points2Dof:
+    """Run the diagnosis on a scene, by default on readings (channel, freq) with noise of this seed."""
     flat = len({tuple(d) for d in made.directions}) == 1
     body = BodyChannels(
         "stapes",
         made.points,
         made.reported,
         made.directions,
-        measured(made, seed)[None],
+        (measured(made, seed) if value is None else value)[None],
         made.sd[None] if stated else None,
         not stated,
         np.full(len(made.points), position_sd_mm or np.nan),
