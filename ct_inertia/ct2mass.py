@@ -159,8 +159,8 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             from ct_inertia.coarse import take_glance
 
             glance = Later(take_glance, volume)
-    from ct_inertia.search import SearchOptions
     from ct_inertia.segmentation import find_bodies
+    from ct_inertia.sight import SearchOptions
 
     labels = None
     if options.labels is not None:

@@ -12,8 +12,8 @@ from ct_inertia.coarse import calmed
 from ct_inertia.grids import boxes_and_sizes, eroded, labelled
 from ct_inertia.masked import looked_up
 from ct_inertia.plate_region import PlateRegion
-from ct_inertia.search import Sight
 from ct_inertia.separate import flooded
+from ct_inertia.sight import Sight
 from ct_inertia.volume import Volume
 from ct_inertia.working import PARTING_MM, WORKING_MM, Working, block_for, working_box
 from kinematics.notices import Notice
@@ -48,6 +48,8 @@ class Cut:
         The working volume, which is the whole box; None when the box is a part of the scan itself.
     at_neck : bool
         It was cut off other bone by a plane at a neck.
+    immersed : bool
+        What was taken for the plate lies all around the stapes.
     """
 
     first: NDArray[np.int64]
@@ -59,6 +61,7 @@ class Cut:
     notices: tuple[Notice, ...] = ()
     working: Working | None = None
     at_neck: bool = False
+    immersed: bool = False
 
     def scan_from_box(self, volume: Volume) -> Array:
         """Affine 4x4 from an index x, y, z of the box to scan coordinates, mm."""
@@ -106,7 +109,8 @@ def cut_out(volume: Volume, sight: Sight, plate: Callable[[], PlateRegion | None
     if region is not None:
         plastic = working.from_coarse(region.mask, region.step) & (view.quiet > region.middle) & ~bone
     first = np.zeros(3, dtype=np.int64)
-    return Cut(first, working.grey, own, rest, plastic, method, (), working, sight.at_neck)
+    immersed = region is not None and region.immersing
+    return Cut(first, working.grey, own, rest, plastic, method, (), working, sight.at_neck, immersed)
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]

@@ -19,8 +19,8 @@ from ct_inertia.isosurface import iso_surface, volume_matched
 from ct_inertia.levels import Guess
 from ct_inertia.moments import Moments
 from ct_inertia.partial_volume import sensitivity, with_voxel_size
-from ct_inertia.search import SearchOptions
 from ct_inertia.separate import flooded
+from ct_inertia.sight import SearchOptions
 from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
 from kinematics.errors import sentence

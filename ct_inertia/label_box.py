@@ -16,7 +16,7 @@ from ct_inertia.grids import used_box
 from ct_inertia.measure import Measured
 from ct_inertia.native import compiled, shape_of
 from ct_inertia.plate_region import PlateRegion
-from ct_inertia.search import Sight
+from ct_inertia.sight import Sight
 from ct_inertia.volume import Volume
 
 Index = NDArray[np.int64]

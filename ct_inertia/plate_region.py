@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from ct_inertia.coarse import calmed
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.grids import dilated, eroded, gaussian, labelled
 from ct_inertia.isosurface import iso_surface
-from ct_inertia.search import Sight
+from ct_inertia.sight import Sight
 from ct_inertia.surface import Surface
 from ct_inertia.volume import Volume
 
@@ -28,6 +28,8 @@ _BEYOND = 0.02
 _SMOOTH_VOXELS = 0.7
 _LEAST_DEEP = 300
 _STRAY = 30
+# A plate covers the footplate and some of what stands beside it; the collar is this many coarse voxels wide.
+_COLLAR, _MOST_COVERED = 2, 0.7
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class PlateRegion:
     air, plastic : float
     step : ndarray of int, (3,)
         Voxels of the scan per coarse voxel, x, y, z.
+    immersing : bool
+        It lies around the stapes on nearly all sides, as fluid does and no plate.
     """
 
     mask: NDArray[np.bool_]
@@ -50,6 +54,7 @@ class PlateRegion:
     air: float
     plastic: float
     step: NDArray[np.int64]
+    immersing: bool = False
 
 
 @dataclass(frozen=True)
@@ -111,10 +116,31 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
     mask = np.zeros(coarse.shape, dtype=bool)
     mask[box] = grown
-    return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin)
+    around = _immersing(
+        mask,
+        _thinned(sight.pieces, thin) == sight.stapes.label,
+        _thinned(scan.grey, thin) > sight.between,
+        rim,
+    )
+    return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin, around)
 
 
-def _thinned(grey: NDArray[np.float32], thin: int) -> NDArray[np.float32]:
+def _immersing(
+    plastic: NDArray[np.bool_], stapes: NDArray[np.bool_], bone: NDArray[np.bool_], rim: int
+) -> bool:
+    """Say whether plastic lies around the stapes on nearly all sides where no other bone does."""
+    index = np.nonzero(stapes)
+    if len(index[0]) == 0:
+        return False
+    reach = rim + _COLLAR
+    box = tuple(slice(max(0, int(k.min()) - reach), int(k.max()) + reach + 1) for k in index)
+    own = stapes[box]
+    collar = dilated(own, reach) & ~dilated(own, rim) & ~dilated(bone[box], rim)
+    seen = int(np.count_nonzero(collar))
+    return bool(seen and np.count_nonzero(plastic[box] & collar) > _MOST_COVERED * seen)
+
+
+def _thinned(grey: NDArray[Any], thin: int) -> NDArray[Any]:
     """Return every ``thin``-th voxel along each axis."""
     start = slice(thin // 2, None, thin)
     return grey[start, start, start]

@@ -23,7 +23,8 @@ from ct_inertia.measure import Measured, measure
 from ct_inertia.partial_volume import with_voxel_size
 from ct_inertia.plate_region import PlateRegion, PlateSurface, find_plate, surface_with_planes
 from ct_inertia.progress import Tell, untold
-from ct_inertia.search import SearchOptions, Sight, look
+from ct_inertia.search import look
+from ct_inertia.sight import SearchOptions, Sight
 from ct_inertia.thresholded import is_thresholded, with_threshold
 from ct_inertia.volume import Volume
 from kinematics.background import Later
@@ -78,6 +79,8 @@ def find_bodies(
     finding = Later(find_plate, sight)
     cut = cut_out(volume, sight, finding.result)
     plate = finding.result()
+    if plate is not None and plate.immersing:
+        plate = None
     plate_mesh = None if plate is None else Later(surface_with_planes, volume, sight, plate)
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))

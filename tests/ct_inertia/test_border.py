@@ -10,8 +10,8 @@ from ct_inertia.border import border_notices, cut_layers
 from ct_inertia.ct2mass import MassOptions, ct2mass
 from ct_inertia.cutting import Cut
 from ct_inertia.mass_json import mass_json
-from ct_inertia.search import SearchOptions
 from ct_inertia.segmentation import find_bodies
+from ct_inertia.sight import SearchOptions
 from ct_inertia.volume import Volume
 from tests.ct_inertia.ears import ear
 

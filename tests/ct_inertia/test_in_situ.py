@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ct_inertia.search import SearchOptions
 from ct_inertia.segmentation import find_bodies
+from ct_inertia.sight import SearchOptions
 from ct_inertia.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 

@@ -9,8 +9,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.footplate_face import without_blur
 from ct_inertia.partial_volume import as_vector
 from ct_inertia.read import read_volume
-from ct_inertia.search import SearchOptions
 from ct_inertia.segmentation import find_bodies
+from ct_inertia.sight import SearchOptions
 from ct_inertia.surface import enclosed_volume
 from ct_inertia.surface_field import Diffusion, Mesh
 from ct_inertia.volume import Volume
