@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
-from ct_inertia.cupping import Cupping, deep_cupping_notice, find_cupping
+from ct_inertia.cupping import LEAST_RMS, Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.distance import capped_distance
 from ct_inertia.levels import Air, Surroundings
 from ct_inertia.normal import normal_cdf
@@ -134,9 +134,18 @@ def _box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
 
 
 def bone_of(
-    values: Array, places_mm: Array, air: Air, random: float, rest: float, around: Surroundings
+    values: Array,
+    places_mm: Array,
+    air: Air,
+    random: float,
+    rest: float,
+    around: Surroundings,
+    least_cupping: float = LEAST_RMS,
 ) -> Bone:
-    """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3)."""
+    """Put together level, slope and uncertainty from deep voxels (n,) at places (n, 3).
+
+    Cupping without a slope beside it must show by ``least_cupping`` (root mean square, share of contrast).
+    """
     middle = places_mm.mean(axis=0)
     level, contrast = float(values.mean()), float(values.mean()) - air.level
     cell = np.floor((places_mm - places_mm.min(axis=0)) / (_CELL_VOXELS * around.spacing_mm)).astype(np.int64)
@@ -178,7 +187,8 @@ def bone_of(
             f"its grey value; without a calibration the budget holds what uniform density would change."
         )
         notices = (Notice("bone_inhomogeneous", text),)
-    cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping))
+    least = LEAST_RMS if sloping else least_cupping
+    cupping = find_cupping(values, places_mm, contrast, air.correlation, bool(sloping), least)
     return Bone(level, sd, noise, "interior", notices, slope, middle, cupping)
 
 

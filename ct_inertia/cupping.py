@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 _MOST = 60_000
 _SIGNIFICANT = 4.5
-_LEAST_RMS, _LEAST_DEEP = 1e-3, 3e-3
+LEAST_RMS, _LEAST_DEEP = 1e-3, 3e-3
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,12 @@ def _left(places_mm: Array, plane: Array) -> Array:
 
 
 def find_cupping(
-    values: Array, places_mm: Array, contrast: float, correlation: float, sloping: bool
+    values: Array,
+    places_mm: Array,
+    contrast: float,
+    correlation: float,
+    sloping: bool,
+    least: float = LEAST_RMS,
 ) -> Cupping | None:
     """Look for cupping in the grey values (n,) of pure bone at places (n, 3); None where there is none.
 
@@ -60,6 +65,8 @@ def find_cupping(
         Variance of sums of noise over that of white noise.
     sloping : bool
         The level of bone already follows a slope.
+    least : float
+        What must show of the paraboloid beside a free slope: root mean square, as a share of the contrast.
 
     Notes
     -----
@@ -86,7 +93,7 @@ def find_cupping(
         plane = np.linalg.lstsq(flat, squared, rcond=None)[0]
     # The slope is free: what is left of the paraboloid without it is what shows that it is one.
     shown = curvature * float(radial.std())
-    if curvature < _SIGNIFICANT * sd or shown < _LEAST_RMS * contrast:
+    if curvature < _SIGNIFICANT * sd or shown < least * contrast:
         return None
     low, high = np.percentile(curvature * _left(places, plane), [1.0, 99.0])
     return Cupping(curvature, plane, float(high - low) / contrast)

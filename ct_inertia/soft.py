@@ -188,10 +188,12 @@ def by_soft(
 ) -> Array:
     """Return the covariance (10, 10) of what was taken off, known to a part of itself.
 
-    Each eighth around the stapes stands for itself, and half of it is common to all. Where the plate is part
-    of it, for no plane face of it could be fitted (``face`` false), less of it is known.
+    ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
+    half of it is common to all. Where the plate is part of it, for no plane face of it could be fitted
+    (``face`` false), less of it is known.
     """
-    hard = not face and bool(np.any(cut.plate & (soft.taken > _TOUCHED)))
+    plate = not cut.immersed and bool(np.any(cut.plate & (soft.taken > _TOUCHED)))
+    hard = plate and not face
     index = np.argwhere(own & (np.abs(soft.taken) > 1e-4))
     covariance = np.zeros((10, 10))
     if len(index) == 0:
@@ -207,7 +209,7 @@ def by_soft(
 
 
 def soft_notices(soft: Soft, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
-    """Say what surrounds the stapes and how much of it was taken off."""
+    """Say what surrounds the stapes, whose voxels are ``own`` [z, y, x], and how much of it was taken off."""
     share = float(soft.taken[own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
     if share < _TOLD:
         return []

@@ -112,3 +112,18 @@ def test_the_level_of_bone_one_voxel_thick_is_found():
     assert found is not None
     assert abs(found.level - 6000.0) < 5.0 * max(found.sd, 1.0)
     assert found.sd < 100.0
+
+
+def test_fluid_all_around_is_no_plate():
+    placed, volume = scan(plate=False, bone=False)
+    air, _, bone = placed.ear.levels
+    away = np.max(
+        np.abs(np.indices(volume.array.shape).T - 0.5 * volume.size[::-1]) / volume.size[::-1], axis=-1
+    ).T
+    share = (volume.array - air) / (bone - air)
+    grey = air + (bone - air) * (share + (away < 0.42) * 0.35 * (1.0 - share))
+    wet = find_bodies(Volume(np.rint(grey).astype(np.uint16), volume.spacing_mm, np.zeros(3), np.eye(3)))
+    exact = truth(placed)["volume_m3"] * 1e9
+    assert wet.plate is None
+    assert "soft_surroundings" in codes(wet)
+    assert abs(wet.moments.volume_mm3 - exact) < 2.0 * sd(wet)[0] < 0.6 * exact
