@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from collections.abc import Collection
 from itertools import combinations
 
 import numpy as np
@@ -221,7 +222,7 @@ class Search:
             own for own in self.by_point.values() if len(self.live) - len(own) >= self.state.span.shape[1]
         ]
         made = batches(tests, free, points, self._lasers())
-        if len(self.live) == len(self.data.points):
+        if len(self.live) == np.count_nonzero(self.data.source.channel):
             made.append(axes_batch(tests))
         self.tested = [tests.run(batch) for batch in made]
 
@@ -242,7 +243,8 @@ class Search:
         freely = self._freely() if self.places.owners else {}
         for owner, groups in self._owners().items():
             tested = [found for found in self.tested if found.batch.owner == owner]
-            orders = [sorted(groups, key=lambda own: -_blame(given, list(own)))]
+            blame = _blamed(given, groups)
+            orders = [sorted(groups, key=lambda own: -blame[own])]
             if freely:
                 orders.append(sorted(groups, key=lambda own: -freely.get(own, 0.0)))
             chosen = dict.fromkeys(
@@ -253,9 +255,10 @@ class Search:
             for found in tested:
                 best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
                 chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
+            known = [(found.batch.kind, set(_sets(found))) for found in tested]
             for number, own in enumerate(chosen):
                 some = number < _VARIED[owner]
-                names = dict.fromkeys(found.batch.kind for found in tested if own in _sets(found))
+                names = dict.fromkeys(kind for kind, sets in known if own in sets)
                 faults += [
                     self._fault(kind, owner, list(own)) for kind in names if some or kind not in _VARYING
                 ]
@@ -269,7 +272,7 @@ class Search:
         if self.places.owners or bends:
             return [self.fitted(fault) for fault in faults]
         sets = dict.fromkeys(tuple(fault.channels) for fault in faults)
-        most = {own: _blame(self.given, list(own)) / self.scale for own in sets}
+        most = {own: fall / self.scale for own, fall in _blamed(self.given, sets).items()}
         made, best = [], 0.0
         for fault in sorted(faults, key=lambda fault: -most[tuple(fault.channels)]):
             if most[tuple(fault.channels)] < best - _NEAR:
@@ -376,15 +379,20 @@ class Search:
         return noisy(self.state, self.rest, self.energy(), self.scale, sure, self.alarm, whole)
 
 
-def _blame(state: State, channels: list[int]) -> float:
-    """Return by how much the residual energy falls when some channels are left out."""
-    span, e = state.own_span[channels], state.own_e[channels]
-    norm = np.eye(len(channels)) if state.norm is None else state.norm[np.ix_(channels, channels)]
-    values, vectors = np.linalg.eigh(norm - span @ span.T)
-    good = values > 1e-6
-    seen = np.sum(np.abs(vectors[:, good].T @ e) ** 2, axis=1)
-    return float(np.sum(seen / values[good]))
+def _blamed(state: State, groups: Collection[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
+    """Return by how much the residual energy falls when sets of channels are left out."""
+    made: dict[tuple[int, ...], float] = {}
+    for size in {len(own) for own in groups}:
+        same = [own for own in groups if len(own) == size]
+        at = np.array(same)
+        span, e = state.own_span[at], state.own_e[at]
+        norm = np.eye(size) if state.norm is None else state.norm[at[:, :, None], at[:, None, :]]
+        values, vectors = np.linalg.eigh(norm - span @ span.swapaxes(1, 2))
+        seen = np.sum(np.abs(vectors.swapaxes(1, 2) @ e) ** 2, axis=2)
+        fall = np.where(values > 1e-6, seen / np.where(values > 1e-6, values, 1.0), 0.0)
+        made |= dict(zip(same, np.sum(fall, axis=1).tolist(), strict=True))
+    return made
 
 
 def _sets(found: Tested) -> list[tuple[int, ...]]:
-    return [tuple(int(c) for c in own) for own in found.batch.channels]
+    return [tuple(own) for own in found.batch.channels.tolist()]
