@@ -45,6 +45,16 @@ def test_a_channel_missing_over_half_the_lines_is_not_accused_and_a_fault_beside
     assert said == dict.fromkeys(made.culprits, "gain")
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_axes_are_told_beside_a_channel_without_readings(stated):
+    made = scene(41_021, TEN, "axes 2 deg")
+    value = measured(made, 41_021)
+    value[4] = np.nan
+    said = verdicts(made, value, stated)
+    assert said.pop(4) == "unused"
+    assert said == {c: "direction" for c in range(30) if c != 4}
+
+
 def test_two_faults_beside_missing_values_are_both_named():
     made = two_faults(31_004, TEN, ("sign", "gain 5 %"))
     said = verdicts(made, with_gaps(measured(made, 31_004), 31_004, 0.2))
