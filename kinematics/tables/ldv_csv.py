@@ -95,7 +95,7 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
     rate = (2j * np.pi * rows.freq_hz) ** columns.unit.order
     value = value.reshape(shape) / rate
     sd, relative, counts = _noise(table, columns, at, value, np.abs(rate))
-    notices = []
+    notices = _absent(rows, table, at, shape)
     if columns.sd and sd is not None and np.any(np.isnan(sd) & ~np.isnan(value)):
         count = int(np.sum(np.isnan(sd) & ~np.isnan(value)))
         notices.append(Notice("sd_missing", f"{count} values have no {columns.sd} and were not used."))
@@ -136,6 +136,35 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
         notices=tuple(notices),
         takes=rows.takes,
     )
+
+
+def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) -> list[Notice]:
+    """Tell which channels have no row at lines that other channels of their body have in the same run."""
+    if len(at) == np.prod(shape):
+        return []
+    present = np.zeros(shape, dtype=bool)
+    present.ravel()[at] = True
+    lost = np.zeros(shape, dtype=bool)
+    for number in np.unique(rows.body):
+        mine = rows.body == number
+        known = np.any(present[:, mine], axis=1, keepdims=True)
+        begun = np.any(present[:, mine], axis=2, keepdims=True)
+        lost[:, mine] = known & begun & ~present[:, mine]
+    count = int(np.count_nonzero(lost))
+    if not count:
+        return []
+    channels = np.flatnonzero(np.any(lost, axis=(0, 2)))
+    body, point = table.texts["body"].names, table.texts["point"].names
+    listed = dict.fromkeys(f"{body[rows.body[c]]} {point[rows.point[c]]}" for c in channels)
+    names = ", ".join(list(listed)[:6]) + (f" and {len(listed) - 6} more points" if len(listed) > 6 else "")
+    of_last = lost[rows.take[-1], rows.channel[-1]]
+    cut = bool(np.any(of_last[rows.line[-1] + 1 :]))
+    text = (
+        f"{count} readings of {len(channels)} channels ({names}) have no row in {table.file} at lines that "
+        "other channels of the body have; they count as missing."
+    )
+    end = " The last row stands within a sweep: was the file cut off?" if cut else ""
+    return [Notice("rows_missing", text + end)]
 
 
 def _complex(table: Table, columns: Columns) -> NDArray[np.complex128]:

@@ -105,6 +105,31 @@ def test_empty_and_nan_are_missing(tmp_path):
     assert np.isfinite(values[2])
 
 
+def grid(leave=(), most=None):
+    """Two bodies of two points along y at four lines, without the rows of some numbers or beyond a number."""
+    rows = [f"{b},{p},{p},0,0,y,{f},1,2" for b in "st" for p in (1, 2) for f in (100, 200, 300, 400)]
+    return [row for number, row in enumerate(rows[:most]) if number not in leave]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (grid(), None),
+        (grid(leave=(3, 7)), None),
+        (grid(most=12), None),
+        (grid(leave=(5,)), "1 readings of 1 channels (s 2) have no row in ldv.csv"),
+        (grid(most=14), "2 readings of 1 channels (t 2) have no row in ldv.csv"),
+        (grid(leave=(1, 6, 13)), "3 readings of 3 channels (s 1, s 2, t 2) have no row in ldv.csv"),
+    ],
+)
+def test_rows_that_are_not_there_are_told(tmp_path, rows, said):
+    notices = [
+        one.text for one in read_ldv(table(tmp_path, HEAD, rows)).notices if one.code == "rows_missing"
+    ]
+    assert [text.startswith(said) for text in notices] == ([True] if said else [])
+    assert ["cut off" in text for text in notices] == ([len(rows) == 14] if said else [])
+
+
 def test_runs_and_bodies_with_numbers_for_names(tmp_path):
     rows = ["1,1,0,0,0,y,100,1,0,a", "1,1,0,0,0,y,100,2,0,b", "2,1,5,0,0,y,100,3,0,a"]
     read = read_ldv(table(tmp_path, HEAD + ",run", rows))
