@@ -24,6 +24,8 @@ _FALL, _TIMES = 0.3, 4.0
 _ALONE, _QUIET = 0.97, 1.4
 # The weakest direction of motion must keep this share of the strongest's lever.
 _HELD = 1e-3
+# Weights that differ by less have the same course.
+_ALIKE = 1e-12
 # Points that are left out at most, and the best candidates that are tried for each.
 _MOST, _TRIED = 8, 5
 
@@ -102,7 +104,9 @@ def cleared(
     weight = 1.0 / variance
     basis = beams.basis
     sums = _Sums(basis, weight, value)
-    groups = {name: [c for c, own in enumerate(body.points) if own == name] for name in body.points}
+    groups: dict[str, list[int]] = {}
+    for channel, name in enumerate(body.points):
+        groups.setdefault(name, []).append(channel)
     suspects: list[tuple[int, ...]] = []
     out: list[int] = []
     names = list(groups)
@@ -174,12 +178,30 @@ class _Sums:
         energy = np.sum(self.weight * np.abs(self.value) ** 2, axis=1)
         whole = float(np.sum(energy) - np.sum(energy[out]))
         made = np.empty(len(groups))
+        line = _common(self.weight)
+        if line is not None:
+            for size in {len(own) for own in groups}:
+                same = [k for k, own in enumerate(groups) if len(own) == size]
+                at = np.array([groups[k] for k in same])
+                made[same] = whole - np.sum(energy[at], axis=1) - self._taken_without(gram, side, at, line)
+            return made
         for k, own in enumerate(groups):
             less, shorter = self._of(own, self.value)
             rest, into = gram - less, side - shorter
             taken = float(np.real(np.sum(into.conj() * _solved(rest, into))))
             made[k] = whole - float(np.sum(energy[own])) - taken
         return made
+
+    def _taken_without(self, gram: Array, side: ComplexArray, at: NDArray[np.intp], line: Array) -> Array:
+        """Return what the motion takes (group,) without each of some groups (group, n) of channels.
+
+        All weights have the same course over the lines: ``line`` (f,) times those at the first.
+        """
+        rows = self.basis[at]
+        weighted = self.weight[at]
+        rest = gram[0] - rows.swapaxes(1, 2) @ (weighted[:, :, :1] * rows)
+        into = side.T - rows.swapaxes(1, 2) @ (weighted * self.value[at])
+        return np.real(np.einsum("gmf,gmf->g", into.conj(), _divided(rest, into / line)))
 
     def freedom(self, out: list[int]) -> int:
         """Return how many complex values are left over."""
@@ -197,6 +219,25 @@ class _Sums:
         gram, side = self._without(out)
         inverse = np.asarray(np.linalg.pinv(gram, rcond=1e-14, hermitian=True), dtype=float)
         return self.start + _solved(gram, side), inverse
+
+
+def _common(weight: Array) -> Array | None:
+    """Return the course (f,) of weights (channel, f) over the lines, from 1, when all channels share it."""
+    first = weight[:, 0]
+    heaviest = int(np.argmax(first))
+    if not first[heaviest] > 0.0:
+        return None
+    line = weight[heaviest] / first[heaviest]
+    alike = np.abs(weight - first[:, None] * line) <= _ALIKE * first[heaviest] * line
+    return line if bool(np.all(line > 0.0) and np.all(alike)) else None
+
+
+def _divided(gram: Array, side: ComplexArray) -> ComplexArray:
+    """Solve matrices (k, m, m) for sides (k, m, n); by pseudo-inverses where one has no solution."""
+    try:
+        return np.asarray(np.linalg.solve(gram, side))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(gram, rcond=1e-14, hermitian=True) @ side)
 
 
 def _solved(gram: Array, side: ComplexArray) -> ComplexArray:
