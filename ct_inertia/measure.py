@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.bone_level import Bone, as_levels, measure_bone
-from ct_inertia.cupping import Cupping, cupping_notice
+from ct_inertia.cupping import cupping_notice
 from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.grids import gaussian
@@ -19,8 +19,15 @@ from ct_inertia.masked import gathered
 from ct_inertia.moments import Moments
 from ct_inertia.neighbours import Parted, away_from_others, cut_through_bone, part_from_neighbours
 from ct_inertia.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
-from ct_inertia.plate_face import FaceFit, displaced_share, face_covariance, face_near, plate_share
+from ct_inertia.plate_face import (
+    FaceFit,
+    displaced_share,
+    face_near,
+    plate_share,
+)
+from ct_inertia.plate_face_doubt import face_covariance, face_doubt
 from ct_inertia.psf import edge_sigma, edge_widths
+from ct_inertia.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.soft import by_soft, soft_notices, taken_off, without_soft
 from ct_inertia.thin_bone import thin_bone
 from ct_inertia.volume import Volume
@@ -60,7 +67,7 @@ class Measured:
     correlation, air_clipped : float
     notices : tuple of Notice
     doubt : ndarray of float32, [z, y, x], or None
-        By how much the share may be wrong, all around at once, where something soft was taken off.
+        By how much the share may be wrong at once, where something soft or the plate was taken off.
     """
 
     moments: Moments
@@ -113,7 +120,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     soft = None
     # A plate whose face could not be fitted is taken off like it, and less is known of that.
     touched = fitted is None and bool(np.any(cut.plate & (distance <= reach)))
-    if bone.seen > _WELL_SEEN or touched:
+    if touched:
+        soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
+    elif bone.seen > _WELL_SEEN:
         known = (air, bone.level, guess.between)
         soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
@@ -128,19 +137,19 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     moments = partial_volume_moments(share, volume.scan_from_index)
     sloped = np.zeros(10)
     if np.any(bone.slope):
-        bone = bone.moved_to(_unweighted_centre(moments, bone, air.level, volume, cut))
+        bone = bone.moved_to(unweighted_centre(moments, bone, air.level, volume, cut))
         share = replace(share, bone=bone.level)
         moments = partial_volume_moments(share, volume.scan_from_index)
-        sloped = _by_slope(share, bone, volume, moments)
+        sloped = by_slope(share, bone, volume, moments)
         moments = with_contribution(moments, "inhomogeneity", np.outer(sloped, sloped))
     notices = bone.notices
     if bone.cupping is not None:
-        step = _by_cupping(share, bone.cupping, volume, cut, moments)
+        step = by_cupping(share, bone.cupping, volume, cut, moments)
         moments = with_contribution(moments, "cupping", np.outer(step, step))
         # A slope beside the paraboloid is that of its flank.
-        notices = (*notices, cupping_notice(bone.cupping, _shares(step + sloped, moments)))
+        notices = (*notices, cupping_notice(bone.cupping, as_shares(step + sloped, moments)))
     if any(air.slope):
-        covariance = moments.contributions["levels"] + _by_air(share, air, volume, moments)
+        covariance = moments.contributions["levels"] + by_air(share, air, volume, moments)
         moments = with_contribution(moments, "levels", covariance)
     levels = (air.level, bone.level)
     through = cut_through_bone(cut, parted, levels, volume, moments)
@@ -151,10 +160,14 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
         moments = with_contribution(moments, "surroundings", covariance)
         notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
+    doubt = None if soft is None else soft.doubt
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level
         covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
         moments = with_contribution(moments, "plate", covariance)
+        unsure = face_doubt(fitted, volume, cut, near, contrast)
+        if unsure is not None:
+            doubt = unsure if doubt is None else doubt + unsure
     return Measured(
         moments,
         as_levels(air, bone, guess.plastic),
@@ -166,7 +179,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         air.correlation,
         air.clipped,
         (*notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
-        None if soft is None else np.where(parted.own, soft.doubt, np.float32(0.0)),
+        None if doubt is None else np.where(parted.own, doubt, np.float32(0.0)),
     )
 
 
@@ -214,53 +227,6 @@ def _by_tails(parted: Parted, cut: Cut, volume: Volume, moments: Moments) -> Arr
             step = steps[octant == part].sum(axis=0)
             covariance += np.outer(step, step)
     return covariance
-
-
-def _unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume, cut: Cut) -> Array:
-    """Return the centroid (3,), from the box's first voxel along its axes, as if bone were uniform.
-
-    A weight 1 + b . (r - c) moves the centroid by S b / V and has the mean 1 over the body: the level at c is
-    that of the body as a whole.
-    """
-    slope = volume.direction @ bone.slope / (bone.level - air)
-    centre = moments.centroid_mm - moments.second_mm5 @ slope / moments.volume_mm3
-    return np.asarray((volume.index_points(centre) - cut.first) * volume.spacing_mm)
-
-
-def _by_slope(share: Share, bone: Bone, volume: Volume, moments: Moments) -> Array:
-    """Return what taking bone of sloping grey values as it is, not as uniform, adds to the moments (10,)."""
-    away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
-    contrast = share.bone - share.air
-    along = (share.index * volume.spacing_mm) @ bone.slope
-    w = (share.grey - share.air) / contrast
-    change = w * (along - (w @ along) / w.sum()) / contrast
-    return np.asarray(sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3)
-
-
-def _by_cupping(share: Share, cupping: Cupping, volume: Volume, cut: Cut, moments: Moments) -> Array:
-    """Return what cupping adds to the moments (10,) of bone that is uniform."""
-    away = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm - moments.centroid_mm
-    contrast = share.bone - share.air
-    w = (share.grey - share.air) / contrast
-    change = w * cupping.at((share.index - cut.first) * volume.spacing_mm) / contrast
-    return np.asarray(sensitivity(away, moments.volume_mm3, 0.0).T @ change * volume.voxel_mm3)
-
-
-def _shares(step: Array, moments: Moments) -> tuple[float, float, float]:
-    """Return a change of the moments (10,) as a share of the volume, mm, and a share of the inertia."""
-    spread = abs(float(step[4:7].sum())) / float(np.trace(moments.second_mm5))
-    return abs(float(step[0])) / moments.volume_mm3, float(np.linalg.norm(step[1:4])), spread
-
-
-def _by_air(share: Share, air: Air, volume: Volume, moments: Moments) -> Array:
-    """Return the covariance (10, 10) from an air level that changes across the box, each axis by itself."""
-    points = (share.index @ (volume.direction * volume.spacing_mm).T) + volume.origin_mm
-    away = points - moments.centroid_mm
-    voxel = volume.voxel_mm3 / (share.bone - share.air)
-    w = (share.grey - share.air) / (share.bone - share.air)
-    change = (1.0 - w)[:, None] * (away @ volume.direction) * np.array(air.slope)
-    steps = voxel * sensitivity(away, moments.volume_mm3, 0.0).T @ change
-    return np.asarray(steps @ steps.T)
 
 
 def _bone(

@@ -12,9 +12,7 @@ from ct_inertia.cutting import Cut
 from ct_inertia.distance import capped_distance
 from ct_inertia.grids import dilated, gaussian
 from ct_inertia.level_fit import blurred, body_share, fit_bodies
-from ct_inertia.moments import Moments
 from ct_inertia.normal import normal_cdf
-from ct_inertia.partial_volume import sensitivity
 from ct_inertia.volume import Volume
 
 Array = NDArray[np.float64]
@@ -51,7 +49,6 @@ _LEAST_SUNK = 20
 _EDGE_PLANE, _EDGE_TILT = 0.15, 2e-3
 _CLEAR_WIDTHS = 3.0
 _KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.001, 0.03
-_DISPLACED_SD = 0.05
 _DISPLACED_ROUNDS = (False, False, False, True, True)
 
 
@@ -106,52 +103,6 @@ def plate_share(face: PlateFace, volume: Volume, cut: Cut, where: NDArray[np.boo
     points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
     away = points @ face.normal - face.offset_mm
     return np.asarray((face.plastic - face.air) * normal_cdf(-away / face.sigma_mm))
-
-
-def face_covariance(
-    fit: FaceFit,
-    volume: Volume,
-    cut: Cut,
-    where: NDArray[np.bool_],
-    contrast: float,
-    moments: Moments,
-    displaced: NDArray[np.float32] | None = None,
-) -> Array:
-    """Return the covariance (10, 10) of the stapes' moments from what is not known of the plate's face.
-
-    Parameters
-    ----------
-    fit : FaceFit
-    volume : Volume
-    cut : Cut
-    where : ndarray of bool, [z, y, x]
-        Voxels that the face was subtracted from.
-    contrast : float
-        Bone minus air.
-    moments : Moments
-    displaced : ndarray of float32, [z, y, x], optional
-        As from ``displaced_share``: known to a part of itself, as voxels are shared by bone and plastic.
-    """
-    face = fit.face
-    points = volume.scan_points(np.argwhere(where)[:, ::-1] + cut.first)
-    z = (points @ face.normal - face.offset_mm) / face.sigma_mm
-    touched = z < _WIDTHS
-    points, z = points[touched], z[touched]
-    slope = (face.plastic - face.air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / face.sigma_mm
-    flat = (points - fit.centre) @ fit.basis
-    cover = normal_cdf(-z)
-    design = np.column_stack([slope, -slope * flat[:, 0], -slope * flat[:, 1], slope * z, -cover, cover])
-    voxel = volume.voxel_mm3 / contrast
-    f = sensitivity(points - moments.centroid_mm, moments.volume_mm3, 0.0)
-    linear = voxel * f.T @ design
-    covariance = linear @ fit.covariance @ linear.T
-    if displaced is not None:
-        index = np.argwhere((displaced > 0.0) & where)
-        away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-        amount = voxel * _DISPLACED_SD * displaced[tuple(index.T)].astype(float)
-        step = sensitivity(away, moments.volume_mm3, 0.0).T @ amount
-        covariance = covariance + np.outer(step, step)
-    return np.asarray(covariance)
 
 
 def displaced_share(
