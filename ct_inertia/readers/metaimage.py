@@ -52,11 +52,16 @@ def read_metaimage(
     A data file named like a picture (.tif, .png) is refused: its folder of slices can be read.
     """
     fields, start, rest = _header(path)
-    size = [int(v) for v in _values(fields, ("DimSize",), path)]
+    told = _values(fields, ("DimSize",), path)
+    channels_told = fields.get("ElementNumberOfChannels", "1") or "1"
+    if not all(abs(v) < 1e15 and v == int(v) for v in told) or not re.fullmatch(r"\d{1,9}", channels_told):
+        got = f"DimSize = {fields['DimSize']}, ElementNumberOfChannels = {channels_told}"
+        raise header_fault(path, "MetaImage volume", got)
+    size = [int(v) for v in told]
     while len(size) > 3 and size[-1] == 1:
         size.pop()
     check_dimensions(size, path.name)
-    channels = int(fields.get("ElementNumberOfChannels", "1") or 1)
+    channels = int(channels_told)
     if channels > 1:
         raise CtInertiaError(
             sentence(

@@ -50,12 +50,12 @@ def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str
     """
     fields, keys, start = _header(path)
     axes = _axes(fields, path)
-    sizes = [int(n) for n in _numbers(fields, "sizes", path)]
+    sizes = _sizes(fields, path)
     grid = _grid(path, fields, axes, sizes, start)
     layers = [k for k in range(len(sizes)) if k not in axes and sizes[k] > 1]
     if not layers:
         return grid_volume(grid, path, spacing_mm, mirror)
-    segments = _segments(keys)
+    segments = _segments(keys, path)
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
         raise CtInertiaError(
@@ -106,6 +106,13 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
                 fields["list"] = "\n".join(x.strip() for x in lines[number + 1 :] if x.strip())
                 break
     return fields, keys, end.end() if end else len(start)
+
+
+def _sizes(fields: dict[str, str], path: Path) -> list[int]:
+    told = _numbers(fields, "sizes", path)
+    if not all(abs(n) < 1e15 and n == int(n) for n in told):
+        raise header_fault(path, "NRRD volume", f"sizes {fields['sizes']}")
+    return [int(n) for n in told]
 
 
 def _numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
@@ -281,15 +288,17 @@ def _integer(fields: dict[str, str], path: Path, *names: str) -> int:
     return int(told)
 
 
-def _segments(keys: dict[str, str]) -> list[tuple[int, int, str]]:
+def _segments(keys: dict[str, str], path: Path) -> list[tuple[int, int, str]]:
     """Return layer, value in that layer and name of each segment of a Slicer segmentation."""
     found = []
     for number in range(1000):
         value = keys.get(f"Segment{number}_LabelValue")
         if value is None:
             break
-        layer = int(keys.get(f"Segment{number}_Layer", "0"))
-        found.append((layer, int(value), keys.get(f"Segment{number}_Name", f"segment {number + 1}")))
+        layer = keys.get(f"Segment{number}_Layer", "0")
+        if not all(re.fullmatch(r"\s*\d{1,9}\s*", word) for word in (value, layer)):
+            raise header_fault(path, "NRRD volume", f"segment {number} with value {value}, layer {layer}")
+        found.append((int(layer), int(value), keys.get(f"Segment{number}_Name", f"segment {number + 1}")))
     return found
 
 
