@@ -116,26 +116,20 @@ def find_plate(sight: Sight) -> PlateRegion | None:
     air = _pure(grey, (smooth < middle) & ~near_bone, rim, sight.air)
     mask = np.zeros(coarse.shape, dtype=bool)
     mask[box] = grown
-    around = _immersing(
-        mask,
-        _thinned(sight.pieces, thin) == sight.stapes.label,
-        _thinned(scan.grey, thin) > sight.between,
-        rim,
-    )
+    around = _immersing(mask, sight, thin, rim)
     return PlateRegion(mask, 0.5 * (air + plastic), air, plastic, scan.step * thin, around)
 
 
-def _immersing(
-    plastic: NDArray[np.bool_], stapes: NDArray[np.bool_], bone: NDArray[np.bool_], rim: int
-) -> bool:
+def _immersing(plastic: NDArray[np.bool_], sight: Sight, thin: int, rim: int) -> bool:
     """Say whether plastic lies around the stapes on nearly all sides where no other bone does."""
-    index = np.nonzero(stapes)
-    if len(index[0]) == 0:
-        return False
-    reach = rim + _COLLAR
-    box = tuple(slice(max(0, int(k.min()) - reach), int(k.max()) + reach + 1) for k in index)
-    own = stapes[box]
-    collar = dilated(own, reach) & ~dilated(own, rim) & ~dilated(bone[box], rim)
+    reach, piece = rim + _COLLAR, sight.stapes
+    box = tuple(
+        slice(max(0, int(low) // thin - reach), int(high) // thin + reach + 1)
+        for low, high in zip(piece.low[::-1], piece.high[::-1], strict=True)
+    )
+    own = _thinned(sight.pieces, thin)[box] == piece.label
+    bone = _thinned(sight.scan.grey, thin)[box] > sight.between
+    collar = dilated(own, reach) & ~dilated(own, rim) & ~dilated(bone, rim)
     seen = int(np.count_nonzero(collar))
     return bool(seen and np.count_nonzero(plastic[box] & collar) > _MOST_COVERED * seen)
 
