@@ -18,6 +18,7 @@ from kinematics.faults.adequate import account_for_it, corrected
 from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding, can_lose
+from kinematics.faults.masked import masked_pair
 from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
 from kinematics.faults.refilling import filled_freely, refilled
 from kinematics.faults.scattered import scattered
@@ -55,7 +56,7 @@ class Diagnosis:
         Position errors, within their stated sd, that were allowed for.
     kept : float
         Share of the misfit beyond noise that the first finding leaves by itself, 0 to 1; 1 without a finding,
-        when that concerns all beams, and when the body is not rigid.
+        when that concerns all beams, and when the body is not rigid; 0 for two faults that hid each other.
     """
 
     findings: tuple[Finding, ...]
@@ -102,6 +103,10 @@ def diagnose(
     findings: list[Finding] = []
     current = data
     searches: list[Search] = []
+
+    def searched(some: Compact) -> Search:
+        return Search(some, prior, noise_known, alarm, doubt)
+
     while True:
         search = Search(current, prior, noise_known, _BESIDE * alarm if findings else alarm, doubt)
         searches.append(search)
@@ -119,8 +124,11 @@ def diagnose(
             found = _explained(current, prior, noise_known, alarm, doubt, found)
         if found.kind == "flexible" or len(findings) >= most:
             body = found if not findings and found.kind == "flexible" else searches[0].flexible()
-            body = scattered(searches[0], prior, doubt, findings) or body
-            return _made((body,), searches[0], search, data)
+            spread = scattered(searches[0], prior, doubt, findings)
+            pair = None if spread is not None else masked_pair(searches[0], data, searched)
+            if pair is not None:
+                return _made(tuple(pair[0]), searches[0], pair[1], data, 0.0)
+            return _made((spread or body,), searches[0], search, data)
         findings = _joined(findings, found)
         current = cleared(current, found)
         if not noise_known and found.kind != "noise" and current.mixing is None:
@@ -128,8 +136,11 @@ def diagnose(
     if findings and searches[0].structure.significant:
         after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
         if not account_for_it(searches[0], after, findings):
-            body = scattered(searches[0], prior, doubt, findings) or searches[0].flexible()
-            return _made((body,), searches[0], search, data)
+            spread = scattered(searches[0], prior, doubt, findings)
+            pair = None if spread is not None else masked_pair(searches[0], data, searched)
+            if pair is not None:
+                return _made(tuple(pair[0]), searches[0], pair[1], data, 0.0)
+            return _made((spread or searches[0].flexible(),), searches[0], search, data)
     kept = 1.0
     if findings and findings[0].owner != "body":
         kept = searches[1].excess() / max(searches[0].excess(), 1e-300)

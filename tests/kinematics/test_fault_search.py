@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.fault_scenes import bound, measured
+from benchmarks.fault_scenes import bound, measured, two_faults
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
 from kinematics.faults.compact import compact
@@ -161,3 +161,9 @@ def test_suspects_that_are_not_fitted_could_not_have_been_the_culprit(fault, mon
     found = [(v.verdict, v.estimate) for v in run(made, 41).channels]
     assert found == [(v.verdict, v.estimate) for v in few.channels]
     assert number <= len(fitted) - number
+
+
+def test_two_large_faults_that_hide_each_other_are_both_named():
+    made = two_faults(41_006, "stapes, 10 points 3D", ("sign", "sign"))
+    found = {c: v.verdict for c, v in enumerate(run(made, 41_006).channels) if v.verdict != "ok"}
+    assert found == dict.fromkeys(made.culprits, "sign")
