@@ -141,7 +141,10 @@ class ScoreTests:
         span = self.state.own_span[channels]
         norm = None if self.norm is None else self.norm[channels[:, :, None], channels[:, None, :]]
         score = np.concatenate([self._along(d, self.g[name][channels]) for name in names], axis=1)
-        blocks = [[_information(d, span, self._motion(one, two), norm) for two in names] for one in names]
+        pairs = [[one + two if one and two else one or two for two in names] for one in names]
+        each = dict.fromkeys(name for row in pairs for name in row)
+        found = {name: _information(d, span, self.t[name], norm) for name in each}
+        blocks = [[found[name] for name in row] for row in pairs]
         information = np.concatenate([np.concatenate(row, axis=2) for row in blocks], axis=1)
         if self.places.owners:
             seen = np.concatenate([self._seen(d, span, name) for name in names], axis=1)
@@ -162,9 +165,6 @@ class ScoreTests:
     def _along(d: ComplexArray | Array, g: ComplexArray) -> Array:
         flat = d.conj().reshape(*d.shape[:2], -1) @ g.reshape(len(g), -1, 1)
         return np.asarray(flat[..., 0].real)
-
-    def _motion(self, one: str, two: str) -> Array:
-        return self.t[one + two] if one and two else self.t[one or two]
 
     def _seen(self, d: ComplexArray | Array, span: Array, name: str) -> Array:
         """Return what the motion can take of changes (B, k, m m), in the coordinates of ``flat``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -129,7 +130,9 @@ def _least_squares(
 
 def holds_record_noise(measured: Measurement, body: BodyChannels) -> bool:
     """Tell whether beams of a point of a body share the noise of the reference of a record."""
-    points = {(body.body, point) for point in body.points if body.points.count(point) > 1}
+    if not measured.record_noise:
+        return False
+    points = {(body.body, point) for point, number in Counter(body.points).items() if number > 1}
     return any(points.intersection(one.points) for one in measured.record_noise)
 
 
