@@ -22,6 +22,7 @@ from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_
 from kinematics.mass_record import MassMatrix
 from kinematics.motion import RigidMotion
 from kinematics.notices import Notice
+from kinematics.pages.numbers import plus_minus
 from kinematics.spatial import DOF_NAMES, DOF_UNITS
 
 Array = NDArray[np.float64]
@@ -266,12 +267,12 @@ def summary_rows(found: Expectation) -> list[tuple[str, str]]:
     stiffness_sd, damping_sd = fit.standard_deviation
     for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
         parts = [
-            f"{name} {values[place, place]:.4g} ± {sds[place, place]:.2g}"
+            f"{name} {plus_minus(values[place, place], sds[place, place])}"
             for place, name in enumerate(fit.dof)
         ]
         rows.append((f"{letter} diagonal, expected (SI)", ", ".join(parts)))
     parts = [
-        f"{mode.frequency_hz:.0f} ± {sd:.2g}"
+        plus_minus(mode.frequency_hz, sd)
         for mode, sd in zip(fit.modes.pairs, fit.derived.frequency_sd_hz, strict=True)
     ]
     rows.append(("modes, damped (Hz)", ", ".join(parts)))

@@ -112,6 +112,7 @@ def _figure(options: tuple[Option, ...]) -> Figure:
             )
         axis.axvline(_LIMIT, color="#5d6b7a", lw=0.8, ls="--")
         axis.set_xscale("log")
+        axis.xaxis.set_major_formatter(lambda share, _place: f"{100.0 * share:g} %")
         axis.set_yticks(np.arange(half), names[start : start + half])
         axis.set_ylim(half - 0.5, -0.5)
         for line in range(half - 1):

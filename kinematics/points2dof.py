@@ -14,6 +14,7 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.faults.across import told_across
 from kinematics.faults.across_lines import column_offset, exchanged_lines
 from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.lone_lines import lone_lines
 from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.phase import phase_notice
 from kinematics.faults.records import searched_body
@@ -41,6 +42,7 @@ from kinematics.takes.repeats import RunRepeats
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
 REPEATS = ("pool", "separate")
+_FARTHEST_MM = 8.0
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,7 @@ def points2dof(
     for screen in screens:
         notices += screen.notices
     notices += [] if whole else _uncommon_lines(placed)
+    notices += _far_away(placed)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
@@ -281,6 +284,21 @@ def _check_determined(motion: RigidMotion) -> None:
     raise_all(KinematicsError, faults)
 
 
+def _far_away(placed: Measurement) -> list[Notice]:
+    """Return the warning that the points of the stapes lie where no stapes reaches, as in a foreign frame."""
+    for body in placed.bodies:
+        distance = float(np.linalg.norm(np.mean(body.positions_mm, axis=0)))
+        if body.body == "stapes" and distance > _FARTHEST_MM:
+            text = (
+                f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, "
+                "farther than a stapes reaches: their coordinates look like those of another frame. Tie it "
+                "to the footplate with --fiducials, or name it with --frame; the motion is told about a "
+                "point far from the bone."
+            )
+            return [Notice("far_from_footplate", text)]
+    return []
+
+
 def _body_notices(
     placed: Measurement, run: int, body: BodyChannels, fit: LineFit, diagnosis: Diagnosis, known: bool
 ) -> list[Notice]:
@@ -288,6 +306,8 @@ def _body_notices(
     where = f" in run {placed.runs[run]}" if several else ""
     notices = fault_notices(placed.runs[run], body, diagnosis, several)
     notices += neglected_notice(fit, body, where)
+    if not diagnosis.findings and fit.robust == "none":
+        notices += lone_lines(fit, body, placed.freq_hz, where)
     if not np.all(fit.solution.good):
         measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
         lost = int(np.sum(~fit.solution.good & measured))

@@ -145,7 +145,11 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     for k, name in enumerate(extra):
         unit, scale = ("nm", 1e9) if name in DOF_NAMES[:3] else ("urad", 1e6)
         rms, sd = _size_of(others[:, k], variance[:, k])
-        entering = _entering(leak, dof, name, _entered(leak, dof, name, fit.beams.lever_m))
+        entered = _entered(leak, dof, name, fit.beams.lever_m)
+        rows = [row for row in entered if row in worst] or entered[:1]
+        if not rows and len(extra) > 1:
+            continue
+        entering = _entering(leak, dof, name, rows)
         parts.append(f"{name} {scale * rms:.3g} +- {scale * sd:.2g} {unit} rms ({entering})")
     odds = "< 1e-300" if chance < 1e-300 else f"{chance:.1g}"
     return [

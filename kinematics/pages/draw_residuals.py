@@ -268,7 +268,7 @@ def _joined(rows: list[int], verdicts: list[ChannelVerdict]) -> list[tuple[float
 
 
 def _words(verdict: ChannelVerdict) -> str:
-    detail = re.sub(r" \+- \S+", "", verdict.estimate)
+    detail = re.sub(r" \+- \S+", "", verdict.estimate.partition("; not told apart")[0])
     words = f"{verdict.verdict}: {detail}" if detail else verdict.verdict
     lines = textwrap.wrap(words, _LETTERS)
     return "\n".join([*lines[:1], shortened(lines[1], _LETTERS - 2)] if len(lines) > 1 else lines)

@@ -45,6 +45,10 @@ figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4
 .notice code { color: var(--warn); } .good { border-left-color: #2c8a57; background: #eef7f1; }
 details > summary { cursor: pointer; color: var(--accent); margin: 10px 0; }
 pre { background: var(--tint); padding: 10px; overflow-x: auto; font-size: 13px; }
+@media (max-width: 600px) {
+  body { padding: 16px 14px 48px; } th, td { padding: 3px 6px; white-space: normal; } table { font-size: 13px; }
+  figure { overflow-x: auto; } figure img { max-width: max(100%, 640px); }
+}
 @page { size: A4; margin: 14mm 12mm; }
 @media print {
   body { font-size: 10pt; max-width: none; padding: 0; } nav { display: none; } h1 { font-size: 17pt; }

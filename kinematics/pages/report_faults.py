@@ -282,4 +282,6 @@ def _chi2_table(result: Points2Dof) -> Markup:
             n_dof = int(np.sum(motion.n_dof[run, number][good]))
             p = float(chdtrc(n_dof, chi2)) if n_dof else float("nan")
             rows.append((run_name, body, f"{chi2:.6g}", n_dof, f"{chi2 / max(n_dof, 1):.3g}", chance(p)))
-    return page.table(("run", "body", "chi2", "degrees of freedom", "ratio", "p-value of a rigid body"), rows)
+    return page.table(
+        ("run", "body", "chi2", "degrees of freedom", "ratio", "p-value of a rigid body"), rows, named_by=2
+    )

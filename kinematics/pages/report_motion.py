@@ -60,7 +60,8 @@ def _moment_words(result: Points2Dof, now: Moment, scenery: Scenery) -> str:
         size = f"{now.largest_m:.3g} m per {unit} of {motion.reference}"
         scale = f"drawn as for {motion.reference} = {now.exaggeration * 1e3:.2g} m{unit}"
     else:
-        size = f"{now.largest_m * 1e9:.3g} nm (peak)"
+        small = now.largest_m < 1e-6
+        size = f"{now.largest_m * (1e9 if small else 1e6):.3g} {'nm' if small else 'µm'} (peak)"
         scale = f"{now.exaggeration:,.0f} times larger than life"
     own = surface_body(motion.bodies)
     which = "the stapes" if own is not None and len(motion.bodies) > 1 else "the body"

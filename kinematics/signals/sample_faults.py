@@ -71,7 +71,7 @@ def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str]
 
 
 def _listed(counts: Mapping[str, int], file: str) -> str:
-    return f"{', '.join(f'{name} {n}' for name, n in counts.items() if n)} of {file}"
+    return f"{', '.join(f'{name}: {n}' for name, n in counts.items() if n)}; {file}"
 
 
 def is_clipped(row: Array) -> bool:

@@ -188,7 +188,7 @@ def test_refusals_of_the_command(tmp_path):
             "--beam",
             "z",
         )
-    assert "--body must be left out for a tidy table, whose column body say it" in str(caught.value)
+    assert "--body must be left out for a tidy table, whose column body says it" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 2
     (tmp_path / "more").mkdir()
     tidy(tmp_path / "more" / "ldv.csv", [0])

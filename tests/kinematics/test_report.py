@@ -300,3 +300,15 @@ def test_a_large_measurement_makes_a_small_page_soon(tmp_path):
     text = (tmp_path / "dof.html").read_text(encoding="utf-8")
     assert len(picture(text)["freq"]) == 2500
     assert "2 of 600 channels have a verdict" in words(text)
+
+
+def test_a_stapes_far_from_the_footplate_is_told_of():
+    one = scene(3, lines=20)
+    near, far = body("stapes", one), body("stapes", one)
+    far = replace(far, positions_mm=far.positions_mm + np.array([12.0, -9.0, -3.0]))
+    codes = [
+        [notice.code for notice in points2dof(measurement(each, freq_hz=one.freq_hz)).notices]
+        for each in (near, far)
+    ]
+    assert "far_from_footplate" not in codes[0]
+    assert "far_from_footplate" in codes[1]
