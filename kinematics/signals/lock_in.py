@@ -22,6 +22,9 @@ _GAP = 3
 _NEAR = 0.35
 _SEEN = 1e-3
 _FEWEST_CYCLES = 4.0
+_LEAST_THIRD = 16
+_LEAST_BEND = 1e-3
+_BENDS = 7.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class SineFit:
         of all channels; changes below a thousandth of the amplitude do not count.
     share : ndarray, (channel,)
         Share of the power of the signal, its mean apart, that the line has.
+    run_hz : float
+        Change of the frequency from start to end of the record, ``freq_hz`` its mean; 0 where none is seen.
     """
 
     freq_hz: float
@@ -54,6 +59,7 @@ class SineFit:
     residual: ComplexArray
     unsteady: float
     share: Array
+    run_hz: float = 0.0
 
     @property
     def distortion(self) -> Array:
@@ -75,7 +81,8 @@ class SteppedSine:
     drift : int
         Degree of the polynomial fitted beside it: 0 offset, 1 linear drift.
     refine : bool
-        Find the frequency in the signals, for generators whose clock differs from the sampler's.
+        Find the frequency in the signals, for generators whose clock differs from the sampler's, and its run
+        within the step where that is seen.
 
     Raises
     ------
@@ -123,7 +130,7 @@ def fit_sine(
         The frequency lies above half the sampling rate or the record is shorter than four cycles or holds
         no such frequency.
     """
-    how = how or SteppedSine()
+    how, run_hz = how or SteppedSine(), 0.0
     signals = np.atleast_2d(np.asarray(signals, dtype=float))
     count = signals.shape[1]
     if not 0.0 < freq_hz < 0.499 * sample_rate_hz:
@@ -136,7 +143,8 @@ def fit_sine(
         raise KinematicsError(sentence("a step", "four cycles and 16 samples long", got, where, step))
     if how.refine:
         freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
-    base = _base(count, sample_rate_hz, freq_hz, how)
+        run_hz = _run(signals, sample_rate_hz, freq_hz, how)
+    base = _base(count, sample_rate_hz, freq_hz, how, run_hz)
     found = _solved(base, signals.T)
     left = signals - (base @ found).T
     orders = _orders(sample_rate_hz, freq_hz, how)
@@ -153,6 +161,7 @@ def fit_sine(
         residual,
         _unsteady(left, sample_rate_hz, freq_hz, pairs[:, 0], sd),
         0.5 * np.abs(pairs[:, 0]) ** 2 / power,
+        run_hz,
     )
 
 
@@ -161,9 +170,13 @@ def _orders(rate: float, freq: float, how: SteppedSine) -> int:
     return max(1, min(how.harmonics, int(0.49 * rate / freq)))
 
 
-def _base(count: int, rate: float, freq: float, how: SteppedSine) -> Array:
-    """Return cos and sin of the line and its harmonics, then the drift, (sample, column)."""
-    angle = 2.0 * np.pi * freq / rate * np.arange(count)
+def _base(count: int, rate: float, freq: float, how: SteppedSine, run_hz: float = 0.0) -> Array:
+    """Return cos and sin of the line and its harmonics, then the drift, (sample, column).
+
+    The phase of a frequency that runs evenly is that of its mean at both ends of the record.
+    """
+    place = np.arange(count)
+    angle = 2.0 * np.pi / rate * place * (freq + 0.5 * run_hz * (place / count - 1.0))
     columns = []
     for order in range(1, _orders(rate, freq, how) + 1):
         columns += [np.cos(order * angle), np.sin(order * angle)]
@@ -211,6 +224,31 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
         want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
         raise KinematicsError(sentence("the sine of a step", want, f"{found:.6g} Hz", where, step))
     return found
+
+
+def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
+    """Return by how much the frequency runs from start to end, Hz, from the phases of three thirds.
+
+    0 unless the bend of the phase is seven times what the noise of all channels makes of it: with the phase
+    variance v of a third it has 6 v.
+    """
+    third = signals.shape[1] // 3
+    if third < _LEAST_THIRD or third * freq / rate < _FEWEST_CYCLES:
+        return 0.0
+    base = _base(third, rate, freq, replace(how, drift=min(how.drift, 1)))
+    parts, noise = [], np.zeros(len(signals))
+    for number in range(3):
+        samples = signals[:, number * third : (number + 1) * third].T
+        fitted = _solved(base, samples)
+        parts.append(fitted[0] - 1j * fitted[1])
+        noise += np.mean((samples - base @ fitted) ** 2, axis=0) / 3.0
+    size = np.abs(parts[0] * parts[2]) * np.abs(parts[1]) ** 2
+    turn = parts[2] * parts[0] * np.conj(parts[1]) ** 2
+    weight = 0.5 * third * np.sqrt(size) / np.maximum(noise, 1e-20 * np.sqrt(size) + np.finfo(float).tiny)
+    bend = float(np.angle(np.sum(weight * turn / np.maximum(size, np.finfo(float).tiny))))
+    if abs(bend) < _LEAST_BEND or abs(bend) < _BENDS * np.sqrt(6.0 / max(float(np.sum(weight)), 1e-300)):
+        return 0.0
+    return bend * rate / (2.0 * np.pi * third**2) * signals.shape[1]
 
 
 def _near(left: Array, rate: float, freq: float) -> ComplexArray:

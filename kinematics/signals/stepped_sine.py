@@ -223,6 +223,14 @@ def _step_notices(fits: list[tuple[float, SineFit]]) -> list[Notice]:
             "of each step settle."
         )
         notices.append(Notice("not_steady", text))
+    running = [(abs(fit.run_hz) / nominal, nominal) for nominal, fit in fits if fit.run_hz]
+    if running:
+        most, place = max(running)
+        text = (
+            f"the frequency runs within {len(running)} of {len(fits)} steps, by up to {1e6 * most:.4g} ppm "
+            f"at {place:g} Hz: it was followed, and responses are those at its mean."
+        )
+        notices.append(Notice("frequency_runs", text))
     loud = [(float(np.max(_real_distortion(fit))), nominal) for nominal, fit in fits]
     worst, place = max(loud)
     if worst > 0.05:

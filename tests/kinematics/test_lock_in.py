@@ -172,3 +172,32 @@ def test_the_faults_of_all_steps_are_told_at_once(estimate):
     told = str(caught.value).splitlines()
     places = [f"step 2 at {RATE:g} Hz", "step 3 at 500 Hz", "step 4 at 800 Hz"]
     assert [place in line for place, line in zip(places, told, strict=True)] == [True] * 3
+
+
+@pytest.mark.parametrize("run_hz", [2.0, -6.0])
+def test_a_frequency_that_runs_within_a_step_is_followed(run_hz):
+    """Amplitudes and phases at its mean are exact; a fit of one frequency would lose amplitude."""
+    phase = 2.0 * np.pi * TIME * (700.0 + 0.5 * run_hz * (TIME * RATE / COUNT - 1.0))
+    fit = fit_sine(np.vstack([np.cos(phase + 0.3), 2.0 * np.sin(phase)]), RATE, 700.0)
+    assert fit.freq_hz == pytest.approx(700.0, abs=5e-3)
+    assert fit.run_hz == pytest.approx(run_hz, rel=2e-3)
+    np.testing.assert_allclose(np.abs(fit.amplitude), [1.0, 2.0], rtol=2e-4)
+    assert fit.amplitude[0] / fit.amplitude[1] == pytest.approx(
+        0.5 * np.exp(1j * (0.3 + np.pi / 2)), rel=1e-4
+    )
+    plain = fit_sine(np.cos(phase + 0.3), RATE, 700.0, SteppedSine(refine=False))
+    assert abs(abs(plain.amplitude[0]) - 1.0) > 1e-3
+
+
+def test_a_running_frequency_is_told_and_noise_is_none():
+    rng = np.random.default_rng(6)
+    steps = []
+    for freq in FREQ:
+        wave = np.exp(2j * np.pi * TIME * (freq + 0.5e-3 * freq * (TIME * RATE / COUNT - 1.0)))
+        steps.append(Step(freq, wave.real, np.real(GAINS * wave) + 0.05 * rng.standard_normal((4, COUNT))))
+    made = stepped_frf(steps, RATE, SteppedSine(settle=0.0))
+    (text,) = [one.text for one in made.notices if one.code == "frequency_runs"]
+    assert "1e+03 ppm" not in text
+    assert np.mean(np.abs(made.value - GAINS) ** 2 / 2.0 / made.sd**2) < 1.6
+    still = [record(rng, f, out_noise=0.3) for f in FREQ]
+    assert not [one for one in stepped_frf(still, RATE).notices if one.code == "frequency_runs"]
