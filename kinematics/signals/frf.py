@@ -37,6 +37,7 @@ Records = Sequence[tuple[Array, Array]]
 _FEWEST = 3
 _STEADY = 100
 _FEW = 5.0
+_SEEN_BIAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -215,6 +216,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         common = steady_common(common, width)
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
     notices = _notices(common_sd, common / gxx, averages, how)
+    notices += _high_notice(own / np.maximum(gyy - own, tiny), value, variance, how)
     if how.window == "none":
         notices += edge_notice([records[0][1][:, : how.segment]])
     sd = np.sqrt(0.5 * variance)
@@ -246,6 +248,37 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
         text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
         notices.append(Notice("few_averages", text))
     return notices
+
+
+def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -> list[Notice]:
+    """Warn where H2 or Hv reads channels high by their own noise, each by its own factor.
+
+    Parameters
+    ----------
+    own : ndarray, (channel, freq)
+        Power of each channel's own noise over that of its signal.
+    value : ndarray, (channel, freq), complex
+    variance : ndarray, (channel, freq)
+        E|dH|^2.
+
+    Notes
+    -----
+    H2 is high by 1 + noise over signal in the response, the geometric mean by the root of it (Bendat and
+    Piersol 2010, sec. 6.1.4); over the lines the sum of it stands out from noise by the root of their number.
+    """
+    if how.estimator == "h1" or how.noise_ratio is not None:
+        return []
+    high = own if how.estimator == "h2" else 0.5 * own
+    seen = np.sum(high**2 * np.abs(value) ** 2 / np.maximum(variance, np.finfo(float).tiny), axis=1)
+    if np.max(seen) < _SEEN_BIAS**2:
+        return []
+    worst = float(np.max(np.median(high, axis=1)))
+    text = (
+        f"{how.estimator.upper()} reads every channel high by its own noise, by up to {100.0 * worst:.2g} % "
+        "(median over the lines of the noisiest channel), each by its own factor: that is not in their "
+        "stated noise and looks like gain errors of channels. H1 is free of it."
+    )
+    return [Notice("estimator_bias", text)]
 
 
 def _spectrum(signal: Array, taper: Array, lines: slice) -> ComplexArray:

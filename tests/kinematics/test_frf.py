@@ -234,3 +234,19 @@ def test_options_out_of_range(make, message):
 def test_segments_fill_a_record():
     length = segment_for(10000, 30, 0.5)
     assert 1 + (10000 - length) // Welch(length).hop == 30
+
+
+@pytest.mark.parametrize("estimator", ["h1", "h2", "hv"])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_noise_of_channels_that_an_estimator_takes_for_signal_is_told(estimator, noise):
+    rng = np.random.default_rng(12)
+    drive = rng.standard_normal(30_000)
+    answer = np.array([[1.0], [2.0], [3.0], [0.5]]) * drive
+    answer = answer + noise * rng.standard_normal(answer.shape)
+    drive = drive + 0.2 * rng.standard_normal(len(drive))
+    made = welch_frf([(drive, answer)], 8192.0, Welch(512, estimator=estimator))
+    told = [one.text for one in made.notices if one.code == "estimator_bias"]
+    assert bool(told) == (estimator != "h1" and noise > 0.0)
+    if told:
+        high = 0.36 if estimator == "h2" else 0.18
+        assert np.median(np.abs(made.value[3])) / np.median(np.abs(made.value[1])) * 4.0 > 1.0 + 0.6 * high
