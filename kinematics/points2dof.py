@@ -14,7 +14,6 @@ from kinematics.errors import KinematicsError, raise_all, sentence
 from kinematics.faults.across import told_across
 from kinematics.faults.across_lines import column_offset, exchanged_lines
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.lone_lines import lone_lines
 from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.phase import phase_notice
 from kinematics.faults.records import searched_body
@@ -243,7 +242,7 @@ def points2dof(
 
 def _uncommon_lines(placed: Measurement) -> list[Notice]:
     """Tell which bodies were not measured at all lines of the others."""
-    measured = [np.any(np.isfinite(body.displacement.real), axis=(0, 1)) for body in placed.bodies]
+    measured = [_measured_lines(body) for body in placed.bodies]
     counts = [int(np.sum(lines)) for lines in measured]
     if all(count == len(placed.freq_hz) for count in counts):
         return []
@@ -255,6 +254,16 @@ def _uncommon_lines(placed: Measurement) -> list[Notice]:
     )
     text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
     return [Notice("frequencies_differ", text)]
+
+
+def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:
+    """Return the lines (freq,) at which any channel of any run was measured."""
+    found = np.zeros(body.displacement.shape[2], dtype=bool)
+    for at in np.ndindex(body.displacement.shape[:2]):
+        found |= np.isfinite(body.displacement[at].real)
+        if np.all(found):
+            break
+    return found
 
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
@@ -306,8 +315,6 @@ def _body_notices(
     where = f" in run {placed.runs[run]}" if several else ""
     notices = fault_notices(placed.runs[run], body, diagnosis, several)
     notices += neglected_notice(fit, body, where)
-    if not diagnosis.findings and fit.robust == "none":
-        notices += lone_lines(fit, body, placed.freq_hz, where)
     if not np.all(fit.solution.good):
         measured = np.any(np.isfinite(body.displacement[run].real), axis=0)
         lost = int(np.sum(~fit.solution.good & measured))

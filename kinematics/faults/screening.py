@@ -74,17 +74,18 @@ def empty_faults(measurement: Measurement) -> list[str]:
     faults = []
     file = ", ".join(path.name for role, path in measurement.inputs.items() if role.startswith("ldv"))
     for body in measurement.bodies:
-        usable = np.isfinite(body.displacement)
-        if body.sd is not None:
-            usable &= np.isfinite(body.sd)
         thing = f"the values of body {body.body}"
-        if not np.any(usable):
+        places = list(np.ndindex(body.displacement.shape[:2]))
+        if not any(np.any(_usable(body, place)) for place in places):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
             faults.append(sentence(thing, "numbers in some rows at least", got, file, step))
             continue
         if body.sd is not None and not body.relative:
             continue
+        usable = np.isfinite(body.displacement)
+        if body.sd is not None:
+            usable &= np.isfinite(body.sd)
         for run, name in enumerate(measurement.runs):
             if np.any(usable[run]) and not np.any(np.abs(body.displacement[run][usable[run]])):
                 where = f"run {name}" if len(measurement.runs) > 1 else ""
@@ -94,6 +95,12 @@ def empty_faults(measurement: Measurement) -> list[str]:
     return faults
 
 
+def _usable(body: BodyChannels, place: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tell which values (freq,) of a run and channel are numbers, as are their sd."""
+    there = np.isfinite(body.displacement[place])
+    return there if body.sd is None else np.asarray(there & np.isfinite(body.sd[place]))
+
+
 def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) -> Screened:
     """Set aside values that are exactly zero although the body moves there.
 
@@ -101,14 +108,16 @@ def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) ->
     they cannot tell without it.
     """
     value = body.displacement
-    zero = (value.real == 0.0) & (value.imag == 0.0)
+    zero = value == 0.0
     unused: list[dict[int, str]] = []
     texts: list[str] = []
     drop = np.zeros(value.shape, dtype=bool)
     for run, name in enumerate(runs):
         marks: dict[int, str] = {}
         where = f" in run {name}" if len(runs) > 1 else ""
-        dead = [c for c in range(value.shape[1]) if np.all(zero[run, c] | np.isnan(value[run, c].real))]
+        first = value[run, :, :1].real
+        doubtful = np.flatnonzero(np.all(zero[run, :, :1] | np.isnan(first), axis=1)).tolist()
+        dead = [c for c in doubtful if np.all(zero[run, c] | np.isnan(value[run, c].real))]
         silent = [c for c in dead if not np.any(zero[run, c])]
         dead = [c for c in dead if c not in silent]
         if dead and _moves(body, run, dead, dof):
@@ -124,7 +133,8 @@ def screened(body: BodyChannels, runs: tuple[str, ...], dof: tuple[str, ...]) ->
             drop[run] |= some
             texts.append(f"{int(np.sum(some))} single values of body {body.body}{where} are exactly zero")
         if body.sd is not None:
-            for c in range(value.shape[1]):
+            sure = np.any(np.isfinite(body.sd[run, :, :1]) & np.isfinite(first), axis=1)
+            for c in np.flatnonzero(~sure).tolist():
                 if c not in marks and not np.any(
                     np.isfinite(body.sd[run, c]) & np.isfinite(value[run, c].real)
                 ):
