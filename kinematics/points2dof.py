@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.faults.across import told_across
-from kinematics.faults.across_lines import column_offset, exchanged_lines
+from kinematics.faults.across.all_bodies import told_across
+from kinematics.faults.across.lines import column_offset, exchanged_lines
+from kinematics.faults.across.phase import phase_notice
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.neglected import neglected_notice
-from kinematics.faults.phase import phase_notice
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.compact import Compact
 from kinematics.faults.findings import Finding
+from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Find which channel, point or body does not fit a rigid motion, and what is wrong with it.
 
-The lines are packed first (kinematics.faults.compact). Score tests of every kind of fault at every place,
+The lines are packed first (faults/packed). Score tests of every kind of fault at every place,
 corrected for their number, say whether anything is wrong; the most significant suspects are then fitted and
 weighed by their evidence. The culprit is left out, or corrected where all beams are concerned, and the search
 repeated, so that one culprit is not blamed on its neighbours; with several culprits each is judged again at
@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.adequate import account_for_it, corrected
-from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding, can_lose
 from kinematics.faults.masked import masked_pair
-from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
-from kinematics.faults.refilling import filled_freely, refilled
+from kinematics.faults.noise.unknown_noise import evened
+from kinematics.faults.packed.compact import Compact
+from kinematics.faults.packed.mixing import Mixing, block_covariance, by_chance, scaled
+from kinematics.faults.packed.refilling import filled_freely, refilled
 from kinematics.faults.scattered import scattered
 from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.structure import Structure
-from kinematics.faults.unknown_noise import evened
 from kinematics.fit.beams import BeamSet
 
 Array = NDArray[np.float64]

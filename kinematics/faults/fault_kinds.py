@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.compact import Compact
+from kinematics.faults.packed.compact import Compact
 from kinematics.frames import rotation_from_vector
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import FaultFit
+from kinematics.faults.packed.compact import Compact
 
 
 @dataclass(frozen=True)

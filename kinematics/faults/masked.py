@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.adequate import account_for_it, corrected
-from kinematics.faults.compact import Compact
 from kinematics.faults.findings import Finding, can_lose
+from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.across import diagnosed
 from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.faults.neglected import extended_beams
 from kinematics.fit.noise import with_noise

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.compact import Compact
 from kinematics.faults.fault_kinds import Fault
+from kinematics.faults.packed.compact import Compact
 from kinematics.faults.refit import SMALL, Others, Places, Refit, Shifts, inverse_of
 from kinematics.spatial import dof_indices
 

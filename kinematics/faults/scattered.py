@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import State, solve
 from kinematics.faults.findings import Finding
+from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
 from kinematics.spatial import dof_indices
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults import fault_kinds as kinds
-from kinematics.faults.channel_noise import ChannelNoise
-from kinematics.faults.compact import Compact
 from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, State, fit_fault, objective, solve, static
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.mixing import Mixing, axes_of, block_covariance, scaled
-from kinematics.faults.noisy import ALARM_SHARE, noisy
+from kinematics.faults.noise.channel_noise import ChannelNoise
+from kinematics.faults.noise.noisy import ALARM_SHARE, noisy
+from kinematics.faults.packed.compact import Compact
+from kinematics.faults.packed.mixing import Mixing, axes_of, block_covariance, scaled
 from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
 from kinematics.faults.structure import Structure, structure_of

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.across_blocks import label_findings
-from kinematics.faults.across_motion import chosen_lines, cleared
+from kinematics.faults.across.cleared import chosen_lines, cleared
+from kinematics.faults.across.labels import label_findings
 from kinematics.points2dof import points2dof
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted, study
 

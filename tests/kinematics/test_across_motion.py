@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinematics.faults.across_motion import _Sums
+from kinematics.faults.across.cleared import _Sums
 
 
 def energy_left(basis, weight, value, kept):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.across import diagnosed
+from kinematics.faults.each_body import diagnosed
 from kinematics.fit.noise import with_noise
 from kinematics.fit.record_noise import cautious
 from kinematics.measurement import RecordNoise, from_arrays

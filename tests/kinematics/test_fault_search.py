@@ -10,9 +10,9 @@ import pytest
 from benchmarks.fault_scenes import bound, measured, two_faults
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.faults.compact import compact
 from kinematics.faults.fault_kinds import gain
 from kinematics.faults.fault_model import fit_fault, solve, static
+from kinematics.faults.packed.compact import compact
 from kinematics.faults.refit import Places
 from kinematics.faults.score_tests import ScoreTests, batches
 from kinematics.faults.search import Search

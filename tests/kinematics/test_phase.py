@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.across_bodies import ligament_test
-from kinematics.faults.phase import phase_notice
+from kinematics.faults.across.ligament import ligament_test
+from kinematics.faults.across.phase import phase_notice
 from kinematics.frames import rotation_from_vector
 from kinematics.motion import RigidMotion
 from kinematics.points2dof import points2dof

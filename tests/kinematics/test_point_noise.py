@@ -10,10 +10,10 @@ import pytest
 from benchmarks.fault_scenes import bound
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.faults.compact import compact
 from kinematics.faults.fault_kinds import drift, gain, position
 from kinematics.faults.fault_model import fit_fault, solve, static
-from kinematics.faults.mixing import Mixing, block_covariance, by_chance, scaled
+from kinematics.faults.packed.compact import compact
+from kinematics.faults.packed.mixing import Mixing, block_covariance, by_chance, scaled
 from kinematics.faults.refit import Others, Places, Refit
 from kinematics.faults.score_tests import ScoreTests, axes_batch, batches
 from kinematics.fit.beams import beam_set

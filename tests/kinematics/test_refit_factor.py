@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.faults.compact import compact
 from kinematics.faults.fault_kinds import delay, drift, gain
+from kinematics.faults.packed.compact import compact
 from kinematics.faults.refit import Places, Refit
 from kinematics.faults.refit_factor import FactorRefit, refit
 from kinematics.fit.beams import beam_set

@@ -9,10 +9,10 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
-from kinematics.faults.channel_noise import own_noise
-from kinematics.faults.compact import compact
 from kinematics.faults.fault_model import solve
-from kinematics.faults.unknown_noise import evened
+from kinematics.faults.noise.channel_noise import own_noise
+from kinematics.faults.noise.unknown_noise import evened
+from kinematics.faults.packed.compact import compact
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.spatial import DOF_NAMES

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.faults.compact import compact
-from kinematics.faults.fill import Gaps
-from kinematics.faults.whole_lines import measured
+from kinematics.faults.packed.compact import compact
+from kinematics.faults.packed.fill import Gaps
+from kinematics.faults.packed.whole_lines import measured
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.spatial import DOF_NAMES

@@ -1,4 +1,4 @@
-"""Search each body and run for faults, and then all of them together for rows under a wrong label."""
+"""Search all bodies and runs together for rows under a wrong label."""
 
 from __future__ import annotations
 
@@ -7,49 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.across_blocks import label_findings
-from kinematics.faults.across_lines import loud_lines
-from kinematics.faults.across_motion import Cleared, chosen_lines, cleared
-from kinematics.faults.compact import compact
-from kinematics.faults.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
+from kinematics.faults.across.cleared import Cleared, chosen_lines, cleared
+from kinematics.faults.across.labels import label_findings
+from kinematics.faults.across.lines import loud_lines
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.faults.neglected import extended_beams
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_course import noise_course
-from kinematics.fit.record_noise import holds_record_noise
-from kinematics.fit.rigid_fit import LineFit, refitted
-from kinematics.measurement import BodyChannels, Measurement
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
 
 Key = tuple[int, int]
-
-
-def diagnosed(
-    placed: Measurement, body: BodyChannels, fit: LineFit, known: bool, without: list[int] | None = None
-) -> Diagnosis:
-    """Search one body in one run for faults, with all degrees of freedom that the beams observe.
-
-    Parameters
-    ----------
-    placed : Measurement
-    body : BodyChannels
-    fit : LineFit
-        Of the degrees of freedom that are wanted.
-    known : bool
-        The noise is stated.
-    without : list of int, optional
-        Channels whose fault is known already.
-    """
-    lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
-    if lines < 3 or fit.is_rounding():
-        return nothing_found(fit.beams, fit.sd)
-    whole = fit
-    if len(fit.beams.dof) < 6:
-        whole = refitted(extended_beams(body, fit.beams.dof), fit)
-    data = compact(whole, body, placed.freq_hz, known, placed.line_spread)
-    if without:
-        data = data.without(without).repacked()
-    alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
-    return diagnose(data, body.position_sd_mm * 1e-3, known, alarm, holds_record_noise(placed, body))
 
 
 def told_across(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.packing import motion_of
+from kinematics.faults.packed.gathering import motion_of
 from kinematics.fit.line_kernels import mixed
 from kinematics.fit.line_noise import blocks
 from kinematics.fit.line_sums import Solution

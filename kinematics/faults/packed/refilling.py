@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kinematics.faults.compact import Compact
 from kinematics.faults.findings import Finding
+from kinematics.faults.packed.compact import Compact
 
 
 def filled_freely(data: Compact) -> bool:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.fill import Filled, FilledLines, Gaps
-from kinematics.faults.mixing import Mixing
-from kinematics.faults.packing import Measured, gathering, motion_of
-from kinematics.faults.whole_lines import measured
+from kinematics.faults.packed.fill import Filled, FilledLines, Gaps
+from kinematics.faults.packed.gathering import Measured, gathering, motion_of
+from kinematics.faults.packed.mixing import Mixing
+from kinematics.faults.packed.whole_lines import measured
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.noise_course import noise_course

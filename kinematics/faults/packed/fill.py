@@ -1,6 +1,6 @@
 """What stands in place of missing readings: what a channel's other lines show, whatever fault it has.
 
-Lines are packed as unitary mixtures (kinematics.faults.compact), which needs a reading of every channel at
+Lines are packed as unitary mixtures (faults/packed), which needs a reading of every channel at
 every line. The motion of a line with gaps follows a fault more closely where the channel was measured than
 where it is missing; of a large fault that is a pattern of its own that no fault of one channel makes. Faults
 that last change the rows B of y = B z + noise to others, A, and leave the rank as it is: where they are
@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.known_share import LEAST, brought, shares_of
-from kinematics.faults.whole_lines import mixed_whole, motion_whole
+from kinematics.faults.packed.known_share import LEAST, brought, shares_of
+from kinematics.faults.packed.whole_lines import mixed_whole, motion_whole
 from kinematics.fit.line_noise import blocks
 
 Array = NDArray[np.float64]

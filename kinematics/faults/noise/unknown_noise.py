@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.channel_noise import ChannelNoise
-from kinematics.faults.compact import Compact
 from kinematics.faults.fault_model import State, solve
-from kinematics.faults.mixing import axes_of
+from kinematics.faults.noise.channel_noise import ChannelNoise
+from kinematics.faults.packed.compact import Compact
+from kinematics.faults.packed.mixing import axes_of
 
 Array = NDArray[np.float64]
 # How many times the sd of the others noise must be to be called a fault.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.across_motion import REACH, Cleared
+from kinematics.faults.across.cleared import REACH, Cleared
 from kinematics.faults.findings import Finding
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.across_bodies import Ligament, ligament_test
+from kinematics.faults.across.ligament import Ligament, ligament_test
 from kinematics.mass_record import MassRecord
 from kinematics.motion import RigidMotion
 from kinematics.motion_files import standard_deviation

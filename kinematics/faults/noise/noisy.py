@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.channel_noise import own_noise
 from kinematics.faults.fault_model import State
 from kinematics.faults.findings import Finding
-from kinematics.faults.unknown_noise import NOISY
+from kinematics.faults.noise.channel_noise import own_noise
+from kinematics.faults.noise.unknown_noise import NOISY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

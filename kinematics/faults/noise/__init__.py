@@ -1,0 +1,1 @@
+"""How much noise each channel has, and which channels have more than they should."""
