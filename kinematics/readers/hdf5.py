@@ -342,12 +342,12 @@ def write_hdf5(
             file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
             file.attrs["convention"] = "+"
             file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"
-            file["freq_hz"] = np.asarray(freq_hz, dtype=float)
-            file["re"], file["im"] = numbers.real, numbers.imag
+            for name, array in (("freq_hz", freq_hz), ("re", numbers.real), ("im", numbers.imag)):
+                _put(file, name, array)
             more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
             for name, array in {"direction": direction, **more}.items():
                 if array is not None:
-                    file[name] = np.asarray(array, dtype=float)
+                    _put(file, name, array)
             texts = {
                 "point": point,
                 "run": run,
@@ -358,3 +358,10 @@ def write_hdf5(
                     file.create_dataset(name, data=list(words), dtype=h5py.string_dtype())
         with opened(stage / path.name, path.name) as file:
             _own(file, path.name)
+
+
+def _put(file: Any, name: str, values: Any) -> None:
+    """Store numbers with checksums, so that a damaged file is refused instead of read."""
+    array = np.asarray(values, dtype=float)
+    checked = {"fletcher32": True} if array.ndim and array.size else {}
+    file.create_dataset(name, data=array, **checked)

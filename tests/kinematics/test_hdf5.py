@@ -231,3 +231,16 @@ def test_all_faults_of_a_file_are_told_together(tmp_path):
         read(path)
     assert "freq_hz must be ascending and finite; got 1.0 at place 5" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    "numbers", [FREQ, VALUE.real, VALUE.imag, PLACES], ids=["freq", "re", "im", "places"]
+)
+def test_a_damaged_number_of_a_written_file_is_told(tmp_path, numbers):
+    path = written(tmp_path / "ldv.h5")
+    whole = path.read_bytes()
+    place = whole.index(np.ascontiguousarray(numbers).tobytes()[:32]) + 6
+    path.write_bytes(whole[:place] + bytes([whole[place] ^ 2]) + whole[place + 1 :])
+    with pytest.raises(KinematicsError, match=r"ldv\.h5") as caught:
+        read(path)
+    assert " must be " in str(caught.value)
