@@ -38,6 +38,7 @@ _FEWEST = 3
 _STEADY = 100
 _FEW = 5.0
 _SEEN_BIAS = 3.0
+_LEAST_TOGETHER = 3
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         common = steady_common(common, width)
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
     notices = _notices(common_sd, common / gxx, averages, how)
-    notices += _high_notice(own / np.maximum(gyy - own, tiny), value, variance, how)
+    notices += _high_notice(own / np.maximum(gyy - own, 0.1 * gyy + tiny), value, variance, how)
     if how.window == "none":
         notices += edge_notice([records[0][1][:, : how.segment]])
     sd = np.sqrt(0.5 * variance)
@@ -256,7 +257,8 @@ def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -
     Parameters
     ----------
     own : ndarray, (channel, freq)
-        Power of each channel's own noise over that of its signal.
+        Power of each channel's own noise over that of its signal; of fewer than three channels it is not
+        told from the noise of the reference.
     value : ndarray, (channel, freq), complex
     variance : ndarray, (channel, freq)
         E|dH|^2.
@@ -266,7 +268,7 @@ def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -
     H2 is high by 1 + noise over signal in the response, the geometric mean by the root of it (Bendat and
     Piersol 2010, sec. 6.1.4); over the lines the sum of it stands out from noise by the root of their number.
     """
-    if how.estimator == "h1" or how.noise_ratio is not None:
+    if how.estimator == "h1" or how.noise_ratio is not None or len(own) < _LEAST_TOGETHER:
         return []
     high = own if how.estimator == "h2" else 0.5 * own
     seen = np.sum(high**2 * np.abs(value) ** 2 / np.maximum(variance, np.finfo(float).tiny), axis=1)
