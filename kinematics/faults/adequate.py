@@ -12,6 +12,8 @@ from kinematics.faults.search import Search
 Array = NDArray[np.float64]
 # What may remain: so many standard deviations of the energy of noise, or this share of what there was.
 _SURE, _SHARE = 6.0, 0.02
+# From so many residual directions on, a misfit of one channel alone is that channel's.
+_MANY = 30
 
 
 def corrected(data: Compact, findings: list[Finding]) -> Compact:
@@ -39,7 +41,8 @@ def account_for_it(first: Search, after: Search, findings: list[Finding]) -> boo
     Notes
     -----
     The residual energy of n complex values of unit variance is n +- sqrt(n). A single channel is believed
-    whose residuals are its motion times a factor with any course over the measurement.
+    whose residuals are its motion times a factor with any course over the measurement, or that stands alone
+    among many: a body that bends shows in several of these, a beam that reads motion of its own in one.
     """
     scale = min(first.scale, after.scale)
     before, _ = _excess(first, scale)
@@ -47,7 +50,10 @@ def account_for_it(first: Search, after: Search, findings: list[Finding]) -> boo
     if left < _SURE * spread or left < _SHARE * before:
         return True
     only = findings[0]
-    return len(findings) == 1 and len(only.channels) == 1 and _own_course(first, only.channels[0], scale)
+    if len(findings) > 1 or len(only.channels) > 1:
+        return False
+    alone = len(first.live) - first.state.span.shape[1] >= _MANY
+    return alone or _own_course(first, only.channels[0], scale)
 
 
 def _excess(search: Search, scale: float) -> tuple[float, float]:

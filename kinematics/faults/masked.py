@@ -34,7 +34,8 @@ def masked_pair(
     -------
     (list of Finding, Search) or None
         None where no two channels at different points explain what was found, or where their faults, undone
-        by their estimates, leave more than noise.
+        by their estimates, leave more than noise. Faults that drift are left: two of them have enough
+        parameters to pass for a body that bends.
     """
     for one, two in _pairs(first):
         if not can_lose(data, [one, two]):
@@ -44,6 +45,8 @@ def masked_pair(
             continue
         findings = [searched(data.without([other]).repacked()).best() for other in (two, one)]
         told = [found for found in findings if found is not None and found.fit is not None]
+        if any(found.kind == "drift" for found in told):
+            continue
         if [found.channels for found in told] != [[one], [two]]:
             continue
         if account_for_it(first, searched(corrected(data, told)), told):

@@ -15,6 +15,7 @@ from kinematics.notices import Notice
 
 Array = NDArray[np.float64]
 _SIGN = 0.35
+_ALONG = 0.999
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,14 @@ def describe(finding: Finding, body: BodyChannels) -> tuple[str, str]:
             else f" of {_channel_list(rival.channels, body)}"
         )
         others.append(f"{name}{where} ({size})")
+    if verdict in ("position", "drift") and len(finding.channels) == 1 and _parallel(body):
+        others.append("a beam off its direction, which reads motion that parallel beams do not see")
     return verdict, "; not told apart from ".join([estimate, " or ".join(others)]) if others else estimate
+
+
+def _parallel(body: BodyChannels) -> bool:
+    """Tell whether all beams of a body are parallel."""
+    return bool(np.all(np.abs(body.directions @ body.directions[0]) > _ALONG))
 
 
 def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:

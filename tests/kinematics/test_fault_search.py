@@ -167,3 +167,15 @@ def test_two_large_faults_that_hide_each_other_are_both_named():
     made = two_faults(41_006, "stapes, 10 points 3D", ("sign", "sign"))
     found = {c: v.verdict for c, v in enumerate(run(made, 41_006).channels) if v.verdict != "ok"}
     assert found == dict.fromkeys(made.culprits, "sign")
+
+
+def test_a_body_that_bends_is_not_taken_for_two_channels_that_drift():
+    made = drawn(31_017, "footplate, 5 points 3D", "flexible 3 %")
+    assert {v.verdict for v in run(made, 31_017).channels} == {"flexible"}
+
+
+def test_a_beam_that_reads_motion_of_its_own_is_no_body_that_bends_and_may_be_off_its_direction():
+    made = drawn(31_008, "1D, 40 points", "direction 3 deg")
+    found = {c: v for c, v in enumerate(run(made, 31_008).channels) if v.verdict != "ok"}
+    assert list(found) == made.culprits
+    assert "a beam off its direction" in found[made.culprits[0]].estimate
