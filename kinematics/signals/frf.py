@@ -248,6 +248,12 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
     if averages < _FEW:
         text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
         notices.append(Notice("few_averages", text))
+    if how.window == "flattop":
+        text = (
+            "a flattop window is made for single sines: it spreads every line of random excitation over four, "
+            "which smears responses by more than their noise shows. Take --window hann or --frf lpm."
+        )
+        notices.append(Notice("window_wide", text))
     return notices
 
 

@@ -250,3 +250,10 @@ def test_noise_of_channels_that_an_estimator_takes_for_signal_is_told(estimator,
     if told:
         high = 0.36 if estimator == "h2" else 0.18
         assert np.median(np.abs(made.value[3])) / np.median(np.abs(made.value[1])) * 4.0 > 1.0 + 0.6 * high
+
+
+@pytest.mark.parametrize("window", ["hann", "flattop"])
+def test_a_window_that_is_made_for_sines_is_told(window):
+    rng = np.random.default_rng(13)
+    made = welch_frf([random_record(rng, 0.0, 0.1)], RATE, Welch(256, window))
+    assert bool([one for one in made.notices if one.code == "window_wide"]) == (window == "flattop")
