@@ -345,9 +345,9 @@ def write_hdf5(
             for name, array in (("freq_hz", freq_hz), ("re", numbers.real), ("im", numbers.imag)):
                 _put(file, name, array)
             more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
-            for name, array in {"direction": direction, **more}.items():
-                if array is not None:
-                    _put(file, name, array)
+            for name, given in {"direction": direction, **more}.items():
+                if given is not None:
+                    _put(file, name, given)
             texts = {
                 "point": point,
                 "run": run,
