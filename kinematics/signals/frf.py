@@ -29,6 +29,7 @@ from kinematics.signals.frf_noise import (
     steady_common,
 )
 from kinematics.signals.leakage import bend_notice, edge_notice
+from kinematics.signals.record_delays import delay_notice
 from kinematics.signals.series_options import ESTIMATORS, WINDOWS
 
 Array = NDArray[np.float64]
@@ -218,6 +219,10 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     common_sd = np.sqrt(common / (2.0 * max(averages - 1.0, 1e-3) * gxx))
     notices = _notices(common_sd, common / gxx, averages, how)
     notices += _high_notice(own / np.maximum(gyy - own, 0.1 * gyy + tiny), value, variance, how)
+    if len(records) >= _FEWEST and np.any(common > 0.0):
+        firsts = [(_spectrum(x[: how.segment], taper, lines), y[:, : how.segment]) for x, y in records]
+        pairs = ((x, _spectrum(y, taper, lines)) for x, y in firsts)
+        notices += delay_notice(pairs, freq, value, variance, gxx, sample_rate_hz)
     if how.window == "none":
         notices += edge_notice([records[0][1][:, : how.segment]])
     sd = np.sqrt(0.5 * variance)
@@ -250,8 +255,8 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
         notices.append(Notice("few_averages", text))
     if how.window == "flattop":
         text = (
-            "a flattop window is made for single sines: it spreads every line of random excitation over four, "
-            "which smears responses by more than their noise shows. Take --window hann or --frf lpm."
+            "a flattop window is made for single sines: it spreads every line of random excitation over "
+            "four, which smears responses by more than their noise shows. Take --window hann or --frf lpm."
         )
         notices.append(Notice("window_wide", text))
     return notices

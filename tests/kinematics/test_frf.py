@@ -257,3 +257,20 @@ def test_a_window_that_is_made_for_sines_is_told(window):
     rng = np.random.default_rng(13)
     made = welch_frf([random_record(rng, 0.0, 0.1)], RATE, Welch(256, window))
     assert bool([one for one in made.notices if one.code == "window_wide"]) == (window == "flattop")
+
+
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize("noise", [0.01, 0.3])
+def test_records_whose_reference_is_late_are_told(late, noise):
+    rng = np.random.default_rng(14)
+    records = []
+    for number in range(8):
+        drive, answer = random_record(rng, 0.0, 0.05, gains=np.array([[1.0], [2.0], [-1.5], [0.7]]))
+        drive = np.roll(drive, late) if number == 4 else drive
+        records.append((drive + noise * rng.standard_normal(len(drive)), answer))
+    notices = welch_frf(records, RATE, Welch(512)).notices
+    told = [one.text for one in notices if one.code == "records_late"]
+    assert bool(told) == bool(late)
+    if late:
+        assert told[0].startswith("1 of 8 records")
+        assert "(record 5)" in told[0]
