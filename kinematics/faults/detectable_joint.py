@@ -16,7 +16,9 @@ from kinematics.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Errors for which effects are stated (they are in proportion), and how parallel beams of one direction are.
 TURN_DEG, SHIFT_UM, PARALLEL = 1.0, 50.0, 1e-4
+# Numbers that are held at once; lines and points that are looked at, which bound the time.
 _HELD = 3_000_000
 _MOST_LINES, _MOST_POINTS = 400, 60
 

@@ -13,7 +13,9 @@ from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
 
 Array = NDArray[np.float64]
+# Channels up to which all pairs are compared (the memory goes with the square), and pairs that are tried.
 _MOST, _TRIED = 600, 3
+# The share of the misfit that a pair must explain, and of information below which a pair cannot be told.
 _EXPLAINED, _UNSEEN = 0.9, 1e-6
 
 

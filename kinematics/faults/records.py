@@ -16,7 +16,9 @@ from kinematics.fit.record_noise import cautious
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
+# Owners of faults that concern more than one point.
 _WHOLE = ("laser", "lasers", "body")
+# How many of the loudest channels of each search are tried alone.
 _TRIED = 3
 
 

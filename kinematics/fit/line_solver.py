@@ -15,6 +15,7 @@ from kinematics.fit.line_sums import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Lines that are solved one by one where channels come and go: first few, then twice as many each time.
 _FEW, _MANY = 64, 1024
 
 

@@ -15,7 +15,9 @@ from kinematics.notices import Notice
 ComplexArray = NDArray[np.complex128]
 _CLEAR = 10.0
 _LINES = 2048
+# Up to here the second order in the noise of the reference is added: beyond, no order suffices.
 _MOST_SECOND = 1.0
+# Stretches of lines that are named.
 _NAMED = 5
 
 

@@ -15,8 +15,11 @@ from kinematics.motion import RigidMotion
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Share of a channel's variance that is its own at the least.
 _LEAST_OWN = 1e-4
+# The shared error multiplies the motion that is sought: rounds in which both are found in turn.
 _ROUNDS = 2
+# Share of the trace that keeps lines solvable whose channels determine no motion.
 _RIDGE = 1e-12
 
 

@@ -17,6 +17,7 @@ from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _LEAST_SHARE = 0.01
+# N sum w^4 / (sum w^2)^2 of a Hann window: how many lines of its spectra count as one.
 _CORRELATED = 35.0 / 18.0
 
 

@@ -21,6 +21,7 @@ _LEAST_CHANNELS = 6
 _SEEN = 2.0
 _MEDIAN = 0.455
 _TREND_FROM = 100
+# Degrees of freedom of a rigid body, which the channels of a line spend.
 _MOTION = 6
 
 

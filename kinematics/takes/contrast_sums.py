@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Lines apart up to which noise is taken for correlated: a Hann window reaches two.
 _CORRELATED_LINES = 3
 
 

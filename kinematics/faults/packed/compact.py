@@ -28,7 +28,9 @@ from kinematics.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Segments of lines that are packed each for itself: so finely a drift is seen.
 _SEGMENTS = 12
+# Lines without motion that are kept in all, and numbers of them.
 _REST = 512
 _HELD = 60_000
 

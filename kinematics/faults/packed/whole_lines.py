@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Held = NDArray[np.bool_]
 Lines = NDArray[np.intp]
+# Vectors that compiled mixing takes at a time (SIZE of kernels.h), and values of a block: 2.5 MB.
 _COLUMNS = 6
 _BLOCK = 160_000
 
