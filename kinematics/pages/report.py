@@ -94,7 +94,7 @@ def _in_short(result: Points2Dof) -> str:
     """Return the outcome of the diagnosis in one sentence."""
     wrong = [v for v in result.channels if v.verdict != "ok"]
     if not wrong:
-        return f"{channel_count(result)}: {clean_words(result)}"
+        return f"{channel_count(result)}. {clean_words(result)}"
     several = len(result.motion.runs) > 1
     named = []
     for group in groups_of(result)[:5]:

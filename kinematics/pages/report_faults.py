@@ -123,9 +123,12 @@ def verdict_section(result: Points2Dof) -> Section:
 
 def clean_words(result: Points2Dof) -> str:
     """Say that no channel stands out, and whether all of them err by more than their noise."""
-    if any(notice.code == "noise_level" for notice in result.notices):
-        return "none stands out, but all err by more than their stated noise (warning noise_level)."
-    return "every one agrees with the rigid motion of its body within its noise."
+    codes = {notice.code for notice in result.notices}
+    if "noise_level" in codes:
+        return "None stands out, but all err by more than their stated noise (warning noise_level)."
+    if "neglected_motion" in codes:
+        return "None stands out; what the fit leaves out is told by the warning neglected_motion."
+    return "Every one agrees with the rigid motion of its body within its noise."
 
 
 def channel_count(result: Points2Dof) -> str:
