@@ -89,6 +89,8 @@ class ChannelNoise:
 def own_noise(state: State, rest: ComplexArray, channel: int) -> tuple[float, int]:
     """Return the mean energy of a channel as of ``ChannelNoise.ratios``, and of how many values.
 
+    ``rest`` (channel, sample) are the whitened residuals of the lines without motion.
+
     The motion whose multiples are projected off is that of the other channels, which does not hold the
     noise of this one: nothing of it is taken for a fault of its row.
     """

@@ -40,7 +40,7 @@ def gathering(moving: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 
 
 def motion_of(back: Array, divisor: ComplexArray, value: ComplexArray) -> ComplexArray:
-    """Return the motion (m, n) of readings (channel, n) that are divided by ``divisor`` (channel,).
+    """Return the motion (m, n) of readings ``value`` (channel, n) divided by ``divisor`` (channel,).
 
     ``back`` (m, channel) are the rows of the least-squares solution.
     """
