@@ -170,8 +170,10 @@ class FactorRefit:
         """Return a root (2 m m, r) of what the motion takes of the patterns' information."""
         lines, size = self.z.shape[1], self.z.shape[0]
         some = np.stack([np.ones(lines), self.power])
-        columns = np.einsum("il,lak,bl->iablk", some, self.back, self.z, optimize=True)
-        columns = columns.reshape(2 * size * size, -1)
+        turned = some[:, None, :, None] * self.back.transpose(1, 0, 2)
+        columns = (turned[:, :, None] * self.z[:, :, None]).reshape(2 * size * size, -1)
+        if 3 * len(self.places.owners) < len(columns):
+            return np.hstack([columns.real, columns.imag])
         values, vectors = np.linalg.eigh(columns.real @ columns.real.T + columns.imag @ columns.imag.T)
         keep = values > _ROUNDING * max(float(values[-1]), 1e-300)
         return np.asarray(vectors[:, keep] * np.sqrt(values[keep]))
