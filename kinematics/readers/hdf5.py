@@ -342,8 +342,9 @@ def write_hdf5(
             file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
             file.attrs["convention"] = "+"
             file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"
-            for name, array in (("freq_hz", freq_hz), ("re", numbers.real), ("im", numbers.imag)):
-                _put(file, name, array)
+            _put(file, "freq_hz", freq_hz)
+            _put(file, "re", numbers.real)
+            _put(file, "im", numbers.imag)
             more = {"position_mm": position_mm, "sd": sd, "coherence": coherence, "n_avg": n_avg}
             for name, given in {"direction": direction, **more}.items():
                 if given is not None:
