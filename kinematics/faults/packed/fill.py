@@ -28,6 +28,8 @@ Held = NDArray[np.bool_]
 _SAMPLE, _ROUNDS, _SETTLED = 480, 100, 2e-4
 # Changes of a row are held to so many times its size, motion to so many times its variance: hardly at all.
 _WIDTH, _LOOSE = 4.0, 10.0
+# Measurements of fewer values go one way, those with and without gaps together.
+_SHORT = 20_000
 # Share of noise below which nothing is divided.
 _KEPT = 0.1
 # Lines for each parameter of a channel's change.
@@ -175,7 +177,9 @@ class Gaps:
 
     @cached_property
     def _whole(self) -> Held:
-        """Lines (line,) at which no channel in use is missing."""
+        """Lines (line,) at which no channel in use is missing; none of a short measurement."""
+        if self.value.size < _SHORT:
+            return np.zeros(len(self.line), dtype=bool)
         live = self.a > 0.0
         here = self.held if np.all(live) else self.held[live]
         return np.asarray(np.count_nonzero(here, axis=0) == len(here))
