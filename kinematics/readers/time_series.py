@@ -29,6 +29,8 @@ from kinematics.signals.series_options import LOCAL, SeriesOptions
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 
 Array = NDArray[np.float64]
+# Share of a step that may lie within another one: times are rounded.
+_OVERLAP = 0.01
 
 
 def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
@@ -174,7 +176,10 @@ def _groups(
         sizes = {len(one) for one in (*signals, *([] if lead is None else [lead]))}
         if len(sizes) > 1:
             got = " and ".join(str(size) for size in sorted(sizes))
-            raise KinematicsError(sentence("the channels", "of one number of samples", got, series.file))
+            step = "Resample channels that were sampled at another rate, or read them in a run of their own"
+            raise KinematicsError(
+                sentence("the channels", "of one number of samples", got, series.file, step)
+            )
         return lead, np.array(signals)
 
     if fixed:
@@ -282,8 +287,8 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
     Raises
     ------
     KinematicsError
-        A column is missing or a cell is no finite number, a step ends before it starts, or a frequency is
-        not positive; all faults are listed.
+        A column is missing or a cell is no finite number, a step ends before it starts or overlaps another
+        one, or a frequency is not positive; all faults are listed.
     """
     from kinematics.tables.csv_table import read_table
     from kinematics.tables.points_csv import finite_faults, require
@@ -302,6 +307,14 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
         faults.append(sentence("stop_s", "later than start_s", got, table.where(int(row))))
     for row in np.flatnonzero(freq <= 0.0):
         faults.append(sentence("freq_hz", "positive", f"{freq[row]:g}", table.where(int(row))))
+    order = np.argsort(start, kind="stable")
+    for one, after in zip(order[:-1], order[1:], strict=True):
+        shared = min(stop[one], stop[after]) - start[after]
+        if shared > _OVERLAP * min(stop[one] - start[one], stop[after] - start[after]) > 0.0:
+            later, earlier = max(one, after), min(one, after)
+            got = f"{start[later]:g} to {stop[later]:g} s, within that of line {table.lines[earlier]}"
+            step = "Give every stretch of the record once"
+            faults.append(sentence("a step", "apart from the others", got, table.where(int(later)), step))
     raise_all(KinematicsError, faults)
     return [(float(a), float(b), float(f)) for a, b, f in zip(start, stop, freq, strict=True)]
 

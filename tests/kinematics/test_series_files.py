@@ -230,12 +230,22 @@ def test_options_change_the_estimate(tmp_path):
         ("start_s,stop_s,freq_hz\n1,0,5\n", "stop_s must be later than start_s"),
         ("start_s,stop_s,freq_hz\n0,1,-5\n", "freq_hz must be positive"),
         ("start_s,stop_s,freq_hz\n0,x,5\n", 'stop_s must be a number; got "x"'),
+        (
+            "start_s,stop_s,freq_hz\n0,1,5\n1.005,2,6\n0,1,5\n",
+            r"a step must be apart from the others; got 0 to 1 s, within that of line 2 \(steps.csv, line 4\)",
+        ),
+        ("start_s,stop_s,freq_hz\n0,1,5\n0.5,2,6\n", "got 0.5 to 2 s, within that of line 2"),
     ],
 )
 def test_faulty_tables_of_steps(tmp_path, text, message):
     (tmp_path / "steps.csv").write_text(text)
     with pytest.raises(KinematicsError, match=message):
         read_steps(tmp_path / "steps.csv")
+
+
+def test_steps_may_touch_and_stand_in_any_order(tmp_path):
+    (tmp_path / "steps.csv").write_text("start_s,stop_s,freq_hz\n1,2,6\n0,1.005,5\n2,3,6\n")
+    assert read_steps(tmp_path / "steps.csv") == [(1.0, 2.0, 6.0), (0.0, 1.005, 5.0), (2.0, 3.0, 6.0)]
 
 
 def test_steps_outside_the_record(tmp_path):
