@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -308,7 +309,7 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
     for row in np.flatnonzero(freq <= 0.0):
         faults.append(sentence("freq_hz", "positive", f"{freq[row]:g}", table.where(int(row))))
     order = np.argsort(start, kind="stable")
-    for one, after in zip(order[:-1], order[1:], strict=True):
+    for one, after in pairwise(order.tolist()):
         shared = min(stop[one], stop[after]) - start[after]
         if shared > _OVERLAP * min(stop[one] - start[one], stop[after] - start[after]) > 0.0:
             later, earlier = max(one, after), min(one, after)
