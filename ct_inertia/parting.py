@@ -188,11 +188,18 @@ def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Sep
     points = np.stack(np.unravel_index(some, bone.shape)[::-1], axis=1) * spacing_mm
     del places, some
     z, y, x = (np.arange(n) * h for n, h in zip(bone.shape, spacing_mm[::-1], strict=True))
+    least, most = TYPICAL_MM3[0] * np.exp(-USUAL), TYPICAL_MM3[1] * np.exp(USUAL)
     for neck in necks(points, spacing_mm, count):
         labels = bone.astype(np.int32)
         across = neck.normal[0] * x + (neck.normal[1] * y)[:, None]
+        left = count
         for layer, inside, height in zip(labels, bone, neck.normal[2] * z, strict=True):
-            layer[inside & (across > neck.height_mm - height)] = 2
+            beyond = inside & (across > neck.height_mm - height)
+            layer[beyond] = 2
+            left -= int(np.count_nonzero(beyond))
+        # Its volume alone makes a piece unusual: the rest need not be known.
+        if not least <= left * float(np.prod(spacing_mm)) <= most:
+            continue
         boxes, _ = boxes_and_sizes(labels, 2)
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
         if pieces[0].possible and pieces[0].oddness < USUAL:
