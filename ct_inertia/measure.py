@@ -46,6 +46,8 @@ _WELL_SEEN = 0.2
 _WEAK = 4e-3
 _SAME_BLUR = 0.15
 _OTHER_BLUR = 0.01
+# What is not known of a plate without a fitted face, in that of other soft things.
+_PLATE_DOUBT = 2.0
 _LONG_VOXELS, _UNEVEN_BLUR = 1.2, 1.1
 
 
@@ -160,7 +162,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
         moments = with_contribution(moments, "surroundings", covariance)
         notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
-    doubt = None if soft is None else soft.doubt
+    doubt = None if soft is None else soft.doubt * np.float32(_PLATE_DOUBT if touched else 1.0)
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level
         covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
