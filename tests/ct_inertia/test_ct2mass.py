@@ -124,7 +124,8 @@ class TestAScan:
         assert "Uncertainty budget" in page
         assert "http://" not in page
         assert "https://" not in page
-        assert f"{content['mass_kg'] * 1e6:.4f}" in page
+        # To the second digit of its standard deviation, 1 % of the mass.
+        assert f"{content['mass_kg'] * 1e6:.3f} ± 0.037" in page
 
     def test_the_table_is_short(self, result, capsys):
         outcome = result[1]
