@@ -13,6 +13,7 @@ _LEAST_LINES = 12
 _MOST_LINES, _MOST_VALUES = 2048, 400_000
 _DRIFTING = 8
 _LEFT = 0.1
+_ALIKE = 0.6
 _SURE = 20.0
 _ROUNDS = 5
 _PASSES = 6
@@ -84,12 +85,23 @@ def _unexplained(white: ComplexArray, motion: ComplexArray, used: NDArray[np.boo
         Residuals over their noise; zero where missing.
     motion : ndarray, (k, line), complex
     used : ndarray, (channel, line)
+
+    Notes
+    -----
+    Where channels are missing a fault leaves other factors of the motion in the residuals of the others.
+    Lines that lack the same channels are taken together.
     """
-    vectors = np.linalg.svd(motion, full_matrices=False)[2]
-    size = np.abs(vectors) ** 2
     if np.all(used):
-        rest = white - (white @ vectors.conj().T) @ vectors
-        return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(size, axis=0)
+        return _projected(white, motion)
+    of = np.unique(used, axis=1, return_inverse=True)[1].ravel()
+    many = np.flatnonzero(np.bincount(of) >= 2 * len(motion))
+    if np.mean(np.isin(of, many)) > _ALIKE:
+        energy, left = np.zeros(len(of)), np.zeros(len(of))
+        for pattern in many:
+            own = of == pattern
+            energy[own], left[own] = _projected(white[:, own], motion[:, own])
+        return energy, left
+    vectors = np.linalg.svd(motion, full_matrices=False)[2]
     gram = np.einsum("cl,kl,jl->ckj", used, vectors.conj(), vectors, optimize=True)
     inverse = np.linalg.pinv(gram, rcond=1e-6, hermitian=True)
     factors = np.einsum("ck,ckj->cj", white @ vectors.conj().T, inverse)
@@ -97,6 +109,13 @@ def _unexplained(white: ComplexArray, motion: ComplexArray, used: NDArray[np.boo
     taken = np.einsum("kl,ckj,jl->cl", vectors, inverse, vectors.conj(), optimize=True).real
     number = np.maximum(np.sum(used, axis=0), 1)
     return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(np.where(used, taken, 0.0), axis=0) / number
+
+
+def _projected(white: ComplexArray, motion: ComplexArray) -> tuple[Array, Array]:
+    """Return what ``_unexplained`` does where no value, or all of a channel, is missing."""
+    vectors = np.linalg.svd(motion, full_matrices=False)[2]
+    rest = white - (white @ vectors.conj().T) @ vectors
+    return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(np.abs(vectors) ** 2, axis=0)
 
 
 def _parabola(

@@ -32,6 +32,14 @@ def test_a_laser_of_wrong_sign_where_channels_lack_the_upper_lines_is_no_flexibl
     assert verdicts(made, value) == dict.fromkeys(made.culprits, "sign")
 
 
+@pytest.mark.parametrize("fault", ["phase 3 deg", "direction 3 deg"])
+def test_a_fault_is_named_where_channels_lack_the_upper_lines_and_no_noise_is_stated(fault):
+    made = scene(43_007, "stapes, 9 points, lasers at 20 deg", fault)
+    value = measured(made, 43_007)
+    value[[0, 9, 13, 17, 18, 19, 23, 24, 25], 96:] = np.nan
+    assert set(verdicts(made, value, False)) == set(made.culprits)
+
+
 def test_a_file_with_two_fifths_missing_is_not_accused():
     made = scene(31_002, FIVE)
     assert verdicts(made, with_gaps(measured(made, 31_002), 31_002, 0.4)) == {}
