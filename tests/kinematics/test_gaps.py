@@ -40,6 +40,13 @@ def test_a_fault_is_named_where_channels_lack_the_upper_lines_and_no_noise_is_st
     assert set(verdicts(made, value, False)) == set(made.culprits)
 
 
+def test_lines_without_a_channel_to_spare_do_not_spoil_the_search():
+    made = scene(43_010, FIVE, "label swap")
+    value = measured(made, 43_010)
+    value[[2, 3, 8, 10, 11], 96:] = np.nan
+    assert verdicts(made, value, False) == dict.fromkeys(made.culprits, "label_swap")
+
+
 def test_a_file_with_two_fifths_missing_is_not_accused():
     made = scene(31_002, FIVE)
     assert verdicts(made, with_gaps(measured(made, 31_002), 31_002, 0.4)) == {}

@@ -25,6 +25,8 @@ _ROUNDS, _SETTLED = 6, 0.01
 _QUIETEST, _RIDGE = 0.05, 1e-3
 # Standard deviations of chi2 from which on scatter is sure.
 _SURE = 2.0
+# A segment with less of the noise of the loudest has no channel to spare: what is left there is rounding.
+_ROUNDING = 1e-6
 
 
 def evened(data: Compact) -> tuple[Compact, Array]:
@@ -55,6 +57,8 @@ def evened(data: Compact) -> tuple[Compact, Array]:
     if levelled is not data:
         data, state = levelled, solve(levelled)
         found = ChannelNoise.of(state, state.rest())
+        if not found.level > 0.0:
+            return data, nothing
     value, precision = _variances(found, state)
     live = np.array(data.live)
     groups = axes_of(data.directions, data.live)
@@ -179,7 +183,7 @@ def _course(data: Compact, state: State) -> Compact:
         if held.shape[1]:
             level[k] = float(np.median(np.mean(held / left, axis=1)))
             doubt[k] = 0.5 * np.pi / (held.shape[1] * free)
-    if not np.min(level) > 0.0 or not np.all(np.isfinite(doubt)):
+    if not np.min(level) > _ROUNDING * np.max(level) or not np.all(np.isfinite(doubt)):
         return data
     value, precision = np.log(level), np.diag(1.0 / doubt)
     scatter, sure = _scatter(value, precision, np.ones((parts, 1)))
