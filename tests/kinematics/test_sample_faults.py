@@ -49,9 +49,9 @@ def test_clipped_samples_are_told(limit: float, jitter: float) -> None:
 
 def test_spikes_and_held_values_are_counted() -> None:
     found = sample_notices({"drive": [vibration(9)], "vib": [spiky()]}, ["drive"], "scan.npz")
-    assert [(one.code, "vib 3 of" in one.text) for one in found] == [("spikes", True)]
+    assert [(one.code, "vib: 3;" in one.text) for one in found] == [("spikes", True)]
     found = sample_notices({"drive": [vibration(9)], "vib": [held()]}, ["drive"], "scan.npz")
-    assert [(one.code, "vib 3 of" in one.text) for one in found] == [("dropouts", True)]
+    assert [(one.code, "vib: 3;" in one.text) for one in found] == [("dropouts", True)]
 
 
 @pytest.mark.parametrize(
