@@ -92,7 +92,13 @@ def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
         return "drift", f"factor {_factor(start)} at the first line, {_factor(end)} at the last"
     if finding.kind == "direction":
         slope = float(np.linalg.norm(p))
-        angle, spread = np.arctan(slope), float(np.sqrt(np.mean(sd**2))) / (1.0 + slope**2)
+        # Along the way it points: the other way across may be open without the angle being so.
+        along = (
+            float(np.sqrt(np.maximum(p @ fit.covariance @ p, 0.0))) / slope
+            if slope > 0.0
+            else float(np.max(sd))
+        )
+        angle, spread = np.arctan(slope), along / (1.0 + slope**2)
         return "direction", f"beam off by {np.rad2deg(angle):.3g} +- {np.rad2deg(spread):.2g} deg"
     if finding.kind == "axes":
         turned = ", ".join(f"{value:.2g}" for value in np.rad2deg(p))
