@@ -182,3 +182,17 @@ def test_a_turned_frame_and_shifted_points_raise_no_phase_warning():
 
 def test_too_few_lines_are_not_judged():
     assert ligament_test(moved(15, freq=np.linspace(400.0, 900.0, 8)), "stapes", "base") is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_base_that_hardly_moves_is_not_taken_for_the_structure(seed):
+    """Each body moves in one degree of freedom, alike at all lines, which no ligament makes."""
+    rng = np.random.default_rng([seed, 23])
+    clean = np.zeros((1, 2, len(FREQ), 6), dtype=complex)
+    clean[0, 0, :, rng.integers(6)] = 1e-5
+    clean[0, 1, :, rng.integers(6)] = 1e-7
+    sd = 0.01 * np.sqrt(np.mean(np.abs(clean) ** 2, axis=(2, 3), keepdims=True)) * np.ones(clean.shape)
+    q = clean + sd * (rng.normal(size=(*clean.shape, 2)) @ [1.0, 1j])
+    covariance = np.zeros((*q.shape, 6), dtype=complex)
+    covariance[..., range(6), range(6)] = 2.0 * sd**2
+    assert not phase_notice(replace(moved(0), q=q, covariance=covariance))

@@ -22,6 +22,8 @@ ComplexArray = NDArray[np.complex128]
 _MODEL = 0.02
 # Misfits, 1 of right labels: others are tried above _BAD, and taken below _GOOD and _BETTER of the given.
 _BETTER, _GOOD, _BAD = 0.2, 2.0, 5.0
+# Power over that of noise from which a motion counts as one.
+_SEEN = 4.0
 # Runs of which all orders are tried, the largest shift in lines, and lines looked at: they bound the time.
 _MOST_RUNS, _REACH, _LINES = 4, 5, 200
 
@@ -141,7 +143,7 @@ class _Pair:
         elif label.kind == "sign":
             b = -b
         elif label.kind == "bodies":
-            s, b = b, s
+            s, b, spread = b, s, spread[:, ::-1]
         elif label.kind == "runs":
             order = list(label.order)
             b, spread = b[order], np.stack([spread[:, 0], spread[order, 1]], axis=1)
@@ -168,12 +170,15 @@ def _misfit(s: ComplexArray, b: ComplexArray, sd: Array, freq_hz: Array) -> floa
     variance = 2.0 * sd**2
     of_dq, of_s = np.sum(variance, axis=1).reshape(-1, size), variance[:, 0].reshape(-1, size)
     moved = np.sqrt(0.5 * np.mean(np.abs(s) ** 2 + np.abs(b) ** 2, axis=(0, 1)))
+    own = np.sqrt(np.mean(np.abs(s) ** 2, axis=(0, 1)))
     dq, s = dq.reshape(-1, size), s.reshape(-1, size)
     total = 0.0
     for row in range(size):
-        floor = (_MODEL * moved[row]) ** 2
-        first = _left(by_mass, dq[:, row], of_dq[:, row] + floor)
-        total += min(first, _left(by_spring, s[:, row], of_s[:, row] + floor))
+        found = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
+        # Noise would be explained by nothing as well: a base that hardly moves is no structure.
+        if own[row] ** 2 > _SEEN * np.mean(of_s[:, row]):
+            found = min(found, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
+        total += found
     freedom = dq.size - 1.5 * size * size
     return total / max(freedom, 1.0)
 
