@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help setup demo test test-shared lint types imports kernels format check bench sample paper clean
+.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record sample paper clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -11,6 +11,7 @@ help:
 	@echo "make test-shared  also the tests on data that may not be copied into the repository"
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
+	@echo "make golden       every number of the commands on many scenes against what was recorded"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make sample       make the sample study anew"
 
@@ -63,6 +64,13 @@ paper: $(READY)
 
 bench: $(READY)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
+
+# ARGS="--room ct", ARGS="--only kd_", ARGS="-j 2": tests/golden/__main__.py says more
+golden: $(READY)
+	$(BIN)/python -m tests.golden $(ARGS)
+
+golden-record: $(READY)
+	$(BIN)/python -m tests.golden --record $(ARGS)
 
 clean:
 	rm -rf .venv demo
