@@ -15,6 +15,8 @@ from kinematics.memory import hold_little_memory, keep_algebra_to_one_thread
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
     from ct_inertia.readers.raw import RawLayout
+    from kinematics.notices import Notice
+    from kinematics.own_files import OutputSet
     from kinematics.provenance import Hashes
 
 _DESCRIPTION = """Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
@@ -89,7 +91,7 @@ def parser() -> Parser:
     raw.add_argument("--header-bytes", type=int, metavar="N", help="bytes before the first voxel")
     reading.add_argument("--nan-as-air", action="store_true", help="let voxels that are not finite be air")
     finding = made.add_argument_group("finding the stapes")
-    finding.add_argument("--labels", type=Path, metavar="FILE", help="label volume made elsewhere")
+    finding.add_argument("--labels", type=Path, metavar="FILE", help="label volume; never written over")
     finding.add_argument("--stapes-label", type=int, default=1, metavar="N", help="default 1")
     finding.add_argument("--plate-label", type=int, default=2, metavar="N", help="default 2")
     finding.add_argument("--threshold", type=float, metavar="T", help="grey value between air and bone")
@@ -133,6 +135,7 @@ def parser() -> Parser:
     )
     output.add_argument("--faces", type=int, metavar="N", help="triangles of the surface shown and exported")
     output.add_argument("--sha256", action="store_true", help="hash the inputs with SHA-256")
+    made.add_force()
     made.add_config()
     return made
 
@@ -267,29 +270,38 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
 
         check_request(given.smooth, given.faces)
     from ct_inertia.ct2mass import ct2mass
+    from ct_inertia.output_files import output_set
     from ct_inertia.progress import told_on_terminal
     from kinematics.provenance import Hashes
 
-    folder = output_folder(given)
+    outputs = output_set(
+        options,
+        output_folder(given),
+        report=not given.no_report,
+        display=given.smooth is not None or given.faces is not None,
+        exports=given.export,
+        force=given.force,
+        config=given.config,
+    )
+    outputs.check()
     hashes = Hashes(options.inputs.values(), given.sha256)
     with told_on_terminal(not given.quiet and not given.json) as progress:
         result = ct2mass(options, progress)
         progress("writing" if given.no_report else "drawing the report")
-        files, content = _write(given, folder, result, hashes)
-    return given, Outcome(
-        f"ct2mass: {options.scan or options.labels}", _rows(result, content), result.notices, files, content
-    )
+        files, content, notices = _write(given, outputs, result, hashes)
+    title = f"ct2mass: {options.scan or options.labels}"
+    return given, Outcome(title, _rows(result, content), (*result.notices, *notices), files, content)
 
 
 def _write(
-    given: argparse.Namespace, folder: Path, result: MassResult, hashes: Hashes
-) -> tuple[list[Path], dict[str, Any]]:
-    """Write every output; return their paths and the content of mass.json."""
-    from ct_inertia.exports import FILES
-    from ct_inertia.mass_json import OUTPUTS, mass_json, write_outputs
-    from kinematics.output import staged
+    given: argparse.Namespace, outputs: OutputSet, result: MassResult, hashes: Hashes
+) -> tuple[list[Path], dict[str, Any], tuple[Notice, ...]]:
+    """Write every output; return their paths, the content of mass.json, and what writing has to tell."""
+    from ct_inertia.mass_json import mass_json, names_of, write_outputs
+    from ct_inertia.output_files import LABELS, MEASURED_LABELS
 
-    content = mass_json(result, given.sha256, hashes, second=not given.no_report)
+    labels = LABELS if LABELS in outputs.names else MEASURED_LABELS
+    content = mass_json(result, given.sha256, hashes, not given.no_report, labels)
     shown = None
     if given.smooth is not None or given.faces is not None:
         from ct_inertia.display import display_mesh
@@ -297,7 +309,7 @@ def _write(
         mesh = display_mesh(result.stapes, given.smooth, given.faces)
         content["display_mesh"] = mesh.as_json()
         shown = mesh.surface
-    with staged(folder, (*OUTPUTS, *FILES)) as stage:
+    with outputs.staged() as stage:
         names = []
         if shown is not None:
             from ct_inertia.surface import write_surface
@@ -309,13 +321,15 @@ def _write(
 
             content["exports"] = units_of(given.export)
             names += export(result, stage, given.export, shown)
-        if not given.no_report:
+        report = [] if given.no_report else ["report.html"]
+        notices = outputs.kept_notices([*names_of(result, content), *names, *report])
+        content["warnings"] += [notice.as_json() for notice in notices]
+        if report:
             from ct_inertia.report import write_report
 
             content = write_report(stage / "report.html", result, content, shown)
-            names.append("report.html")
-        names = [*write_outputs(result, stage, content), *names]
-    return [folder / name for name in names], content
+        names = [*write_outputs(result, stage, content), *names, *report]
+    return [outputs.folder / name for name in names], content, notices
 
 
 def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str, str]]:

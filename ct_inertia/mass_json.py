@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ct_inertia.border import CODE as CUT_BY_BORDER
 from ct_inertia.budget import budget, not_included
 from ct_inertia.native import which
+from ct_inertia.output_files import LABELS
 from ct_inertia.surface import Surface, write_surface
 from kinematics.frames import RigidTransform
 from kinematics.mass_record import SCHEMA, MassMatrix
@@ -31,12 +32,14 @@ _CONVENTION = {
     "plate": "displacement of the plate frame in its own axes, m and rad",
 }
 _OUTLINE_POINTS = 160
-OUTPUTS = ("mass.json", "stapes.ply", "plate.ply", "labels.nrrd", "stapes_display.ply", "report.html")
-"""Names of the files that a run may write, exports apart."""
 
 
 def mass_json(
-    result: MassResult, sha256: bool = False, hashes: Hashes | None = None, second: bool = True
+    result: MassResult,
+    sha256: bool = False,
+    hashes: Hashes | None = None,
+    second: bool = True,
+    labels_file: str = LABELS,
 ) -> dict[str, Any]:
     """Return the content of ``mass.json``.
 
@@ -49,6 +52,8 @@ def mass_json(
         Of the inputs, when they were begun before.
     second : bool
         Ask another program (pymeshlab) for the moments of the surface.
+    labels_file : str
+        Under which name the labels are written beside it; see `output_files.labels_name`.
     """
     body, matrix = result.body, result.matrix
     deviation = matrix.standard_deviation
@@ -94,6 +99,7 @@ def mass_json(
         "found": _found(result),
         "cross_check": _cross_check(result, second),
         "segmentation": _segmentation(result),
+        "labels_file": None if result.bodies is None else labels_file,
         "warnings": [notice.as_json() for notice in result.notices],
         "provenance": provenance,
     }
@@ -102,18 +108,22 @@ def mass_json(
 
 
 def write_outputs(result: MassResult, folder: Path, content: Mapping[str, Any]) -> list[str]:
-    """Write mass.json, stapes.ply, plate.ply and labels.nrrd where they apply; return their names."""
+    """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names."""
     folder = Path(folder)
-    names = ["mass.json", "stapes.ply"]
     (folder / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     write_surface(folder / "stapes.ply", result.stapes)
     if result.plate is not None:
         write_surface(folder / "plate.ply", result.plate)
-        names.append("plate.ply")
     if result.bodies is not None:
-        result.bodies.labels.write(folder / "labels.nrrd")
-        names.append("labels.nrrd")
-    return names
+        result.bodies.labels.write(folder / content["labels_file"])
+    return names_of(result, content)
+
+
+def names_of(result: MassResult, content: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files that `write_outputs` writes."""
+    names = ["mass.json", "stapes.ply"]
+    names += [] if result.plate is None else ["plate.ply"]
+    return names + ([] if result.bodies is None else [content["labels_file"]])
 
 
 def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:

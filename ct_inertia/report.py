@@ -281,7 +281,8 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
     section.add(
         page.text(
             "Where the cut looks wrong: --seed, --threshold and --box correct it, and --labels takes a label "
-            "volume corrected in 3D Slicer or ITK-SNAP (labels.nrrd is a start)."
+            "volume corrected in 3D Slicer or ITK-SNAP: labels.nrrd, edited where it lies, or a copy of it. "
+            "It is never written over."
         )
     )
     return section

@@ -22,7 +22,8 @@ from fitting.estimators import ESTIMATORS
 from fitting.figures import residual_figure, response_figure
 from fitting.paper import TABLE_1_DEVIATION_PERCENT
 from fitting.responses import responses
-from kinematics.output import staged
+from kinematics.errors import StapeskitError
+from kinematics.own_files import OutputSet
 from kinematics.pages import page
 from kinematics.pages.page import Page, Section
 
@@ -156,14 +157,20 @@ def _response_section(setup: Setup) -> Section:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the page to the path given; return the exit code."""
-    good = len(arguments) == 1 or (len(arguments) == 2 and arguments[1].isdigit() and int(arguments[1]) > 0)
+    words = [word for word in arguments if word != "--force"]
+    good = len(words) == 1 or (len(words) == 2 and words[1].isdigit() and int(words[1]) > 0)
     if not good:
-        sys.stderr.write("usage: python -m fitting.beam_page OUT.html [repetitions]\n")
+        sys.stderr.write("usage: python -m fitting.beam_page OUT.html [repetitions] [--force]\n")
         return 2
-    out = Path(arguments[0])
-    made = beam_page(int(arguments[1]) if len(arguments) == 2 else 20)
-    with staged(out.parent) as folder:
-        made.write(folder / out.name)
+    out = Path(words[0])
+    outputs = OutputSet("beam_page", out.parent, (out.name,), force="--force" in arguments)
+    try:
+        outputs.check()
+        with outputs.staged() as folder:
+            beam_page(int(words[1]) if len(words) == 2 else 20).write(folder / out.name)
+    except StapeskitError as fault:
+        sys.stderr.write(f"{fault}\n")
+        return 2
     return 0
 
 

@@ -138,6 +138,7 @@ def parser() -> Parser:
     made.add_argument(
         "--out", type=Path, default=None, metavar="FILE.json", help="kd.json; plan.json with --plan"
     )
+    made.add_force()
     made.add_config()
     return made
 
@@ -174,7 +175,15 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         upper=dict(options.upper or ()),
         bands=options.bands,
     )
-    done = dof2kd(options.motion, options.mass, chosen, options.out or Path("kd.json"), options.monte_carlo)
+    done = dof2kd(
+        options.motion,
+        options.mass,
+        chosen,
+        options.out or Path("kd.json"),
+        options.monte_carlo,
+        force=options.force,
+        config=options.config,
+    )
     return options, Outcome(
         "stiffness and damping", summary_rows(done.fit), done.fit.notices, done.files, dict(done.content)
     )
@@ -213,7 +222,9 @@ def _plan(options: argparse.Namespace) -> Outcome:
     from fitting.dof2kd import plan2kd
     from fitting.plan import summary_rows
 
-    found, content, files = plan2kd(options.plan, options.out or Path("plan.json"))
+    found, content, files = plan2kd(
+        options.plan, options.out or Path("plan.json"), force=options.force, config=options.config
+    )
     return Outcome("what the plan can reach", summary_rows(found), found.notices, list(files), content)
 
 

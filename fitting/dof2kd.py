@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from fitting.report import kd_page
 from kinematics.errors import sentence
 from kinematics.mass_record import MassRecord
 from kinematics.motion_files import read_motion
-from kinematics.output import staged
+from kinematics.own_files import OutputSet
 from kinematics.provenance import record
 
 Array = NDArray[np.float64]
@@ -46,17 +46,43 @@ class KDResult:
     files: tuple[Path, ...]
 
 
-def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path, refits: int = 0) -> KDResult:
+def dof2kd(
+    motion_path: Path,
+    mass_path: Path,
+    options: KDOptions,
+    out: Path,
+    refits: int = 0,
+    *,
+    force: bool = False,
+    config: Path | None = None,
+) -> KDResult:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
 
     With ``refits`` above 0, that many simulated repetitions are fitted and their scatter is in both files.
+
+    Parameters
+    ----------
+    motion_path, mass_path : Path
+    options : KDOptions
+    out : Path
+    refits : int
+    force : bool
+        Replace files at the names of the outputs that are not known as made here.
+    config : Path, optional
+        The file of options, another input.
 
     Raises
     ------
     FittingError, KinematicsError
         A file or an option is at fault.
+    StapeskitError
+        An output is an input, or a file of another origin stands at its name.
     """
     out = _json_name(out)
+    motion_path, mass_path = Path(motion_path), Path(mass_path)
+    beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
+    outputs = _outputs(out, [motion_path, beside, mass_path, config], force)
+    outputs.check()
     mass, mass_record = read_mass(mass_path, options.dof)
     fit = fit_kd(read_motion(motion_path), mass, options)
     provenance = record(
@@ -68,31 +94,51 @@ def dof2kd(motion_path: Path, mass_path: Path, options: KDOptions, out: Path, re
         scatter = monte_carlo(fit, refits)
         content["monte_carlo"] = monte_carlo_json(fit, scatter)
         made.sections.insert(-1, monte_carlo_section(fit, scatter))
-    with staged(out.parent) as folder:
+    html = out.with_suffix(".html")
+    with outputs.staged() as folder:
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        html = Path(out.name).with_suffix(".html").name
-        made.write(folder / html)
-    return KDResult(fit, content, (out, out.with_name(html)))
+        made.write(folder / html.name)
+    return KDResult(fit, content, (out, html))
 
 
-def plan2kd(path: Path, out: Path) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
+def plan2kd(
+    path: Path, out: Path, *, force: bool = False, config: Path | None = None
+) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
     """Read a plan, tell what it can reach and write ``out`` (plan.json) and the page of the same name.
+
+    Parameters
+    ----------
+    path, out : Path
+    force : bool
+        Replace files at the names of the outputs that are not known as made here.
+    config : Path, optional
+        The file of options, another input.
 
     Raises
     ------
     FittingError, KinematicsError
         The plan is at fault.
+    StapeskitError
+        An output is an input, or a file of another origin stands at its name.
     """
     out = _json_name(out)
     plan, mass_file = read_plan(path)
+    outputs = _outputs(out, [Path(path), mass_file, config], force)
+    outputs.check()
     found = expect(plan)
     provenance = record({"plan": path, "mass": mass_file}, {})
     content = plan_json(found, provenance)
     html = out.with_suffix(".html")
-    with staged(out.parent) as folder:
+    with outputs.staged() as folder:
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         plan_page(found, provenance).write(folder / html.name)
     return found, content, (out, html)
+
+
+def _outputs(out: Path, inputs: Sequence[Path | None], force: bool) -> OutputSet:
+    """Return the result file and its page, beside the files that are read."""
+    names = (out.name, out.with_suffix(".html").name)
+    return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)
 
 
 def _json_name(out: Path) -> Path:

@@ -1,6 +1,6 @@
 """The paper, recomputed: every printed number of the procedure next to what this software finds.
 
-Run as ``python -m fitting.paper_page OUT.html``.
+Run as ``python -m fitting.paper_page OUT.html [--force]``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from fitting.model import NORMALISATION, Modes, modes, passive
 from fitting.paper_figures import shape_figure, simulated_figure
 from fitting.principal_axes import principal_axes
 from fitting.symmetric import entry_units
-from kinematics.output import staged
+from kinematics.errors import StapeskitError
+from kinematics.own_files import OutputSet
 from kinematics.pages import page
 from kinematics.pages.page import Page, Section
 
@@ -254,12 +255,19 @@ def _simulated() -> Section:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the page to the path given; return the exit code."""
-    if len(arguments) != 1:
-        sys.stderr.write("usage: python -m fitting.paper_page OUT.html\n")
+    words = [word for word in arguments if word != "--force"]
+    if len(words) != 1:
+        sys.stderr.write("usage: python -m fitting.paper_page OUT.html [--force]\n")
         return 2
-    out = Path(arguments[0])
-    with staged(out.parent) as folder:
-        paper_page().write(folder / out.name)
+    out = Path(words[0])
+    outputs = OutputSet("paper_page", out.parent, (out.name,), force="--force" in arguments)
+    try:
+        outputs.check()
+        with outputs.staged() as folder:
+            paper_page().write(folder / out.name)
+    except StapeskitError as fault:
+        sys.stderr.write(f"{fault}\n")
+        return 2
     return 0
 
 

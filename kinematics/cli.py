@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -13,6 +14,7 @@ from kinematics.geometry.geometry_options import add_options
 from kinematics.signals.series_options import add_series_arguments, series_options
 
 if TYPE_CHECKING:
+    from kinematics.own_files import OutputSet
     from kinematics.points2dof import Options, Points2Dof
     from kinematics.readers import InputOptions
 
@@ -46,6 +48,8 @@ fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
 Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.csv.
 Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate axes.
 """
+
+_BESIDE_MASS = ("stapes.ply", "plate.ply", "labels.nrrd", "labels.measured.nrrd")
 
 
 def parser() -> Parser:
@@ -132,6 +136,7 @@ def parser() -> Parser:
     )
     add_options(made)
     made.add_argument("--out", type=Path, default=Path("dof.csv"), metavar="FILE.csv", help="default dof.csv")
+    made.add_force()
     add_series_arguments(made)
     made.add_config()
     return made
@@ -148,9 +153,12 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     from kinematics.mass_record import read_mass_record
     from kinematics.points2dof import points2dof
     from kinematics.provenance import record
-    from kinematics.readers import inputs_of, read_measurement
+    from kinematics.readers import read_measurement
 
     said, chosen = _choices(options, faults)
+    inputs = _inputs(options)
+    outputs = _outputs(options, inputs)
+    outputs.check()
     mass = None if options.mass is None else read_mass_record(options.mass)
     fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
     frame = options.frame or "footplate"
@@ -166,24 +174,10 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         measurement = measurement.mirrored(options.mirror_points, points_only=True)
         fiducials = None if fiducials is None else fiducials.mirrored(options.mirror_points)
         clouds = {kind: mirrored(cloud, options.mirror_points) for kind, cloud in clouds.items()}
-    surfaces = None if options.mass is None else ScanSurfaces.beside(options.mass)
+    surfaces = None if options.mass is None else ScanSurfaces.beside(options.mass, mass)
     placement = tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
     provenance = record(
-        {
-            **inputs_of(options.ldv, options.points),
-            "fiducials": options.fiducials,
-            "mass": options.mass,
-            "plate_points": options.plate_points,
-            "bone_points": options.bone_points,
-            "mapping": options.mapping,
-            **{
-                one.name: one
-                for path in options.ldv
-                if (one := path.with_name(path.name + ".toml")).is_file()
-            },
-            "channels": options.channels,
-            "steps": options.steps,
-        },
+        inputs,
         {
             "dof": list(chosen.dof),
             "reference": chosen.reference,
@@ -204,7 +198,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         ["points2dof", *arguments],
     )
     result = points2dof(measurement, placement, chosen, mass, provenance)
-    files = _write(options, result)
+    files = _write(options, result, outputs)
     return options, _outcome(result, files)
 
 
@@ -279,21 +273,45 @@ def _faults(options: argparse.Namespace) -> list[str]:
     return faults
 
 
-def _write(options: argparse.Namespace, result: Points2Dof) -> list[Path]:
+def _inputs(options: argparse.Namespace) -> dict[str, Path | None]:
+    """Return the files that are read, by their role."""
+    from kinematics.readers import inputs_of
+
+    names = ("fiducials", "mass", "plate_points", "bone_points", "mapping")
+    beside = (path.with_name(path.name + ".toml") for path in options.ldv)
+    return {
+        **inputs_of(options.ldv, options.points),
+        **{name: getattr(options, name) for name in names},
+        **{path.name: path for path in beside if path.is_file()},
+        "channels": options.channels,
+        "steps": options.steps,
+    }
+
+
+def _outputs(options: argparse.Namespace, inputs: Mapping[str, Path | None]) -> OutputSet:
+    """Return the files that are written, beside those that are read."""
+    from kinematics.own_files import OutputSet
+
+    scan = [] if options.mass is None else [options.mass.parent / name for name in _BESIDE_MASS]
+    read = [path for path in (*inputs.values(), options.config, *scan) if path is not None]
+    names = tuple(f"{options.out.stem}{end}" for end in (".csv", ".h5", ".channels.csv", ".html"))
+    return OutputSet("points2dof", options.out.parent, names, tuple(read), options.force)
+
+
+def _write(options: argparse.Namespace, result: Points2Dof, outputs: OutputSet) -> list[Path]:
     """Write all outputs at once and return their paths."""
     from kinematics.faults.verdicts import write_channels
     from kinematics.motion_files import write_motion
-    from kinematics.output import staged
     from kinematics.pages.report import write_report
     from kinematics.pages.scenery import read_scenery
 
-    folder, stem = options.out.parent, options.out.stem
+    stem = options.out.stem
     scenery = None if options.mass is None else read_scenery(options.mass)
-    with staged(folder) as stage:
+    with outputs.staged() as stage:
         write_motion(stage, stem, result.motion)
         write_channels(stage / f"{stem}.channels.csv", result.channels)
         write_report(stage / f"{stem}.html", result, scenery)
-    return [folder / f"{stem}{end}" for end in (".csv", ".h5", ".channels.csv", ".html")]
+    return [outputs.folder / name for name in outputs.names]
 
 
 def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:

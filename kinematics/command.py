@@ -61,6 +61,14 @@ class Parser(argparse.ArgumentParser):
             "--config", type=Path, metavar="FILE.toml", help="options from a TOML file; the command line wins"
         )
 
+    def add_force(self) -> None:
+        """Add ``--force``."""
+        self.add_argument(
+            "--force",
+            action="store_true",
+            help="replace files at the names of outputs that this command did not write, or that were edited",
+        )
+
     def error(self, message: str) -> NoReturn:
         """Turn a usage fault into the one exception that ends with exit code 2."""
         raise StapeskitError(self._told(message))

@@ -6,7 +6,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,18 +16,19 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
-def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
+def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = None) -> Iterator[Path]:
     """Lend an empty folder whose files replace those of the same name in ``folder`` when the block ends well.
 
-    When the block fails or is interrupted, nothing of it remains and the old files stand untouched.
+    When the block fails or is interrupted, nothing of it remains and the old files stand untouched. What
+    stands at an output's name is replaced whoever made it: commands write by `own_files.OutputSet`.
 
     Parameters
     ----------
     folder : Path
         Where the outputs shall appear; made when missing.
-    of_ours : collection of str, optional
-        Names that belong to the same set of outputs: files of these names that are not written this time
-        are of an earlier input, and are removed.
+    settle : callable, optional
+        Gets the lent folder before its files are moved, and may refuse; what it returns is called when they
+        have been moved.
 
     Yields
     ------
@@ -41,7 +42,7 @@ def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
         appear, or a file where a folder shall.
     """
     folder = Path(folder).absolute()
-    parent = _existing_folder(folder)
+    parent = existing_folder(folder)
     try:
         stage = Path(tempfile.mkdtemp(prefix=".stapeskit-", dir=parent))
     except OSError as fault:
@@ -51,16 +52,17 @@ def staged(folder: Path, of_ours: Collection[str] = ()) -> Iterator[Path]:
     try:
         yield stage
         raise_all(StapeskitError, _in_the_way(stage, folder))
+        made = sorted(stage.rglob("*"))
+        finish = None if settle is None else settle(stage)
         folder.mkdir(parents=True, exist_ok=True)
-        for name in of_ours:
-            if not (stage / name).exists():
-                (folder / name).unlink(missing_ok=True)
-        for path in sorted(stage.rglob("*")):
+        for path in made:
             target = folder / path.relative_to(stage)
             if path.is_dir():
                 target.mkdir(exist_ok=True)
             else:
                 os.replace(path, target)
+        if finish is not None:
+            finish()
     except (OSError, RuntimeError) as fault:
         if not _disk_full(fault):
             raise
@@ -99,8 +101,15 @@ def _in_the_way(stage: Path, folder: Path) -> list[str]:
     return faults
 
 
-def _existing_folder(folder: Path) -> Path:
-    """Return the nearest folder above (or at) ``folder`` that exists."""
+def existing_folder(folder: Path) -> Path:
+    """Return the nearest folder above (or at) ``folder`` that exists.
+
+    Raises
+    ------
+    StapeskitError
+        It, or one above it, is a file.
+    """
+    folder = Path(folder).absolute()
     for candidate in (folder, *folder.parents):
         if candidate.is_dir():
             return candidate

@@ -42,7 +42,12 @@ def parser() -> Parser:
     made.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="studies that run at a time (default 1)"
     )
-    made.add_argument("--force", action="store_true", help="make every stage anew")
+    made.add_argument(
+        "--force",
+        action="store_true",
+        help="make every stage anew; replace files at the names of outputs that scan2kd did not write, "
+        "or that were edited",
+    )
     return made
 
 

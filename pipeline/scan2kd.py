@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kinematics.errors import StapeskitError
 from kinematics.notices import Notice, unique
-from kinematics.output import staged
+from kinematics.own_files import OutputSet
 from kinematics.provenance import content_hash
 from pipeline.errors import PipelineError
 from pipeline.options import in_study_words, section_in_study_words
@@ -26,10 +25,10 @@ from pipeline.records import (
     write_record,
     write_told,
 )
-from pipeline.stages import STAGES, Workspace, check_inputs, results
+from pipeline.stages import STAGES, Workspace, check_inputs, inputs_of, names_of_outputs, results
 from pipeline.study import Study, read_study
 
-REPORT = "report"
+REPORT, REPORT_FILE = "report", "report.html"
 _REPORT_CODE = ("pipeline", "kinematics/pages/page.py")
 
 
@@ -80,7 +79,7 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     out : Path
         The output folder; made when missing.
     force : bool
-        Make every stage anew.
+        Make every stage anew, and replace files at the names of outputs that are not known as made here.
     progress : Progress, optional
 
     Raises
@@ -94,7 +93,10 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     name = study.study.name or path.stem
     old = {stage: read_record(out, stage) for stage in (*(one.name for one in STAGES), REPORT)}
     known: dict[Path, str] = {}
-    with staged(out) as fresh:
+    outputs = output_set(path, study, out, force)
+    outputs.check()
+    kept: list[str] = []
+    with outputs.staged(kept) as fresh:
         work = Workspace(out, fresh)
         with progress.step("study file and vibrometer table"):
             check_inputs(study)
@@ -107,10 +109,33 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
         _report(path, name, study, work, told, None if force else old[REPORT], runs, progress)
         mass, kd = results(work)
         names = _outputs(work, old, runs)
-    _remove_stale(out, old, names)
+        kept += names
     shown = tuple(out / one for one in names if not one.startswith(FOLDER))
-    notices = unique(notice for one in told.values() for notice in one.notices)
+    notices = unique(
+        (*(notice for one in told.values() for notice in one.notices), *outputs.kept_notices(names))
+    )
     return StudyResult(study, name, out, mass, kd, tuple(runs), shown, notices)
+
+
+def output_set(path: Path, study: Study, out: Path, force: bool = False) -> OutputSet:
+    """Return the files that a study may write into a folder, beside those that it reads.
+
+    What the records of its stages hold counts as known, too.
+    """
+    from ct_inertia.output_files import LABELS
+
+    records = [read_record(out, stage) for stage in (*(one.name for one in STAGES), REPORT)]
+    known = {
+        name: found
+        for record in records
+        for name, found in (() if record is None else record.outputs.items())
+        if not name.startswith(FOLDER)
+    }
+    names = (REPORT_FILE, *names_of_outputs(study, out))
+    hint = f'Measure corrected labels with labels = "{out / LABELS}" in [scan], which stay as they are'
+    return OutputSet(
+        "scan2kd", out, names, (path, *inputs_of(study)), force, known=known, hints={LABELS: hint}
+    )
 
 
 def _stage(
@@ -183,8 +208,8 @@ def _report(
             step.note = "unchanged, reused"
             runs.append(StageRun(REPORT, True, 0.0, ""))
             return
-        write_report(work.fresh / "report.html", path, name, study, work, told)
-        hashes = {"report.html": content_hash(work.fresh / "report.html")}
+        write_report(work.fresh / REPORT_FILE, path, name, study, work, told)
+        hashes = {REPORT_FILE: content_hash(work.fresh / REPORT_FILE)}
         write_record(work.fresh, StageRecord(REPORT, now, hashes, step.seconds))
         runs.append(StageRun(REPORT, False, step.seconds, reason))
 
@@ -195,14 +220,5 @@ def _outputs(work: Workspace, old: Mapping[str, StageRecord | None], runs: list[
     for run in runs:
         record = old[run.name] if run.reused else read_record(work.fresh, run.name)
         names += [] if record is None else list(record.outputs)
-    order = ("report.html", "mass.json", "kd.json")
+    order = (REPORT_FILE, "mass.json", "kd.json")
     return sorted(names, key=lambda one: (order.index(one) if one in order else len(order), one))
-
-
-def _remove_stale(out: Path, old: Mapping[str, StageRecord | None], names: list[str]) -> None:
-    """Remove what earlier runs made and this one did not, like the plate of another scan."""
-    for record in old.values():
-        for name in () if record is None else record.outputs:
-            if name not in names:
-                with suppress(OSError):
-                    (out / name).unlink()

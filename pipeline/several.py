@@ -11,14 +11,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from kinematics.output import staged
+from kinematics.errors import StapeskitError, raise_all
+from kinematics.own_files import OutputSet
 from pipeline.cohort import Ear, read_ear, write_cohort_csv
 from pipeline.cohort_page import write_cohort_page
 
+COHORT_FILES = ("cohort.csv", "cohort.html")
 _PATIENCE_S = 20.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -84,22 +86,48 @@ def run_studies(
     jobs : int
         How many run at a time.
     force : bool
+        Make every stage anew, and replace files at the names of outputs that are not known as made here.
     tell : callable, optional
         Gets the lines of progress.
+
+    Raises
+    ------
+    StapeskitError
+        An output of one study is an input of another, or cohort.csv or cohort.html cannot be replaced.
     """
     out = Path(out).absolute()
     names = folder_names(studies)
+    outputs = _checked_outputs(dict(zip(names, studies, strict=True)), out, force)
     ends = _run_all(dict(zip(names, studies, strict=True)), out, jobs, force, tell or (lambda _line: None))
     faults = {name: end["fault"] for name, end in ends.items() if end["code"]}
     codes = {name: int(end["code"]) for name, end in ends.items() if end["code"]}
     ears = tuple(read_ear(out / name, ends[name]["name"]) for name in names if name not in faults)
     files: list[Path] = []
     if ears:
-        with staged(out) as fresh:
-            write_cohort_csv(fresh / "cohort.csv", ears, faults)
-            write_cohort_page(fresh / "cohort.html", ears, faults)
-        files = [out / "cohort.csv", out / "cohort.html"]
+        with outputs.staged() as fresh:
+            write_cohort_csv(fresh / COHORT_FILES[0], ears, faults)
+            write_cohort_page(fresh / COHORT_FILES[1], ears, faults)
+        files = [out / name for name in outputs.names]
     return CohortResult(out, ears, faults, codes, tuple(files))
+
+
+def _checked_outputs(studies: Mapping[str, Path], out: Path, force: bool) -> OutputSet:
+    """Return the outputs of the cohort, after a look whether any study would write over what another reads.
+
+    What is wrong with a study file itself is told when its turn comes.
+    """
+    from pipeline.scan2kd import output_set
+    from pipeline.study import read_study
+
+    sets: list[OutputSet] = []
+    for name, path in studies.items():
+        with suppress(StapeskitError):
+            sets.append(output_set(Path(path), read_study(path), out / name, force))
+    read = tuple(dict.fromkeys(path for one in sets for path in (*studies.values(), *one.inputs)))
+    outputs = OutputSet("scan2kd", out, COHORT_FILES, read, force)
+    raise_all(StapeskitError, [fault for one in sets for fault in replace(one, inputs=read).clashes()])
+    outputs.check()
+    return outputs
 
 
 def _run_all(

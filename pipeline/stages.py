@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinematics.pages.scenery import Scenery
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
+MOTION_FILES, KD_FILE = ("dof.csv", "dof.h5", "dof.channels.csv"), "kd.json"
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,14 @@ class Scan:
         """Write mass.json, surfaces and labels; return their names and what there is to tell."""
         from ct_inertia.ct2mass import ct2mass
         from ct_inertia.mass_json import mass_json, write_outputs
+        from ct_inertia.output_files import labels_name
         from ct_inertia.report import Pictured, mass_sections
         from kinematics.provenance import Hashes
 
         options = mass_options(study.scan)
         hashes = Hashes(options.inputs.values())
         result = ct2mass(options)
-        content = mass_json(result, hashes=hashes)
+        content = mass_json(result, hashes=hashes, labels_file=labels_name(work.out, options.labels))
         labelled = None if result.bodies is None else result.bodies.labels
         sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
         content["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
@@ -112,6 +114,7 @@ class Motion:
         mass = json.loads((here / "mass.json").read_text(encoding="utf-8"))
         values = mass["inertial_parameters"]["values_si"]
         names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
+        labels = mass.get("labels_file") or "labels.nrrd"
         frames = {key: mass["frames"].get(key) for key in names}
         return {
             **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
@@ -119,7 +122,7 @@ class Motion:
             "mass distribution": [f"{value / values[0]:.7g}" for value in values],
             "surfaces": [
                 content_hash(path) if path.exists() else None
-                for path in (here / "stapes.ply", here / "plate.ply", here / "labels.nrrd")
+                for path in (here / name for name in ("stapes.ply", "plate.ply", labels))
             ],
         }
 
@@ -142,7 +145,7 @@ class Motion:
         write_motion(work.fresh, "dof", result.motion)
         write_channels(work.fresh / "dof.channels.csv", result.channels)
         drawn = sections(result, _scenery(work, mass))
-        return ["dof.csv", "dof.h5", "dof.channels.csv"], Told(tuple(drawn), result.notices)
+        return list(MOTION_FILES), Told(tuple(drawn), result.notices)
 
 
 class Fit:
@@ -196,8 +199,8 @@ class Fit:
             content["monte_carlo"] = monte_carlo_json(fit, scatter)
             sections.append(monte_carlo_section(fit, scatter))
         text = json.dumps(content, indent=1) + "\n"
-        (work.fresh / "kd.json").write_text(text, encoding="utf-8")
-        return ["kd.json"], Told(tuple(sections), fit.notices)
+        (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
+        return [KD_FILE], Told(tuple(sections), fit.notices)
 
 
 STAGES = (Scan, Motion, Fit)
@@ -215,6 +218,18 @@ _FILES = (
     "channels",
     "steps",
 )
+
+
+def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
+    """Return the names that a study may write into its folder, the report apart."""
+    from ct_inertia.output_files import labels_name, result_names
+
+    return (*result_names(labels_name(out, study.scan.labels)), *MOTION_FILES, KD_FILE)
+
+
+def inputs_of(study: Study) -> tuple[Path, ...]:
+    """Return every file and folder that a study names."""
+    return tuple(path for stage in STAGES for path in stage.inputs(study).values() if path is not None)
 
 
 def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
@@ -260,7 +275,7 @@ def _placement(
 
     clouds = _clouds(study.ldv)
     frame = study.ldv.frame or "footplate"
-    surfaces = ScanSurfaces.beside(work.find("mass.json"))
+    surfaces = ScanSurfaces.beside(work.find("mass.json"), mass)
     return tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
 
 

@@ -25,10 +25,17 @@ _MODULES = {
     "mat": "matlab",
 }
 FORMATS: tuple[str, ...] = tuple(_MODULES)
-FILES = (
-    *("stapes.stl", "plate.stl", "stapes.obj", "plate.obj", "stapes.glb"),
-    *("stapes.xml", "stapes.urdf", "stapes.inp", "mass.mat"),
-)
+_FILES = {
+    "stl": ("stapes.stl", "plate.stl"),
+    "obj": ("stapes.obj", "plate.obj"),
+    "glb": ("stapes.glb",),
+    "mjcf": ("stapes.xml", "stapes.obj"),
+    "urdf": ("stapes.urdf", "stapes.obj"),
+    "abaqus": ("stapes.inp",),
+    "mat": ("mass.mat",),
+}
+FILES = tuple(dict.fromkeys(name for names in _FILES.values() for name in names))
+"""Every file that an export may write."""
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
@@ -94,6 +101,11 @@ def export(
         write: Callable[[Any, Path], list[str]] = _module(name).write
         names += [file for file in write(body, folder) if file not in names]
     return names
+
+
+def files_of(formats: Iterable[str]) -> tuple[str, ...]:
+    """Return the files that exports in these formats may write."""
+    return tuple(dict.fromkeys(name for one in formats for name in _FILES[one]))
 
 
 def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:

@@ -7,12 +7,16 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError, sentence
 from kinematics.geometry.mesh_distance import TriangleSurface
+
+if TYPE_CHECKING:
+    from kinematics.mass_record import MassRecord
 
 Array = NDArray[np.float64]
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
@@ -34,16 +38,21 @@ class ScanSurfaces:
     ----------
     find : callable
         From a file's name to its path, which need not exist.
+    labels_file : str or None
+        Name of the label volume.
     """
 
     find: Callable[[str], Path]
+    labels_file: str | None = "labels.nrrd"
     _read: dict[str, TriangleSurface | None] = field(default_factory=dict, repr=False, compare=False)
     _labels: dict[str, Labels] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def beside(cls, mass_file: Path) -> ScanSurfaces:
-        """Return the surfaces in the folder of a mass.json."""
-        return cls(lambda name: Path(mass_file).parent / name)
+    def beside(cls, mass_file: Path, mass: MassRecord | None = None) -> ScanSurfaces:
+        """Return the surfaces in the folder of a mass.json, the labels by the name that it gives them."""
+        labels = "labels.nrrd" if mass is None else mass.raw.get("labels_file", "labels.nrrd")
+        named = labels if isinstance(labels, str) and Path(labels).name == labels else None
+        return cls(lambda name: Path(mass_file).parent / name, named)
 
     def mesh(self, name: str) -> TriangleSurface | None:
         """Return ``stapes`` or ``plate``, or None when there is no such file.
@@ -60,8 +69,8 @@ class ScanSurfaces:
 
     def bone_near(self, points_mm: Array) -> TriangleSurface | None:
         """Return the boundary of the other bone around points (n, 3), or None when there is none there."""
-        path = self.find("labels.nrrd")
-        if not path.is_file():
+        path = None if self.labels_file is None else self.find(self.labels_file)
+        if path is None or not path.is_file():
             return None
         if "labels" not in self._labels:
             self._labels["labels"] = read_labels(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from ct_inertia.surface import read_surface, write_surface
 from kinematics.command import show
 from kinematics.errors import StapeskitError
 from kinematics.mass_record import read_mass_record
+from kinematics.provenance import content_hash
 from tests.ct_inertia.shapes import box, stapes
 
 DENSITY = 1900.0
@@ -64,8 +66,8 @@ class TestAScan:
     def test_writes_every_file_and_nothing_else(self, result):
         out, outcome = result
         names = sorted(path.name for path in out.iterdir())
-        assert names == ["labels.nrrd", "mass.json", "plate.ply", "report.html", "stapes.ply"]
-        assert sorted(path.name for path in outcome.files) == names
+        assert names == [".stapeskit", "labels.nrrd", "mass.json", "plate.ply", "report.html", "stapes.ply"]
+        assert sorted(path.name for path in outcome.files) == names[1:]
         assert not list(out.parent.glob(".stapeskit*"))
 
     def test_gives_the_mass_matrix_of_the_true_body(self, scan, result):
@@ -153,6 +155,37 @@ class TestAScan:
         assert both.result["volume_m3"] * 1e9 == pytest.approx(made.stapes.volume_mm3, rel=0.02)
         assert not (tmp_path / "b" / "report.html").exists()
 
+    def test_labels_corrected_in_place_are_measured_and_stay(self, scan, result, tmp_path):
+        import SimpleITK as sitk
+
+        out = tmp_path / "ear_mass"
+        shutil.copytree(result[0], out)
+        words = [scan[0] / "ear.nrrd", "--density", "1900", "--no-report", "--out", out]
+        labels = out / "labels.nrrd"
+        run(words)  # nothing edited: a plain rerun
+        image = sitk.ReadImage(str(labels))
+        corrected = sitk.GetArrayFromImage(image)
+        corrected[tuple(np.argwhere(corrected == 1)[0])] = 0
+        edited = sitk.GetImageFromArray(corrected)
+        edited.CopyInformation(image)
+        sitk.WriteImage(edited, str(labels))
+        before = labels.read_bytes()
+        with pytest.raises(StapeskitError, match=r"labels.nrrd, edited since. Measure .* --labels") as fault:
+            run(words)
+        assert str(labels) in str(fault.value)
+        for _ in range(2):
+            made = run([*words, "--labels", labels])
+            assert labels.read_bytes() == before
+            assert made.result["labels_file"] == "labels.measured.nrrd"
+            assert made.result["provenance"]["inputs"]["labels"]["hash"] == content_hash(labels)
+            assert {path.name for path in made.files} >= {"labels.measured.nrrd", "mass.json"}
+            assert labels not in made.files
+        with pytest.raises(StapeskitError, match="edited since"):
+            run(words)
+        assert run([*words, "--force"]).result["labels_file"] == "labels.nrrd"
+        assert labels.read_bytes() != before
+        assert not (out / "labels.measured.nrrd").exists()
+
     def test_a_calibration_needs_and_uses_grey_values(self, scan, result, tmp_path):
         folder, made = scan
         line = tmp_path / "line.toml"
@@ -177,7 +210,7 @@ class TestAMesh:
         outcome = run(
             [mesh, "--density", "1900+-38", "--anterior", "1,0,0", "--out", tmp_path, "--no-report"]
         )
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["mass.json", "stapes.ply"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == [".stapeskit", "mass.json", "stapes.ply"]
         exact = stapes(0.06).moments()
         assert outcome.result["mass_kg"] == pytest.approx(exact.volume_mm3 * 1.9e-6, rel=1e-5)
         sd = np.array(outcome.result["mass_matrix"]["standard_deviation_si"])

@@ -103,4 +103,4 @@ def test_the_command_shows_it_and_measures_the_other(surface, tmp_path):
     table = dict(given.rows)
     assert f"{told[0]['mass_change_percent']:+.3f} %" in table["display: smooth 20"]
     written = sorted(path.name for path in given.files)
-    assert written == sorted(path.name for path in (tmp_path / "o").iterdir())
+    assert [".stapeskit", *written] == sorted(path.name for path in (tmp_path / "o").iterdir())

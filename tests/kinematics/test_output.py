@@ -28,18 +28,6 @@ def test_outputs_replace_old_ones_at_once(tmp_path):
     assert sorted(p.name for p in tmp_path.rglob(".stapeskit*")) == []
 
 
-def test_outputs_of_an_earlier_input_go_and_notes_of_the_user_stay(tmp_path):
-    for name in ("a.json", "plate.ply", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    with staged(tmp_path, ("a.json", "plate.ply", "never_written.txt")) as stage:
-        (stage / "a.json").write_text("new")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "notes.txt"]
-    assert (tmp_path / "a.json").read_text(encoding="utf-8") == "new"
-    with pytest.raises(RuntimeError), staged(tmp_path, ("a.json",)):
-        raise RuntimeError
-    assert (tmp_path / "a.json").exists()
-
-
 @pytest.mark.parametrize("fault", [RuntimeError, KeyboardInterrupt])
 def test_failure_leaves_nothing(tmp_path, fault):
     folder = tmp_path / "out"

@@ -110,7 +110,7 @@ def test_four_files_named_after_out(tmp_path):
     arguments = make(tmp_path, fault=Fault("sign", "stapes", "3", 1))
     _, outcome = work(arguments)
     names = ["dof.channels.csv", "dof.csv", "dof.h5", "dof.html"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".stapeskit", *names]
     assert sorted(path.name for path in outcome.files) == names
     with (tmp_path / "out" / "dof.channels.csv").open() as stream:
         rows = list(csv.DictReader(stream))

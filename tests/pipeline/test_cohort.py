@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinematics.errors import StapeskitError
 from pipeline.cohort import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
 from pipeline.cohort_page import write_cohort_page
 from pipeline.several import folder_names, run_studies
@@ -122,6 +123,23 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     assert "Did you mean [fit]?" in failed["error"]
     assert "broken" in (tmp_path / "all" / "cohort.html").read_text(encoding="utf-8")
     assert any(line.startswith("ear1: fit") for line in lines)
+
+
+def test_no_study_writes_over_what_another_reads(ear, tmp_path):
+    study, out = ear
+    (tmp_path / "all").mkdir()
+    out.rename(tmp_path / "all" / "study")
+    other = study.with_name("other.toml")
+    text = study.read_text(encoding="utf-8")
+    other.write_text(text.replace("[ldv]", 'landmarks = "../all/study/dof.csv"\n[ldv]'))
+    before = {path: path.read_bytes() for path in (tmp_path / "all").rglob("*") if path.is_file()}
+    for force in (False, True):
+        with pytest.raises(StapeskitError, match=r"dof\.csv must be another file than the inputs"):
+            run_studies([study, other], tmp_path / "all", force=force)
+    (tmp_path / "all" / "cohort.csv").write_text("the lab's own list")
+    with pytest.raises(StapeskitError, match=r"cohort\.csv, which it is not known to have written"):
+        run_studies([study], tmp_path / "all")
+    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_interrupting_several_studies_leaves_nothing(ear, tmp_path):

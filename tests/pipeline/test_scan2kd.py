@@ -10,10 +10,12 @@ import pytest
 
 from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from kinematics.errors import StapeskitError
+from kinematics.provenance import content_hash
 from pipeline import stages
 from pipeline.options import in_study_words
 from pipeline.progress import Progress
-from pipeline.scan2kd import run_study
+from pipeline.scan2kd import output_set, run_study
+from pipeline.study import read_study
 
 OUTPUTS = {"report.html", "mass.json", "stapes.ply", "dof.csv", "dof.h5", "dof.channels.csv", "kd.json"}
 
@@ -97,17 +99,51 @@ def test_refits_and_parts_of_the_band_are_in_the_result_and_the_report(ear):
 
 
 @pytest.mark.parametrize("name", ["kd.json", "dof.csv", "report.html", ".stapeskit/fit.sections.json"])
-def test_an_edited_or_missing_output_is_made_anew(ear, name):
+def test_a_missing_output_or_an_edited_record_is_made_anew(ear, name):
     study, out = ear
     before = contents(out)
-    (out / name).write_bytes(before[name][:-20])
-    result = run_study(study, out)
-    assert not all(reused(result).values())
-    assert reused(result)["scan"]
-    assert contents(out)[name] != before[name][:-20]
+    if name.startswith(".stapeskit"):
+        (out / name).write_bytes(before[name][:-20])
+        result = run_study(study, out)
+        assert not all(reused(result).values())
+        assert reused(result)["scan"]
+        assert contents(out)[name] != before[name][:-20]
     (out / name).unlink()
     assert not all(reused(run_study(study, out)).values())
     assert (out / name).exists()
+
+
+@pytest.mark.parametrize("name", ["kd.json", "dof.csv", "report.html"])
+def test_an_edited_output_is_replaced_by_force_alone(ear, name):
+    study, out = ear
+    (out / name).write_bytes(b"edited by hand")
+    before = contents(out)
+    with pytest.raises(StapeskitError, match=rf"{name}, edited since.*--force"):
+        run_study(study, out)
+    assert contents(out) == before
+    run_study(study, out, force=True)
+    assert contents(out)[name] != before[name]
+    assert all(reused(run_study(study, out)).values())
+
+
+def test_outputs_whose_own_record_is_missing_are_known_by_those_of_the_stages(ear):
+    study, out = ear
+    (out / ".stapeskit" / "scan2kd-report.html.json").unlink()
+    assert all(reused(run_study(study, out)).values())
+    edit(study, "1382.4+-14", "1400+-14")
+    (out / ".stapeskit" / "scan2kd-report.html.json").unlink()
+    assert not reused(run_study(study, out))["scan"]
+
+
+@pytest.mark.parametrize("key", ["landmarks", "plate_fiducials"])
+def test_an_output_that_the_study_reads_is_refused(ear, key):
+    study, out = ear
+    edit(study, "[ldv]", f'{key} = "../out/dof.csv"\n[ldv]')
+    before = contents(out)
+    for force in (False, True):
+        with pytest.raises(StapeskitError, match=r"must be another file than the inputs"):
+            run_study(study, out, force=force)
+    assert contents(out) == before
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema": "stapeskit.stage/1"}'])
@@ -172,14 +208,28 @@ def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, wh
     assert not (tmp_path / "new").exists()
 
 
+def test_labels_of_the_output_folder_that_the_study_names_are_no_output(ear):
+    study, out = ear
+    (out / "labels.nrrd").write_bytes(b"corrected by hand")
+    with pytest.raises(StapeskitError, match=r"labels\.nrrd, which it is not known to have written"):
+        run_study(study, out)
+    edit(study, "[ldv]", 'labels = "../out/labels.nrrd"\n[ldv]')
+    made = output_set(study, read_study(study), out)
+    made.check()
+    assert "labels.nrrd" not in made.names
+    assert "labels.measured.nrrd" in made.names
+    assert out / "labels.nrrd" in {path.resolve() for path in made.inputs}
+
+
 def test_outputs_that_no_longer_belong_are_removed(ear):
     study, out = ear
     record = out / ".stapeskit" / "scan.json"
     content = json.loads(record.read_text(encoding="utf-8"))
-    content["outputs"]["plate.ply"] = "xxh3_128:0"
-    record.write_text(json.dumps(content))
     (out / "plate.ply").write_bytes(b"of another scan")
+    content["outputs"]["plate.ply"] = content_hash(out / "plate.ply")
+    record.write_text(json.dumps(content))
     (out / "mine.txt").write_text("the user's own")
+    edit(study, "1382.4+-14", "1400+-14")
     run_study(study, out)
     assert not (out / "plate.ply").exists()
     assert (out / "mine.txt").exists()
