@@ -54,6 +54,28 @@ def test_the_four_commands_run_as_they_are_printed(lab):
     assert (folder / "kd.json").is_file()
 
 
+def test_a_cut_is_corrected_as_it_is_printed(lab):
+    folder, _ = lab
+    labels = folder / "scan_mass" / "labels.nrrd"
+    (line,) = blocks("sh")[2].splitlines()
+    first, _, given = line.partition(" --labels ")
+    assert given == "scan_mass/labels.nrrd"
+    before = b""
+    for words in (shlex.split(first), shlex.split(line)):
+        done = subprocess.run(
+            [str(BIN / words[0]), *words[1:], "--no-report"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        before = labels.read_bytes() if words == shlex.split(first) else before
+    assert labels.read_bytes() == before
+    assert json.loads((labels.parent / "mass.json").read_text(encoding="utf-8"))["labels_file"] != labels.name
+
+
 def test_the_notebook_example_gives_a_mass_matrix(lab, monkeypatch, capsys):
     folder, truth = lab
     monkeypatch.chdir(folder)
