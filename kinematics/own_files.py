@@ -112,21 +112,21 @@ class OutputSet:
 
     def clashes(self, names: Collection[str] = ()) -> list[str]:
         """Return a fault for every output, of these names or all, that is an input, also by a link."""
-        read = _files_of(path for path in self.inputs if not os.path.isdir(path))
+        read = self._files_read
         paths = [self.folder / name for name in (*(names or self.names), self._record_name)]
         return [self._is_input(path, read[_inode(path)]) for path in paths if _inode(path) in read]
 
     def _check(self, names: Collection[str]) -> None:
         """Raise what forbids to write these names."""
         names = tuple(dict.fromkeys(names))
-        recorded, foreign = self._recorded(), list[str]()
+        read, recorded, foreign = self._files_read, self._recorded(), list[str]()
         faults = self.clashes(names)
         records = self.folder / RECORDS
         if os.path.lexists(records) and not records.is_dir():
             faults.append(sentence(f"{records}", "the folder of records", "a file", "", "Move it away"))
-        for name in names if not faults else ():
+        for name in names:
             path = self.folder / name
-            if not os.path.lexists(path) or self._own(name, recorded):
+            if not os.path.lexists(path) or _inode(path) in read or self._own(name, recorded):
                 continue
             if path.is_dir():
                 faults.append(sentence(f"the output {path}", "a file", "a folder", "", "Move it away"))

@@ -105,6 +105,15 @@ def test_an_input_is_never_replaced(tmp_path, link, force):
     assert given.read_text(encoding="utf-8") == "read"
 
 
+def test_inputs_and_foreign_files_are_told_together(tmp_path):
+    for name in ("a.json", "b.ply"):
+        (tmp_path / name).write_text("theirs")
+    read, foreign = refused(outputs(tmp_path, inputs=(tmp_path / "b.ply",)), "--force")
+    assert "b.ply" in read
+    assert "a.json" in foreign
+    assert "b.ply" not in foreign
+
+
 @pytest.mark.parametrize("force", [False, True])
 def test_an_own_output_that_is_read_is_neither_replaced_nor_removed(tmp_path, force):
     write(outputs(tmp_path), a_json="1", b_ply="1", c_stl="1")
