@@ -1,4 +1,4 @@
-"""The beam experiment as a page: python -m fitting.beam_page OUT.html [repetitions]."""
+"""The beam experiment as a page: python -m fitting.beam_page OUT.html [repetitions] [--force]."""
 
 from __future__ import annotations
 
