@@ -3,7 +3,9 @@
 Numbers agree within 1e-9 of themselves, or within 1e-12 of their scale: of a symmetric positive matrix the
 root of the two diagonal entries, else the largest entry of the same column (last axis) or list, so that what
 is an exact zero but for rounding cannot fail. A lone number takes as its scale the largest of the numbers of
-its name in the file (all ``[*].chi2``).
+its name in the file (all ``[*].chi2``), a contribution to an uncertainty the largest of all contributions to
+the same quantity. A standard deviation is the root of such a zero: two that are both below 1e-6 of their
+scale agree.
 """
 
 from __future__ import annotations
@@ -17,6 +19,9 @@ import numpy as np
 
 RTOL = 1e-9
 FLOOR = 1e-12
+CONTRIBUTION = re.compile(r"((?:uncertainty|budget|contributions\w*)\.)(?:.+\.)?([^.]+)$")
+OF_VARIANCES = re.compile(r"contributions\w*\.[^.]+$")
+DEVIATION = re.compile(r"(?:uncertainty|budget)\.|_sd(?:_|$)|standard_deviation|^[^:]*:\w*_sd_")
 
 
 @dataclass(frozen=True)
@@ -55,17 +60,17 @@ def differences(
     found = []
     for place, value in old.items():
         if place in new:
-            found += _of_value(place, value, new[place], scales.get(_group(place), 0.0), rtol)
+            found += _of_value(place, value, new[place], scales.get(_group(place)), rtol)
     missing = [place for place in old if place not in new]
     added = [place for place in new if place not in old]
     for place in missing:
-        same = [other for other in added if not _of_value(place, old[place], new[other], 0.0, rtol)]
+        same = [other for other in added if not _of_value(place, old[place], new[other], None, rtol)]
         hint = f"(renamed to {same[0]}?)" if same else ""
         found.append(Difference("missing", place, hint))
     return found + [Difference("added", place) for place in added]
 
 
-def _of_value(place: str, old: Any, new: Any, scale: float, rtol: float) -> list[Difference]:
+def _of_value(place: str, old: Any, new: Any, scale: Any, rtol: float) -> list[Difference]:
     if isinstance(old, dict) and isinstance(new, dict) and "n" in old and "n" in new:
         return _of_numbers(place, old, new, scale, rtol)
     if isinstance(old, dict) and "prose" in old:
@@ -85,15 +90,20 @@ def _of_value(place: str, old: Any, new: Any, scale: float, rtol: float) -> list
 
 
 def _of_numbers(
-    place: str, old: Mapping[str, Any], new: Mapping[str, Any], scale: float, rtol: float
+    place: str, old: Mapping[str, Any], new: Mapping[str, Any], scale: Any, rtol: float
 ) -> list[Difference]:
     if old["shape"] != new["shape"]:
         return [Difference("number", f"{place} shape", str(old["shape"]), str(new["shape"]))]
     found = []
     if old["n"] != new["n"]:
         a, b = _array(old["n"]), _array(new["n"])
-        floor = FLOOR * np.maximum(_scales(a, old), scale if a.size == 1 else 0.0)
-        found += _worst(place, a, b, floor, rtol)
+        whole = _scales(a, old)
+        if scale is not None and scale.shape == whole.shape:
+            whole = np.maximum(whole, scale)
+        if DEVIATION.search(place):
+            zero = np.sqrt(FLOOR) * whole
+            a, b = (np.where(np.maximum(np.abs(a), np.abs(b)) < zero, 0.0, v) for v in (a, b))
+        found += _worst(place, a, b, FLOOR * whole, rtol)
     if old.get("missing") != new.get("missing"):
         found.append(
             Difference("number", f"{place} not finite", str(old.get("missing")), str(new.get("missing")))
@@ -138,16 +148,24 @@ def _scales(values: np.ndarray, told: Mapping[str, Any]) -> np.ndarray:
 
 
 def _group(place: str) -> str:
-    return re.sub(r"\[\d+\]", "[*]", place)
+    """Return what the places of one kind have in common."""
+    place = re.sub(r"\[\d+\]", "[*]", place)
+    if OF_VARIANCES.search(place):
+        return place.rpartition(".")[0]
+    return CONTRIBUTION.sub(r"\1*.\2", place)
 
 
-def _group_scales(table: Mapping[str, Any]) -> dict[str, float]:
-    """Return the largest lone number of each name."""
-    scales: dict[str, float] = {}
+def _group_scales(table: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the scale of the entries of each group: the largest of its members of the first one's shape."""
+    scales: dict[str, np.ndarray] = {}
     for place, value in table.items():
-        if isinstance(value, dict) and value.get("shape") == [] and not isinstance(value["n"][0], str):
-            group = _group(place)
-            scales[group] = max(scales.get(group, 0.0), abs(value["n"][0]))
+        group = _group(place)
+        if not isinstance(value, dict) or "n" not in value or (value["shape"] and group == place):
+            continue
+        own = _scales(_array(value["n"]), value)
+        before = scales.setdefault(group, own)
+        if before.shape == own.shape:
+            scales[group] = np.maximum(before, own)
     return scales
 
 
