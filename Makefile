@@ -23,7 +23,7 @@ $(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcar
 
 demo: $(READY)
 	$(BIN)/scan2kd sample_volumes/study.toml --out demo
-	$(BIN)/python -m fitting.paper_page demo/paper.html --force
+	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
 	@echo "Open demo/report.html"
 
 # one thread of linear algebra per process: two processes share two cores
@@ -60,7 +60,7 @@ sample: $(READY)
 
 paper: $(READY)
 	mkdir -p demo
-	$(BIN)/python -m fitting.paper_page demo/paper.html --force
+	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
 
 bench: $(READY)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done

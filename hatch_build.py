@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent
-FOLDERS = (ROOT / "kinematics" / "kernels", ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
+FOLDERS = (ROOT / "kinematics" / "native", ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
 # The loader's own rule for the file name, so that what is built is what is looked for.
-library_name = runpy.run_path(str(ROOT / "kinematics" / "native.py"))["library_name"]
+library_name = runpy.run_path(str(ROOT / "stapeskit" / "native.py"))["library_name"]
 FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror"]
 

@@ -27,17 +27,17 @@ ENTRIES = np.triu_indices(3)
 def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
     from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.mass_json import mass_json
+    from ct_inertia.exports.mass_json import mass_json
     from fitting.kd import fit_kd
-    from kinematics.geometry.placement import place
-    from kinematics.mass_record import read_mass_record
     from kinematics.points2dof import points2dof
+    from kinematics.registration.placement import place
     from pipeline.options import fit_options, mass_options, motion_options
     from pipeline.stages import read_measurement
     from pipeline.study import read_study
     from sample_volumes.make_sample import make_study
     from sample_volumes.phantom import Ear
     from sample_volumes.vibrometer import Vibrometry
+    from stapeskit.records.mass_record import read_mass_record
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,6 +1,6 @@
 """The beam experiment: deviations (Eq. 9) by model and estimator, frequencies, misalignment, as markdown.
 
-Truth is a finite-element beam between two steel cubes (fitting.beam_experiment).
+Truth is a finite-element beam between two steel cubes (fitting.examples.beam_experiment).
 Run: python benchmarks/fitting_beam.py [repetitions].
 """
 
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sys
 
-from fitting.beam_experiment import MODELS, Setup, deviations
-from fitting.beam_page import SHIFT_M, frequency_rows, rows_of
 from fitting.estimators import ESTIMATORS
+from fitting.examples.beam_experiment import MODELS, Setup, deviations
+from fitting.examples.beam_page import SHIFT_M, frequency_rows, rows_of
 
 
 def show(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:

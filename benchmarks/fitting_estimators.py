@@ -18,20 +18,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.damping import VISCOUS
 from fitting.estimators import EstimatorOptions, estimator, ml
-from fitting.experiment import driven_base, simulated_motion
-from fitting.identifiability import identifiability
-from fitting.inertia import inertia_of
-from fitting.lines import Scale
-from fitting.observation import observe
-from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.problem import Problem
-from fitting.starts import improve
-from fitting.symmetric import join
-from fitting.uncertainty import attenuation, invert, noise_covariance
-from kinematics.mass_record import MassMatrix
-from kinematics.spatial import DOF_NAMES, dof_indices
+from fitting.estimators.problem import Problem
+from fitting.estimators.starts import improve
+from fitting.examples.experiment import driven_base, simulated_motion
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from fitting.model.damping import VISCOUS
+from fitting.model.inertia import inertia_of
+from fitting.model.lines import Scale
+from fitting.model.observation import observe
+from fitting.model.symmetric import join
+from fitting.uncertainty.covariance import attenuation, invert, noise_covariance
+from fitting.uncertainty.identifiability import identifiability
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.spatial import DOF_NAMES, dof_indices
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF
 HEADER = (

@@ -18,16 +18,16 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from fitting.damping import VISCOUS
 from fitting.estimators import EstimatorOptions, constrained, irls, ml, pinv
-from fitting.experiment import driven_base, simulated_motion
-from fitting.inertia import inertia_of
-from fitting.lines import Lines, Scale, real_rows, regressor
-from fitting.model import state_matrix
-from fitting.observation import observe
-from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.problem import Problem
-from fitting.symmetric import join, pairs, split
+from fitting.estimators.problem import Problem
+from fitting.examples.experiment import driven_base, simulated_motion
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
+from fitting.model.damping import VISCOUS
+from fitting.model.inertia import inertia_of
+from fitting.model.lines import Lines, Scale, real_rows, regressor
+from fitting.model.model import state_matrix
+from fitting.model.observation import observe
+from fitting.model.symmetric import join, pairs, split
 
 M, K, D, DOF = PAPER_MASS, PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED, PAPER_DOF
 OPTIONS = EstimatorOptions()

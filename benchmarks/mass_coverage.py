@@ -53,11 +53,11 @@ def random_ear(seed: int, voxel_mm: float, stapes: Path | None) -> object:
 
 def measured(seed: int, voxel_mm: float, stapes: Path | None) -> dict[str, np.ndarray]:
     """Return errors and stated standard deviations of one ear."""
-    from ct_inertia.anatomy import AnatomyHints
-    from ct_inertia.footplate import footplate_frame
-    from ct_inertia.mass_properties import footplate_mass_matrix, from_density
-    from ct_inertia.segmentation import find_bodies
-    from ct_inertia.volume import Volume
+    from ct_inertia.frames.anatomy import AnatomyHints
+    from ct_inertia.frames.footplate import footplate_frame
+    from ct_inertia.labelling.from_scan import find_bodies
+    from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+    from ct_inertia.volume.volume import Volume
     from sample_volumes.phantom import render, scene, truth
 
     ear = random_ear(seed, voxel_mm, stapes)

@@ -36,7 +36,7 @@ from benchmarks.fault_scenes import (
     with_gaps,
 )
 from benchmarks.points_faults import judged
-from kinematics.errors import KinematicsError
+from stapeskit.faults import StapeskitError
 
 PAIRS = (("sign", "gain 5 %"), ("sign", "sign"), ("gain 5 %", "direction 4 deg"), ("sign", "noise x4"),
          ("position 200 um", "sign"), ("drift 6 %", "gain 5 %"))  # fmt: skip
@@ -46,7 +46,7 @@ def verdicts(made: Scene, value: np.ndarray, stated: bool = True) -> dict[int, s
     """Return what is said of each channel that is not in order; of a file that is refused, that of all."""
     try:
         result = judged(made, 0, stated, value=value)
-    except KinematicsError:
+    except StapeskitError:
         return dict.fromkeys(range(len(made.points)), "refused")
     return {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
 

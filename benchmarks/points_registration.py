@@ -20,16 +20,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.errors import KinematicsError
-from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry.geometry_model import GeometryPriors
-from kinematics.geometry.icp import fit_to_surface
-from kinematics.geometry.icp_refine import Cloud
-from kinematics.geometry.registration import displacement, fit_rigid
+from tests.kinematics.test_registration import fitzpatrick_west
+
 from kinematics.points2dof import Options, points2dof
+from kinematics.registration.geometry_model import GeometryPriors
+from kinematics.registration.icp import fit_to_surface
+from kinematics.registration.icp_refine import Cloud
+from stapeskit.alignment.registration import displacement, fit_rigid
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.surfaces import box, on_faces, wedge
 from tests.kinematics.test_calibrate import COUNT, ear, nees
-from tests.kinematics.test_registration import fitzpatrick_west
 
 Array = np.ndarray
 CORNERS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8]])
@@ -138,7 +139,7 @@ def _with_fault(rng: np.random.Generator, marks: Array, fault: str, stated: bool
         culprits = ["--mirror"]
     try:
         found = fit_rigid(seen, known, 0.02 if stated else None, to="plate", source="vibrometer", names=names)
-    except KinematicsError as refused:
+    except StapeskitError as refused:
         return f" {refused} ", culprits
     texts = [notice.text for notice in found.notices if notice.code == "fiducials_inconsistent"]
     return (f" {texts[0]} " if texts else ""), culprits
@@ -167,7 +168,7 @@ def plate_rows(clouds: int, seed: int) -> list[str]:
                 cloud = Cloud(tuple(str(k) for k in range(count)), seen, np.full(count, sd))
                 try:
                     fit = fit_to_surface(cloud, plate, towards=towards, witnesses=others, surface_sd_mm=0.0)
-                except KinematicsError:
+                except StapeskitError:
                     refused += 1
                     continue
                 there = pose.inverse().points([[0.0, 1.0, 0.0]])

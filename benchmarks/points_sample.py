@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.frames import RigidTransform, rotation_from_vector
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import points2dof
+from stapeskit.frames import RigidTransform, rotation_from_vector
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_volumes"
 ALARM = 0.01

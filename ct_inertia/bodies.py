@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.moments import Moments
-from ct_inertia.surface import Surface
-from ct_inertia.volume import Volume
-from kinematics.background import Later
-from kinematics.notices import Notice
+from ct_inertia.surface.moments import Moments
+from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.volume import Volume
+from stapeskit.background import Later
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 BACKGROUND, STAPES, PLATE, OTHER_BONE = 0, 1, 2, 3
@@ -94,7 +94,7 @@ class LabelledVolume:
     @cached_property
     def packed(self) -> Later[bytes]:
         """The labels as the bytes of a compressed NRRD; begun in the background on first use."""
-        from ct_inertia.label_file import packed_labels
+        from ct_inertia.volume.label_file import packed_labels
 
         return Later(packed_labels, self)
 

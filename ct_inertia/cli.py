@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from kinematics.background import take_short_turns
-from kinematics.command import Outcome, Parser, numbers, run, value_with_sd
-from kinematics.errors import StapeskitError, sentence
-from kinematics.memory import hold_little_memory, keep_algebra_to_one_thread
+from stapeskit.background import take_short_turns
+from stapeskit.command import Outcome, Parser, numbers, run, value_with_sd
+from stapeskit.faults import StapeskitError, sentence
+from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
     from ct_inertia.readers.raw import RawLayout
-    from kinematics.notices import Notice
-    from kinematics.own_files import OutputSet
-    from kinematics.provenance import Hashes
+    from stapeskit.own_files import OutputSet
+    from stapeskit.provenance import Hashes
+    from stapeskit.warnings import Notice
 
 _DESCRIPTION = """Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
 
@@ -201,7 +201,7 @@ def options_from(given: argparse.Namespace) -> MassOptions:
     import numpy as np
 
     from ct_inertia.ct2mass import MassOptions
-    from ct_inertia.mass_properties import PointMass
+    from ct_inertia.mass.mass_properties import PointMass
 
     percent = given.voxel_size_sd
     if percent is not None and not 0.0 <= percent < 50.0:
@@ -266,13 +266,13 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     given = parser().parse(arguments)
     options = options_from(given)
     if given.smooth is not None or given.faces is not None:
-        from ct_inertia.display import check_request
+        from ct_inertia.surface.display import check_request
 
         check_request(given.smooth, given.faces)
     from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.output_files import output_set
-    from ct_inertia.progress import told_on_terminal
-    from kinematics.provenance import Hashes
+    from ct_inertia.exports.output_files import output_set
+    from ct_inertia.volume.progress import told_on_terminal
+    from stapeskit.provenance import Hashes
 
     outputs = output_set(
         options,
@@ -297,14 +297,14 @@ def _write(
     given: argparse.Namespace, outputs: OutputSet, result: MassResult, hashes: Hashes
 ) -> tuple[list[Path], dict[str, Any], tuple[Notice, ...]]:
     """Write every output; return their paths, the content of mass.json, and what writing has to tell."""
-    from ct_inertia.mass_json import mass_json, names_of, write_outputs
-    from ct_inertia.output_files import LABELS, MEASURED_LABELS
+    from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
+    from ct_inertia.exports.output_files import LABELS, MEASURED_LABELS
 
     labels = LABELS if LABELS in outputs.names else MEASURED_LABELS
     content = mass_json(result, given.sha256, hashes, not given.no_report, labels)
     shown = None
     if given.smooth is not None or given.faces is not None:
-        from ct_inertia.display import display_mesh
+        from ct_inertia.surface.display import display_mesh
 
         mesh = display_mesh(result.stapes, given.smooth, given.faces)
         content["display_mesh"] = mesh.as_json()
@@ -312,7 +312,7 @@ def _write(
     with outputs.staged() as stage:
         names = []
         if shown is not None:
-            from ct_inertia.surface import write_surface
+            from ct_inertia.surface.surface import write_surface
 
             write_surface(stage / "stapes_display.ply", shown)
             names.append("stapes_display.ply")
@@ -325,7 +325,7 @@ def _write(
         notices = outputs.kept_notices([*names_of(result, content), *names, *report])
         content["warnings"] += [notice.as_json() for notice in notices]
         if report:
-            from ct_inertia.report import write_report
+            from ct_inertia.report.sections import write_report
 
             content = write_report(stage / "report.html", result, content, shown)
         names = [*write_outputs(result, stage, content), *names, *report]

@@ -10,32 +10,32 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.anatomy import AnatomyHints
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.footplate import FootplateFrame, footplate_frame
-from ct_inertia.mass_options import MassOptions
-from ct_inertia.mass_properties import (
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import FootplateFrame, footplate_frame
+from ct_inertia.mass.mass_options import MassOptions
+from ct_inertia.mass.mass_properties import (
     MassProperties,
     footplate_mass_matrix,
     plate_axes_mass_matrix,
     with_added,
 )
-from ct_inertia.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
-from ct_inertia.moments import Moments
-from ct_inertia.plausibility import check_mesh, implausible, size_notice, unsuitable
-from ct_inertia.progress import Tell, untold
-from ct_inertia.surface import Surface, read_surface
-from kinematics.background import Later
-from kinematics.errors import sentence
-from kinematics.frames import vector_from_rotation
-from kinematics.mass_record import MassMatrix
-from kinematics.notices import Notice, unique
+from ct_inertia.mass.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
+from ct_inertia.mass.plausibility import check_mesh, implausible, size_notice, unsuitable
+from ct_inertia.surface.moments import Moments
+from ct_inertia.surface.surface import Surface, read_surface
+from ct_inertia.volume.progress import Tell, untold
+from stapeskit.background import Later
+from stapeskit.faults import sentence
+from stapeskit.frames import vector_from_rotation
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import Bodies
-    from ct_inertia.calibration import Calibration
-    from ct_inertia.plate_fiducials import PlateFiducials
-    from ct_inertia.plate_frame import PlateFrame
+    from ct_inertia.frames.plate_fiducials import PlateFiducials
+    from ct_inertia.frames.plate_frame import PlateFrame
+    from ct_inertia.mass.calibration import Calibration
 
 __all__ = ["MassOptions", "MassResult", "ct2mass"]
 
@@ -129,19 +129,19 @@ def ct2mass(options: MassOptions, progress: Tell = untold) -> MassResult:
 def _known(options: MassOptions) -> _Known:
     landmarks: dict[str, Array] = {}
     if options.landmarks is not None:
-        from ct_inertia.landmarks import read_landmarks
+        from ct_inertia.frames.landmarks import read_landmarks
 
         landmarks = read_landmarks(options.landmarks)
     anterior = None if options.anterior is None else np.array(options.anterior, dtype=float)
     hints = AnatomyHints(anterior, landmarks, options.side)
     fiducials = None
     if options.plate_fiducials is not None:
-        from ct_inertia.plate_fiducials import read_plate_fiducials
+        from ct_inertia.frames.plate_fiducials import read_plate_fiducials
 
         fiducials = read_plate_fiducials(options.plate_fiducials)
     calibration = None
     if options.calibration is not None:
-        from ct_inertia.calibration import read_calibration
+        from ct_inertia.mass.calibration import read_calibration
 
         calibration = read_calibration(options.calibration)
     return _Known(hints, fiducials, calibration)
@@ -156,11 +156,11 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             options.scan, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
         )
         if options.labels is None and options.box_mm is None:
-            from ct_inertia.coarse import take_glance
+            from ct_inertia.volume.coarse import take_glance
 
             glance = Later(take_glance, volume)
-    from ct_inertia.segmentation import find_bodies
-    from ct_inertia.sight import SearchOptions
+    from ct_inertia.labelling.from_scan import find_bodies
+    from ct_inertia.segment.sight import SearchOptions
 
     labels = None
     if options.labels is not None:
@@ -288,12 +288,12 @@ def _plate_frame(
 ) -> PlateFrame | None:
     middle = stapes.vertices_mm.mean(axis=0)
     if known.fiducials is not None:
-        from ct_inertia.plate_fiducials import plate_frame_from_fiducials
+        from ct_inertia.frames.plate_fiducials import plate_frame_from_fiducials
 
         return plate_frame_from_fiducials(known.fiducials, middle)
     if plate is None:
         return None
-    from ct_inertia.plate_frame import plate_frame
+    from ct_inertia.frames.plate_frame import plate_frame
 
     if bodies is None:
         return plate_frame(plate, stapes)
@@ -303,7 +303,7 @@ def _plate_frame(
 
 def _on_border(bodies: Bodies, plate: Surface) -> NDArray[np.bool_]:
     """Return which vertices (n,) of the plate lie at the border of the scan."""
-    from ct_inertia.plate_region import PlateSurface
+    from ct_inertia.frames.plate_surface import PlateSurface
 
     if isinstance(plate, PlateSurface):
         return plate.on_border

@@ -11,15 +11,15 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import turned
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import existing_file
 from ct_inertia.readers.dicom import holds_dicom, is_dicom
 from ct_inertia.readers.raw import RAW_SUFFIXES, RawLayout, companion, layout_missing
 from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
-from ct_inertia.volume import Volume, reversed_axis
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import turned
+from ct_inertia.volume.volume import Volume, reversed_axis
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 ITK_SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
 FORMATS = (

@@ -10,14 +10,14 @@ import matplotlib.image
 import numpy as np
 from matplotlib.figure import Figure
 
-from ct_inertia.drawn_body import Body
-from ct_inertia.pictures import render_views
-from ct_inertia.surface import read_surface
+from ct_inertia.report.drawn_body import Body
+from ct_inertia.report.pictures import render_views
+from ct_inertia.surface.surface import read_surface
 from fitting.kd import fit_kd
-from fitting.responses import responses
-from kinematics.frames import RigidTransform
-from kinematics.mass_record import read_mass_record
-from kinematics.motion_files import read_motion
+from fitting.report.responses import responses
+from stapeskit.frames import RigidTransform
+from stapeskit.records.mass_record import read_mass_record
+from stapeskit.records.motion_files import read_motion
 
 HERE = Path(__file__).parent
 

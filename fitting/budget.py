@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.damping import DampingLaw
+from fitting.estimators.problem import Problem
 from fitting.laws import LawFit
-from fitting.lines import Lines
-from fitting.model import modes
-from fitting.principal_axes import PRINCIPAL_DOF, principal_axes
-from fitting.problem import Problem
-from fitting.symmetric import entry_names, join, matrix, split, vector
-from fitting.uncertainty import (
+from fitting.model.damping import DampingLaw
+from fitting.model.lines import Lines
+from fitting.model.model import modes
+from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
+from fitting.model.symmetric import entry_names, join, matrix, split, vector
+from fitting.uncertainty.covariance import (
     ATTENUATION,
     NOISE,
     SharedEffect,

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import NoReturn
 
-from fitting.plan_example import PLAN_EXAMPLE as _PLAN_EXAMPLE
-from kinematics.command import Outcome, Parser, numbers, run
-from kinematics.errors import StapeskitError
+from fitting.plan.plan_example import PLAN_EXAMPLE as _PLAN_EXAMPLE
+from stapeskit.command import Outcome, Parser, numbers, run
+from stapeskit.faults import StapeskitError
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of --dof.
 Writes kd.json and kd.html (named after --out). Example:
@@ -155,8 +155,8 @@ def _work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
         made.error(f"the following arguments are required: {', '.join(missing)}")
     from fitting.dof2kd import dof2kd
     from fitting.kd_fit import KDOptions
-    from fitting.report import summary_rows
-    from kinematics.spatial import parse_dof
+    from fitting.report.sections import summary_rows
+    from stapeskit.spatial import parse_dof
 
     dof = parse_dof(options.dof)
     _check_order(options, dof)
@@ -220,7 +220,7 @@ def _plan(options: argparse.Namespace) -> Outcome:
             "into the plan and leave the others out."
         )
     from fitting.dof2kd import plan2kd
-    from fitting.plan import summary_rows
+    from fitting.plan.plan import summary_rows
 
     found, content, files = plan2kd(
         options.plan, options.out or Path("plan.json"), force=options.force, config=options.config

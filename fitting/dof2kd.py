@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.kd import KDFit, KDOptions, fit_kd
-from fitting.kd_json import kd_json
-from fitting.mass_file import read_mass
+from fitting.model.mass_file import read_mass
 from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
-from fitting.plan import Expectation, expect, plan_json
-from fitting.plan_file import read_plan
-from fitting.plan_page import plan_page
-from fitting.report import kd_page
-from kinematics.errors import sentence
-from kinematics.mass_record import MassRecord
-from kinematics.motion_files import read_motion
-from kinematics.own_files import OutputSet
-from kinematics.provenance import record
+from fitting.plan.plan import Expectation, expect, plan_json
+from fitting.plan.plan_file import read_plan
+from fitting.plan.plan_page import plan_page
+from fitting.report.kd_json import kd_json
+from fitting.report.sections import kd_page
+from stapeskit.faults import sentence
+from stapeskit.own_files import OutputSet
+from stapeskit.provenance import record
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.motion_files import read_motion
 
 Array = NDArray[np.float64]
 

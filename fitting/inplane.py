@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.estimators import EstimatorOptions, ml
 from fitting.estimators.base import gram, transposed_times
-from fitting.identifiability import relative_sizes
-from fitting.lines import forward, real_rows
-from fitting.problem import Problem
-from fitting.symmetric import entry_names
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from fitting.estimators.problem import Problem
+from fitting.model.lines import forward, real_rows
+from fitting.model.symmetric import entry_names
+from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 CHOICES: tuple[str, ...] = ("auto", "load", "ignore")

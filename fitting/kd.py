@@ -7,28 +7,28 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.bands import fewer_bands, frequency_dependence
 from fitting.budget import budget_of, derived_quantities
-from fitting.damping import DampingLaw
 from fitting.estimators import EstimatorOptions
-from fitting.identifiability import Identifiability, identifiability
-from fitting.inertia import inertia_of
+from fitting.estimators.problem import Problem
+from fitting.estimators.starts import improve
 from fitting.inplane import InplaneChoice, choose
 from fitting.kd_fit import COMPARE, KDFit, KDOptions
 from fitting.laws import LawFit, compare_laws, fit_law
-from fitting.lines import Lines, Scale
-from fitting.model import modes
-from fitting.observation import observe
-from fitting.problem import Problem
-from fitting.profile import profile_intervals
-from fitting.ranges import check_motion, check_result, unsolvable
-from fitting.starts import improve
-from fitting.symmetric import split
-from fitting.uncertainty import chi2, degrees
+from fitting.model.damping import DampingLaw
+from fitting.model.inertia import inertia_of
+from fitting.model.lines import Lines, Scale
+from fitting.model.model import modes
+from fitting.model.observation import observe
+from fitting.model.ranges import check_motion, check_result, unsolvable
+from fitting.model.symmetric import split
+from fitting.uncertainty.bands import fewer_bands, frequency_dependence
+from fitting.uncertainty.covariance import chi2, degrees
+from fitting.uncertainty.identifiability import Identifiability, identifiability
+from fitting.uncertainty.profile import profile_intervals
 from fitting.verdicts import verdicts
-from kinematics.mass_record import MassMatrix
-from kinematics.motion import RigidMotion
-from kinematics.notices import unique
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.records.motion import RigidMotion
+from stapeskit.warnings import unique
 
 Array = NDArray[np.float64]
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that

@@ -8,22 +8,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.bands import USUAL_BANDS, FrequencyDependence
 from fitting.budget import Budget, Derived
-from fitting.damping import LAWS, DampingLaw
 from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, Estimate
-from fitting.identifiability import Identifiability
+from fitting.estimators.problem import Problem
 from fitting.inplane import CHOICES, InplaneChoice
 from fitting.laws import LawFit
-from fitting.lines import Lines
-from fitting.model import Modes, passive
-from fitting.observation import Observation
-from fitting.problem import Problem
-from fitting.symmetric import entry_names, join, split
-from kinematics.errors import raise_all, sentence
-from kinematics.notices import Notice
-from kinematics.spatial import DOF_NAMES
+from fitting.model.damping import LAWS, DampingLaw
+from fitting.model.lines import Lines
+from fitting.model.model import Modes, passive
+from fitting.model.observation import Observation
+from fitting.model.symmetric import entry_names, join, split
+from fitting.uncertainty.bands import USUAL_BANDS, FrequencyDependence
+from fitting.uncertainty.identifiability import Identifiability
+from stapeskit.faults import raise_all, sentence
+from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 COMPARE = "compare"

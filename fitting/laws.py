@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.damping import LAWS, DampingLaw
 from fitting.estimators import Estimate, ml
 from fitting.estimators.base import gram, solve_symmetric, transposed_times
-from fitting.lines import forward, real_rows
-from fitting.problem import Problem
-from fitting.symmetric import entry_names, split
-from fitting.uncertainty import chi2, degrees
+from fitting.estimators.problem import Problem
+from fitting.model.damping import LAWS, DampingLaw
+from fitting.model.lines import forward, real_rows
+from fitting.model.symmetric import entry_names, split
+from fitting.uncertainty.covariance import chi2, degrees
 
 Array = NDArray[np.float64]
 _EXPONENTS = (0.05, 1.6)

@@ -16,15 +16,15 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from fitting.estimators import estimator
+from fitting.estimators.problem import Problem
 from fitting.kd_fit import KDFit
-from fitting.lines import Lines, motion_rows
-from fitting.model import modes
-from fitting.problem import Problem
-from fitting.symmetric import entry_names, split
-from fitting.uncertainty import ATTENUATION, JOINED_FRAME
-from kinematics.pages import page
-from kinematics.pages.page import Section
-from kinematics.spatial import DOF_NAMES
+from fitting.model.lines import Lines, motion_rows
+from fitting.model.model import modes
+from fitting.model.symmetric import entry_names, split
+from fitting.uncertainty.covariance import ATTENUATION, JOINED_FRAME
+from stapeskit.page import page
+from stapeskit.page.page import Section
+from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

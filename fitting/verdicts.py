@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.identifiability import relative_sizes
-from kinematics.notices import Notice
+from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     from fitting.kd_fit import KDFit

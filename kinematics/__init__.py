@@ -1,3 +1,1 @@
-"""Rigid frames, twists, vibrometer measurements and their rigid-body coordinates: the ground floor."""
-
-__version__ = "0.1.0"
+"""Vibrometer measurements and the rigid-body coordinates of what they show."""

@@ -7,16 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from kinematics.command import Outcome, Parser, run
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.geometry import geometry_options
-from kinematics.geometry.geometry_options import add_options
+from kinematics.errors import KinematicsError
+from kinematics.registration import geometry_options
+from kinematics.registration.geometry_options import add_options
 from kinematics.signals.series_options import add_series_arguments, series_options
+from stapeskit.command import Outcome, Parser, run
+from stapeskit.faults import collecting, raise_all, sentence
 
 if TYPE_CHECKING:
-    from kinematics.own_files import OutputSet
     from kinematics.points2dof import Options, Points2Dof
     from kinematics.readers import InputOptions
+    from stapeskit.own_files import OutputSet
 
 _EPILOG = """\
 Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
@@ -146,14 +147,14 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     """Run the command on its arguments."""
     options = parser().parse(arguments)
     faults = _faults(options)
-    from kinematics.geometry.fiducials import read_fiducials
-    from kinematics.geometry.scan_surfaces import ScanSurfaces
-    from kinematics.geometry.surface_points import mirrored, read_surface_points
-    from kinematics.geometry.tie import tie
-    from kinematics.mass_record import read_mass_record
     from kinematics.points2dof import points2dof
-    from kinematics.provenance import record
     from kinematics.readers import read_measurement
+    from kinematics.registration.fiducials import read_fiducials
+    from kinematics.registration.scan_surfaces import ScanSurfaces
+    from kinematics.registration.surface_points import mirrored, read_surface_points
+    from kinematics.registration.tie import tie
+    from stapeskit.provenance import record
+    from stapeskit.records.mass_record import read_mass_record
 
     said, chosen = _choices(options, faults)
     inputs = _inputs(options)
@@ -213,7 +214,7 @@ def _choices(options: argparse.Namespace, faults: list[str]) -> tuple[InputOptio
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
     from kinematics.readers.kinds import describes_series
-    from kinematics.spatial import parse_dof
+    from stapeskit.spatial import parse_dof
 
     said, chosen, series, priors, dof = InputOptions(), Options(), None, None, Options().dof
     with collecting(faults):
@@ -290,7 +291,7 @@ def _inputs(options: argparse.Namespace) -> dict[str, Path | None]:
 
 def _outputs(options: argparse.Namespace, inputs: Mapping[str, Path | None]) -> OutputSet:
     """Return the files that are written, beside those that are read."""
-    from kinematics.own_files import OutputSet
+    from stapeskit.own_files import OutputSet
 
     scan = [] if options.mass is None else [options.mass.parent / name for name in _BESIDE_MASS]
     read = [path for path in (*inputs.values(), options.config, *scan) if path is not None]
@@ -301,9 +302,9 @@ def _outputs(options: argparse.Namespace, inputs: Mapping[str, Path | None]) -> 
 def _write(options: argparse.Namespace, result: Points2Dof, outputs: OutputSet) -> list[Path]:
     """Write all outputs at once and return their paths."""
     from kinematics.faults.verdicts import write_channels
-    from kinematics.motion_files import write_motion
-    from kinematics.pages.report import write_report
-    from kinematics.pages.scenery import read_scenery
+    from kinematics.report.scenery import read_scenery
+    from kinematics.report.sections import write_report
+    from stapeskit.records.motion_files import write_motion
 
     stem = options.out.stem
     scenery = None if options.mass is None else read_scenery(options.mass)
@@ -320,9 +321,9 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
 
     import numpy as np
 
-    from kinematics.motion_files import standard_deviation
-    from kinematics.pages import geometry_report
-    from kinematics.pages.drawings import line_words
+    from kinematics.report import geometry_report
+    from stapeskit.page.drawings import line_words
+    from stapeskit.records.motion_files import standard_deviation
 
     motion = result.motion
     rows = [

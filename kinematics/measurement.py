@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.frames import RigidTransform
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
+from stapeskit.faults import raise_all, sentence
+from stapeskit.frames import RigidTransform
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

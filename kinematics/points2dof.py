@@ -10,33 +10,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.across.lines import column_offset, exchanged_lines
 from kinematics.faults.across.phase import phase_notice
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.neglected import neglected_notice
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
+from kinematics.fit.neglected import neglected_notice
 from kinematics.fit.noise import with_noise
 from kinematics.fit.ratio import parse_reference, per_reference
 from kinematics.fit.record_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.fit.shared_errors import pose_derivatives, position_errors
-from kinematics.geometry.calibrate import Calibration
-from kinematics.geometry.calibrated_fit import calibrated, calibration_errors
-from kinematics.geometry.geometry_model import GeometryPriors
-from kinematics.geometry.handedness import check_axes
-from kinematics.geometry.placement import Placement, place
-from kinematics.mass_record import MassRecord
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.motion import RigidMotion, SharedErrors
-from kinematics.notices import Notice, unique
-from kinematics.spatial import DOF_NAMES
-from kinematics.takes.pooling import pooled, separate, with_gain_errors
-from kinematics.takes.repeats import RunRepeats
+from kinematics.registration.calibrate import Calibration
+from kinematics.registration.calibrated_fit import calibrated, calibration_errors
+from kinematics.registration.geometry_model import GeometryPriors
+from kinematics.registration.handedness import check_axes
+from kinematics.registration.placement import Placement, place
+from kinematics.registration.shared_errors import pose_derivatives, position_errors
+from kinematics.repeats.pooling import pooled, separate, with_gain_errors
+from kinematics.repeats.repeats import RunRepeats
+from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
@@ -147,7 +148,7 @@ def points2dof(
     measurement : Measurement
         Positions and directions in the source frame of ``placement``.
     placement : Placement, optional
-        From kinematics.geometry.placement.place; without it the measurement is in the footplate frame.
+        From kinematics.registration.placement.place; without it the measurement is in the footplate frame.
     options : Options, optional
     mass : MassRecord, optional
         Only used to recognise the phase convention.
@@ -272,7 +273,7 @@ def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
     for body in placed.bodies:
         try:
             made.append(beam_set(body.body, body.positions_mm, body.directions, dof))
-        except KinematicsError as fault:
+        except StapeskitError as fault:
             faults.append(str(fault))
     raise_all(KinematicsError, faults)
     return made

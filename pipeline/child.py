@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 from typing import Any, NoReturn
 
-from kinematics.errors import StapeskitError
+from stapeskit.faults import StapeskitError
 
 
 def _stop(_signal: int, _frame: object) -> NoReturn:

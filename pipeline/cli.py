@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from kinematics.command import Outcome, Parser, run
-from kinematics.errors import StapeskitError, sentence
+from stapeskit.command import Outcome, Parser, run
+from stapeskit.faults import StapeskitError, sentence
 
 if TYPE_CHECKING:
     from pipeline.scan2kd import StudyResult

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.pages import page
-from kinematics.pages.drawings import plain
-from kinematics.pages.numbers import plus_minus
-from kinematics.pages.page import Page
 from pipeline.cohort import Ear, Quantity, labels, quantities
+from stapeskit.page import page
+from stapeskit.page.drawings import plain
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.page import Page
 
 _FEW = 5
 

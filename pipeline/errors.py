@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinematics.errors import StapeskitError
+from stapeskit.faults import StapeskitError
 
 
 class PipelineError(StapeskitError):

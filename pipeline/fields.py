@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from kinematics.command import value_with_sd
+from stapeskit.command import value_with_sd
 
 EXPECTED = "expected"
 
@@ -184,7 +184,7 @@ def _ranges(value: object) -> tuple[tuple[float, float], ...]:
 
 
 def _dof(value: object) -> tuple[str, ...]:
-    from kinematics.spatial import DOF_NAMES, parse_dof
+    from stapeskit.spatial import DOF_NAMES, parse_dof
 
     if isinstance(value, list) and all(isinstance(entry, str) for entry in value):
         value = ",".join(value)

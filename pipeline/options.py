@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
     from ct_inertia.readers.raw import RawLayout
     from fitting.kd import KDOptions
-    from kinematics.pages.page import Section
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
     from kinematics.signals.series_options import SeriesOptions
+    from stapeskit.page.page import Section
 
 _OTHER_NAMES = {
     "spacing": "spacing_mm",
@@ -75,7 +75,7 @@ def section_in_study_words(section: Section, table: str) -> Section:
     """Return a section of a page whose texts name the keys of a study file."""
     from markupsafe import Markup
 
-    from kinematics.pages.page import Section
+    from stapeskit.page.page import Section
 
     return Section(section.heading, [Markup(in_study_words(str(one), table)) for one in section.blocks])
 
@@ -85,7 +85,7 @@ def mass_options(scan: Scan) -> MassOptions:
     import numpy as np
 
     from ct_inertia.ct2mass import MassOptions
-    from ct_inertia.mass_properties import PointMass
+    from ct_inertia.mass.mass_properties import PointMass
 
     percent = scan.voxel_size_sd_percent
     return MassOptions(
@@ -123,8 +123,8 @@ def _raw_layout(scan: Scan) -> RawLayout | None:
 
 def motion_options(ldv: Ldv) -> Options:
     """Return the options of `points2dof`."""
-    from kinematics.geometry.geometry_options import priors
     from kinematics.points2dof import Options
+    from kinematics.registration.geometry_options import priors
 
     geometry = priors(ldv.calibrate, ldv.axes_sd_deg, ldv.beam_sd_deg, ldv.gain_sd_percent)
     return Options(
@@ -155,10 +155,10 @@ def input_options(ldv: Ldv) -> InputOptions:
 
 def _series_options(ldv: Ldv) -> SeriesOptions | None:
     """Return how time series are turned into responses; universal files need no table of their channels."""
-    from kinematics.errors import raise_all, sentence
     from kinematics.readers.kinds import describes_series
     from kinematics.signals.series_options import SeriesOptions
     from pipeline.errors import PipelineError
+    from stapeskit.faults import raise_all, sentence
 
     values = {name: value for key, name in _SERIES.items() if (value := getattr(ldv, key)) is not None}
     if ldv.channels is not None or (values and any(describes_series(path) for path in ldv.files)):

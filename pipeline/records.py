@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kinematics.notices import Notice, from_json
-from kinematics.pages.page import Section
-from kinematics.provenance import content_hash, versions
+from stapeskit.page.page import Section
+from stapeskit.provenance import content_hash, versions
+from stapeskit.warnings import Notice, from_json
 
 FOLDER = ".stapeskit"
 SCHEMA = "stapeskit.stage/1"

@@ -7,15 +7,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from kinematics.motion_files import read_motion
-from kinematics.notices import unique
-from kinematics.pages import page
-from kinematics.pages.numbers import plus_minus
-from kinematics.pages.page import Page, Section
-from kinematics.provenance import input_record, versions
 from pipeline.records import Told
 from pipeline.stages import Workspace, results
 from pipeline.study import Study
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.page import Page, Section
+from stapeskit.provenance import input_record, versions
+from stapeskit.records.motion_files import read_motion
+from stapeskit.warnings import unique
 
 # Heading in its room, and heading in this page; the order is the page's. What is not named here comes after
 # the last section of its own room.

@@ -7,10 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kinematics.errors import StapeskitError
-from kinematics.notices import Notice, unique
-from kinematics.own_files import OutputSet
-from kinematics.provenance import content_hash
 from pipeline.errors import PipelineError
 from pipeline.options import in_study_words, section_in_study_words
 from pipeline.progress import Progress
@@ -27,9 +23,13 @@ from pipeline.records import (
 )
 from pipeline.stages import STAGES, Workspace, check_inputs, inputs_of, names_of_outputs, results
 from pipeline.study import Study, read_study
+from stapeskit.faults import StapeskitError
+from stapeskit.own_files import OutputSet
+from stapeskit.provenance import content_hash
+from stapeskit.warnings import Notice, unique
 
 REPORT, REPORT_FILE = "report", "report.html"
-_REPORT_CODE = ("pipeline", "kinematics/pages/page.py")
+_REPORT_CODE = ("pipeline", "stapeskit/page/page.py")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def output_set(path: Path, study: Study, out: Path, force: bool = False) -> Outp
 
     What the records of its stages hold counts as known, too.
     """
-    from ct_inertia.output_files import LABELS
+    from ct_inertia.exports.output_files import LABELS
 
     records = [read_record(out, stage) for stage in (*(one.name for one in STAGES), REPORT)]
     known = {

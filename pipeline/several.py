@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from kinematics.errors import StapeskitError, raise_all
-from kinematics.own_files import OutputSet
 from pipeline.cohort import Ear, read_ear, write_cohort_csv
 from pipeline.cohort_page import write_cohort_page
+from stapeskit.faults import StapeskitError, raise_all
+from stapeskit.own_files import OutputSet
 
 COHORT_FILES = ("cohort.csv", "cohort.html")
 _PATIENCE_S = 20.0

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinematics.errors import StapeskitError, raise_all, sentence
 from pipeline.errors import PipelineError
 from pipeline.options import fit_options, in_study_words, input_options, mass_options, motion_options
 from pipeline.records import Told
 from pipeline.study import Ldv, Study
+from stapeskit.faults import StapeskitError, raise_all, sentence
 
 if TYPE_CHECKING:
-    from kinematics.geometry.fiducials import Fiducials
-    from kinematics.geometry.icp_refine import Cloud
-    from kinematics.geometry.placement import Placement
-    from kinematics.mass_record import MassRecord
     from kinematics.measurement import Measurement
-    from kinematics.pages.scenery import Scenery
+    from kinematics.registration.fiducials import Fiducials
+    from kinematics.registration.icp_refine import Cloud
+    from kinematics.registration.placement import Placement
+    from kinematics.report.scenery import Scenery
+    from stapeskit.records.mass_record import MassRecord
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
 MOTION_FILES, KD_FILE = ("dof.csv", "dof.h5", "dof.channels.csv"), "kd.json"
@@ -45,7 +45,7 @@ class Scan:
     name = "scan"
     table = "scan"
     title = "scan: bodies, frames, mass matrix"
-    rooms = ("kinematics", "ct_inertia", *_OWN)
+    rooms = ("stapeskit", "ct_inertia", *_OWN)
 
     @staticmethod
     def inputs(study: Study) -> dict[str, Path | None]:
@@ -65,10 +65,10 @@ class Scan:
     def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
         """Write mass.json, surfaces and labels; return their names and what there is to tell."""
         from ct_inertia.ct2mass import ct2mass
-        from ct_inertia.mass_json import mass_json, write_outputs
-        from ct_inertia.output_files import labels_name
-        from ct_inertia.report import Pictured, mass_sections
-        from kinematics.provenance import Hashes
+        from ct_inertia.exports.mass_json import mass_json, write_outputs
+        from ct_inertia.exports.output_files import labels_name
+        from ct_inertia.report.sections import Pictured, mass_sections
+        from stapeskit.provenance import Hashes
 
         options = mass_options(study.scan)
         hashes = Hashes(options.inputs.values())
@@ -87,7 +87,7 @@ class Motion:
     name = "motion"
     table = "ldv"
     title = "motion: points to degrees of freedom"
-    rooms = ("kinematics", *_OWN)
+    rooms = ("stapeskit", "kinematics", *_OWN)
 
     @staticmethod
     def inputs(study: Study) -> dict[str, Path | None]:
@@ -108,7 +108,7 @@ class Motion:
 
         The motion of the points does not depend on the density, so that another density reuses it.
         """
-        from kinematics.provenance import content_hash
+        from stapeskit.provenance import content_hash
 
         here = work.find("mass.json").parent
         mass = json.loads((here / "mass.json").read_text(encoding="utf-8"))
@@ -130,11 +130,11 @@ class Motion:
     def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
         """Write dof.csv, dof.h5 and dof.channels.csv; return their names and what there is to tell."""
         from kinematics.faults.verdicts import write_channels
-        from kinematics.mass_record import read_mass_record
-        from kinematics.motion_files import write_motion
-        from kinematics.pages.report import sections
         from kinematics.points2dof import points2dof
-        from kinematics.provenance import record
+        from kinematics.report.sections import sections
+        from stapeskit.provenance import record
+        from stapeskit.records.mass_record import read_mass_record
+        from stapeskit.records.motion_files import write_motion
 
         mass = read_mass_record(work.find("mass.json"))
         measurement, fiducials = read_measurement(study)
@@ -154,7 +154,7 @@ class Fit:
     name = "fit"
     table = "fit"
     title = "fit: stiffness and damping"
-    rooms = ("kinematics", "fitting", *_OWN)
+    rooms = ("stapeskit", "fitting", *_OWN)
 
     @staticmethod
     def inputs(_study: Study) -> dict[str, Path | None]:
@@ -164,7 +164,7 @@ class Fit:
     @staticmethod
     def parameters(study: Study, work: Workspace) -> dict[str, Any]:
         """Return what the outputs depend on: the files of the stages before, without their dates."""
-        from kinematics.provenance import content_hash
+        from stapeskit.provenance import content_hash
 
         mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
         keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
@@ -179,12 +179,12 @@ class Fit:
         """Write kd.json; return its name and what there is to tell."""
         from fitting.dof2kd import footplate_outline, parameters
         from fitting.kd import fit_kd
-        from fitting.kd_json import kd_json
         from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
-        from fitting.report import kd_sections
-        from kinematics.mass_record import read_mass_record
-        from kinematics.motion_files import read_motion
-        from kinematics.provenance import record
+        from fitting.report.kd_json import kd_json
+        from fitting.report.sections import kd_sections
+        from stapeskit.provenance import record
+        from stapeskit.records.mass_record import read_mass_record
+        from stapeskit.records.motion_files import read_motion
 
         mass_file, motion_file = work.find("mass.json"), work.find("dof.h5")
         mass, motion = read_mass_record(mass_file), read_motion(motion_file)
@@ -222,7 +222,7 @@ _FILES = (
 
 def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
     """Return the names that a study may write into its folder, the report apart."""
-    from ct_inertia.output_files import labels_name, result_names
+    from ct_inertia.exports.output_files import labels_name, result_names
 
     return (*result_names(labels_name(out, study.scan.labels)), *MOTION_FILES, KD_FILE)
 
@@ -240,8 +240,8 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
     KinematicsError
         What is wrong with them, row by row.
     """
-    from kinematics.geometry.fiducials import read_fiducials
     from kinematics.readers import read_measurement as read_files
+    from kinematics.registration.fiducials import read_fiducials
 
     ldv = study.ldv
     fiducials = None if ldv.fiducials is None else read_fiducials(ldv.fiducials)
@@ -257,7 +257,7 @@ def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
 
 def _clouds(ldv: Ldv) -> dict[str, Cloud]:
     """Read the points on surfaces that a study names."""
-    from kinematics.geometry.surface_points import mirrored, read_surface_points
+    from kinematics.registration.surface_points import mirrored, read_surface_points
 
     named = {"plate": ldv.plate_points, "bone": ldv.bone_points}
     clouds = {kind: read_surface_points(path, kind) for kind, path in named.items() if path is not None}
@@ -270,8 +270,8 @@ def _clouds(ldv: Ldv) -> dict[str, Cloud]:
 def _placement(
     study: Study, work: Workspace, measurement: Measurement, fiducials: Fiducials | None, mass: MassRecord
 ) -> Placement:
-    from kinematics.geometry.scan_surfaces import ScanSurfaces
-    from kinematics.geometry.tie import tie
+    from kinematics.registration.scan_surfaces import ScanSurfaces
+    from kinematics.registration.tie import tie
 
     clouds = _clouds(study.ldv)
     frame = study.ldv.frame or "footplate"
@@ -329,8 +329,8 @@ def _check_measurement(study: Study) -> None:
 
 def _scenery(work: Workspace, mass: MassRecord) -> Scenery:
     """Return the stapes in footplate axes, to be drawn behind the points."""
-    from ct_inertia.surface import read_surface
-    from kinematics.pages.scenery import scenery_of
+    from ct_inertia.surface.surface import read_surface
+    from kinematics.report.scenery import scenery_of
 
     surface = read_surface(work.find("stapes.ply"))
     return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), surface.vertices_mm, surface.faces)

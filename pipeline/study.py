@@ -9,9 +9,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kinematics.errors import raise_all, sentence
 from pipeline import fields
 from pipeline.errors import PipelineError
+from stapeskit.faults import raise_all, sentence
 
 _RAW = ("shape", "dtype", "byte_order", "header_bytes")
 _MASSES = ("density_kg_m3", "mass_mg", "calibration")

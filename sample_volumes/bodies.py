@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.anatomy import AnatomyHints
-from ct_inertia.footplate import footplate_frame
-from ct_inertia.surface import Surface, read_surface
-from kinematics.frames import RigidTransform, rotation_from_vector
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.surface.surface import Surface, read_surface
+from stapeskit.frames import RigidTransform, rotation_from_vector
 
 Array = NDArray[np.float64]
 OPENEAR_STAPES = Path(__file__).parent / "openear_stapes.ply"
@@ -36,7 +36,7 @@ class Solid:
 
 @functools.cache
 def stapes_in_footplate(path: Path = OPENEAR_STAPES) -> Surface:
-    """Return a stapes in its own footplate frame, as ct_inertia.footplate defines it on the exact mesh."""
+    """Return a stapes in its own footplate frame (ct_inertia.frames.footplate, on the exact mesh)."""
     mesh = read_surface(path)
     frame = footplate_frame(mesh, AnatomyHints())
     return Surface(frame.scan_from_footplate.inverse().points(mesh.vertices_mm), mesh.faces)

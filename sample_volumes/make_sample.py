@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from kinematics.frames import RigidTransform
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from sample_volumes import bodies
 from sample_volumes.analytic import write_analytic_stapes
 from sample_volumes.gutter import write_gutter_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.scanner import DTYPES, stored_levels
 from sample_volumes.vibrometer import Recording, Vibrometry, record
+from stapeskit.frames import RigidTransform
 
 HERE = Path(__file__).parent
 DENSITY_SD = 0.01

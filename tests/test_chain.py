@@ -14,15 +14,21 @@ import pytest
 from scipy.stats import binom, chi2
 
 from fitting.kd import KDOptions, fit_kd
-from kinematics.frames import RigidTransform
-from kinematics.geometry.fiducials import read_fiducials
-from kinematics.geometry.placement import place
-from kinematics.mass_record import FRAME_SOURCE, MassMatrix, MassRecord, frame_derivative, read_mass_record
 from kinematics.points2dof import points2dof
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.registration.fiducials import read_fiducials
+from kinematics.registration.placement import place
+from kinematics.tidy.ldv_csv import read_ldv
 from sample_volumes.make_sample import make_study
 from sample_volumes.phantom import Ear
 from sample_volumes.vibrometer import Vibrometry
+from stapeskit.frames import RigidTransform
+from stapeskit.records.mass_record import (
+    FRAME_SOURCE,
+    MassMatrix,
+    MassRecord,
+    frame_derivative,
+    read_mass_record,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_volumes"

@@ -15,10 +15,10 @@ from markupsafe import Markup
 from ct_inertia.cli import work as ct2mass
 from fitting.cli import _work as dof2kd
 from kinematics.cli import work as points2dof
-from kinematics.errors import StapeskitError
-from kinematics.motion_files import write_motion
-from kinematics.own_files import RECORDS
 from pipeline.cli import work as scan2kd
+from stapeskit.faults import StapeskitError
+from stapeskit.own_files import RECORDS
+from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion
 from tests.pipeline.conftest import settle
 from tests.pipeline.ears import make_ear
@@ -83,9 +83,11 @@ def inputs(tmp_path_factory):
 def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     settle(monkeypatch)
-    monkeypatch.setattr("kinematics.pages.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr("ct_inertia.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ()))
-    monkeypatch.setattr("kinematics.pages.report.write_report", lambda path, *_: path.write_text("page"))
+    monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
+    monkeypatch.setattr(
+        "ct_inertia.report.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ())
+    )
+    monkeypatch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 
 def contents(folder: Path) -> dict[Path, bytes]:

@@ -30,5 +30,5 @@ install || {
     STAPESKIT_KERNELS=numpy install
 }
 # What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
-.venv/bin/python -m compileall -q kinematics ct_inertia fitting pipeline
+.venv/bin/python -m compileall -q stapeskit kinematics ct_inertia fitting pipeline
 .venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure, pyvista' 2>/dev/null || true

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.surface import Surface
-from kinematics.frames import RigidTransform
-from kinematics.mass_record import MassMatrix
-from kinematics.spatial import central_tensor
+from ct_inertia.surface.surface import Surface
+from stapeskit.frames import RigidTransform
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.spatial import central_tensor
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassResult

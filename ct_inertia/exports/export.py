@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports.body import body_of
-from kinematics.errors import sentence
+from stapeskit.faults import sentence
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassResult
-    from ct_inertia.surface import Surface
+    from ct_inertia.surface.surface import Surface
 
 _MODULES = {
     "stl": "stl",

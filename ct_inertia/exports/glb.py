@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ct_inertia.exports.body import ExportBody
-from ct_inertia.surface import Surface
+from ct_inertia.surface.surface import Surface
 
 UNITS = {"length": "m", "coordinates": "footplate"}
 _FLOAT, _UINT = 5126, 5125

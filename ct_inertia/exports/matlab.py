@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.exports.body import ExportBody
-from kinematics.spatial import DOF_NAMES, PARAMETER_NAMES
+from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES
 
 UNITS = {"length": "m (frames: mm)", "mass": "kg", "inertia": "kg m2", "coordinates": "footplate"}
 _TOLD = {

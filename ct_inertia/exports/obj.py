@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ct_inertia.exports.body import ExportBody
-from ct_inertia.surface import Surface
+from ct_inertia.surface.surface import Surface
 
 UNITS = {"length": "mm", "coordinates": "scan"}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ct_inertia.exports.body import ExportBody
-from ct_inertia.surface import Surface
+from ct_inertia.surface.surface import Surface
 
 UNITS = {"length": "mm", "coordinates": "scan"}
 

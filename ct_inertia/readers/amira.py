@@ -11,8 +11,8 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
 
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
 _HEADER_BYTES = 1 << 20

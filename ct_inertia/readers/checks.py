@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 # zlib packs at most 1032 to 1; nothing that a scanner writes comes near it.

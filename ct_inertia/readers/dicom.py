@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable, settle_spacing
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import BlockArray
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _UNEVEN = 0.02

@@ -11,12 +11,12 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray, scaled
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, no_data_file, not_readable, settle_spacing
-from ct_inertia.volume import Volume, unmirrored_frame
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import BlockArray, scaled
+from ct_inertia.volume.volume import Volume, unmirrored_frame
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 

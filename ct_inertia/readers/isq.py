@@ -13,8 +13,8 @@ import numpy as np
 
 from ct_inertia.readers.checks import check_positive, density_notice, header_fault
 from ct_inertia.readers.grid import Grid, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.notices import Notice
+from ct_inertia.volume.volume import Volume
+from stapeskit.warnings import Notice
 
 _MAGIC = b"CTDATA-HEADER_V1"
 _BLOCK = 512

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 META_SUFFIXES = (".mha", ".mhd")

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 NIFTI_SUFFIXES = (".nii", ".nii.gz", ".hdr", ".img")

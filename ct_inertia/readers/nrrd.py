@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 NRRD_SUFFIXES = (".nrrd", ".nhdr")

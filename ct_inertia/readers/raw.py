@@ -11,8 +11,8 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
 
 RAW_SUFFIXES = (".raw", ".vol", ".bin", ".dat", ".img")
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")

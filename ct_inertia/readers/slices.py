@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray, turned
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import BlockArray, turned
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _TIFF = (".tif", ".tiff")

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import turned
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
-from ct_inertia.volume import Volume
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import turned
+from ct_inertia.volume.volume import Volume
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     import tifffile

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable
-from kinematics.errors import sentence
+from stapeskit.faults import sentence
 
 _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 

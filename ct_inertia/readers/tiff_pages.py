@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.blocks import BlockArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable
 from ct_inertia.readers.grid import mapped
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.blocks import BlockArray
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     import tifffile

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.grid import Grid, grid_volume
-from ct_inertia.volume import Volume
-from kinematics.errors import sentence
-from kinematics.notices import Notice
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
 _STORED = {(kind, bits) for kind in "ui" for bits in ("8", "16", "32")} | {("f", "32"), ("f", "64")}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
-from kinematics.errors import sentence
+from stapeskit.faults import sentence
 
 _MOST_FILES = 4e6
 _ABSENT = (1 << 64) - 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fitting.errors import FittingError
 from fitting.estimators.base import Estimate, Estimator, EstimatorOptions
-from kinematics.errors import sentence
+from stapeskit.faults import sentence
 
 ESTIMATORS: tuple[str, ...] = ("ml", "irls", "pinv", "constrained")
 

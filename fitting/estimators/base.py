@@ -1,4 +1,4 @@
-"""What every estimator takes and gives; all quantities are scaled (fitting.lines.Scale)."""
+"""What every estimator takes and gives; all quantities are scaled (fitting.model.lines.Scale)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.lines import Lines
+from fitting.model.lines import Lines
 
 Array = NDArray[np.float64]
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.

@@ -24,9 +24,9 @@ from fitting.estimators.base import Estimate, EstimatorOptions
 from fitting.estimators.interior import active_names, inside, pull_inside
 from fitting.estimators.semidefinite import nearest
 from fitting.estimators.stability import best_stable, height, stable_start
-from fitting.lines import Lines, real_rows, regressor
-from fitting.model import state_matrix
-from fitting.symmetric import entry_names, pairs, split
+from fitting.model.lines import Lines, real_rows, regressor
+from fitting.model.model import state_matrix
+from fitting.model.symmetric import entry_names, pairs, split
 
 Array = NDArray[np.float64]
 _GAP = 1e-10
@@ -199,7 +199,7 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
         if inside(trial, problem.n):
             return trial
     from fitting.errors import FittingError
-    from kinematics.errors import sentence
+    from stapeskit.faults import sentence
 
     raise FittingError(
         sentence(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.lines import Lines
+from fitting.model.lines import Lines
 from fitting.native import compiled
 
 Array = NDArray[np.float64]

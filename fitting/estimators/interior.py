@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators.base import solve_symmetric
-from fitting.symmetric import basis, join, split
+from fitting.model.symmetric import basis, join, split
 
 Array = NDArray[np.float64]
 Objective = Callable[[Array], float]

@@ -17,7 +17,7 @@ from fitting.estimators.base import (
 )
 from fitting.estimators.expansion import EQUAL, MEASURED, expanded
 from fitting.estimators.interior import inside, pull_inside, shortest_distance
-from fitting.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
+from fitting.model.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 
 Array = NDArray[np.float64]
 _MOST_ITERATIONS = 60

@@ -17,9 +17,9 @@ from fitting.estimators import irls, pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, gram, solve_symmetric, transposed_times
 from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
-from fitting.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
-from fitting.symmetric import join
-from kinematics.errors import sentence
+from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
+from fitting.model.symmetric import join
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

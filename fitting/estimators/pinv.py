@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators.base import Estimate, EstimatorOptions, least_squares, times
-from fitting.lines import Lines, evaluate, real_rows, regressor
+from fitting.model.lines import Lines, evaluate, real_rows, regressor
 
 Array = NDArray[np.float64]
 

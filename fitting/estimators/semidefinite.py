@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.symmetric import basis, split
-from kinematics.errors import sentence
+from fitting.model.symmetric import basis, split
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 _MOST_STEPS = 60

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.model import state_matrix
-from fitting.symmetric import basis, split
-from kinematics.errors import sentence
+from fitting.model.model import state_matrix
+from fitting.model.symmetric import basis, split
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.

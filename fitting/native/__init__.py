@@ -6,7 +6,7 @@ import ctypes
 from functools import lru_cache
 from pathlib import Path
 
-from kinematics.native import load
+from stapeskit.native import load
 
 _SIGNATURES = {"ml_expand": "iippppppddippp:i"}
 

@@ -12,7 +12,7 @@ from kinematics.faults.detectable import POWER
 from kinematics.fit import packed
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
-from kinematics.spatial import dof_indices
+from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

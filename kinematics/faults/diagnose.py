@@ -21,7 +21,7 @@ from kinematics.faults.masked import masked_pair
 from kinematics.faults.noise.unknown_noise import evened
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.packed.mixing import Mixing, block_covariance, by_chance, scaled
-from kinematics.faults.packed.refilling import filled_freely, refilled
+from kinematics.faults.refilling import filled_freely, refilled
 from kinematics.faults.scattered import scattered
 from kinematics.faults.search import FALSE_ALARM, Search
 from kinematics.faults.structure import Structure

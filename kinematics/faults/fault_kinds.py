@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packed.compact import Compact
-from kinematics.frames import rotation_from_vector
+from stapeskit.frames import rotation_from_vector
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

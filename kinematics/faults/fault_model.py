@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.packed.compact import Compact
-from kinematics.faults.refit import (
-    Others,
-    Places,
-    change_of_rows,
-    inverse_of,
-    own_part,
-    solved_for,
-    times,
-)
+from kinematics.faults.refit import Others, Places, change_of_rows, inverse_of, own_part, solved_for, times
 from kinematics.faults.refit_factor import refit
 
 Array = NDArray[np.float64]

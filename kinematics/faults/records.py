@@ -10,7 +10,7 @@ import numpy as np
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
-from kinematics.faults.neglected import extended_beams
+from kinematics.fit.neglected import extended_beams
 from kinematics.fit.noise import with_noise
 from kinematics.fit.record_noise import cautious
 from kinematics.fit.rigid_fit import LineFit

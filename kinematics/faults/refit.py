@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.packed.compact import Compact
-from kinematics.spatial import dof_indices
+from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.refit import SMALL, Others, Places, Refit, Shifts, inverse_of
-from kinematics.spatial import dof_indices
+from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -11,7 +11,7 @@ from kinematics.faults.fault_model import State, solve
 from kinematics.faults.findings import Finding
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
-from kinematics.spatial import dof_indices
+from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 # Fewer points than this tell no scatter.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.faults.fault_kinds import across
 from kinematics.faults.fault_model import State
 from kinematics.faults.refit import Places
-from kinematics.spatial import dof_indices, point_rows
+from stapeskit.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import sentence
 from kinematics.fit.beams import observability
 from kinematics.fit.line_kernels import all_finite, all_whole
 from kinematics.fit.line_noise import blocks
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.notices import Notice
-from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
+from stapeskit.faults import sentence
+from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _FLOOR = 1e-12

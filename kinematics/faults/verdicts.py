@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.diagnose import Diagnosis, Finding
 from kinematics.measurement import BodyChannels, direction_name
-from kinematics.notices import Notice
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _SIGN = 0.35

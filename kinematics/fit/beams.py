@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
-from kinematics.spatial import DOF_NAMES, dof_indices, point_rows
+from kinematics.errors import KinematicsError
+from stapeskit.faults import sentence
+from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 
 Array = NDArray[np.float64]
 UNOBSERVABLE = 1e-5

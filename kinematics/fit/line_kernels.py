@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.fit import packed
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.line_sums import Solution
-from kinematics.kernels import compiled
+from kinematics.native import compiled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -11,7 +11,7 @@ from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_noise, pooled_scale
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.notices import Notice
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

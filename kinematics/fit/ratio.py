@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
-from kinematics.motion import RigidMotion, SharedErrors
-from kinematics.motion_files import standard_deviation
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
+from stapeskit.faults import sentence
+from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.records.motion_files import standard_deviation
+from stapeskit.warnings import Notice
 
 ComplexArray = NDArray[np.complex128]
 _CLEAR = 10.0

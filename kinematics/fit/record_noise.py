@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.motion import RigidMotion
+from stapeskit.records.motion import RigidMotion
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

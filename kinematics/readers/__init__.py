@@ -3,7 +3,7 @@
 Notes
 -----
 `read_measurement` chooses the reader by what a file holds. A tidy table alone takes the short way through
-`kinematics.tables.ldv_csv`; beside other files it is turned into recordings like them.
+`kinematics.tidy.ldv_csv`; beside other files it is turned into recordings like them.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.readers.options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
+from stapeskit.faults import collecting, raise_all, sentence
 
 __all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
 
@@ -48,7 +49,7 @@ def read_measurement(
     """
     from kinematics.readers.assemble import assemble
     from kinematics.readers.kinds import TIDY, kind_of, read_recordings
-    from kinematics.tables.ldv_csv import read_ldv
+    from kinematics.tidy.ldv_csv import read_ldv
 
     paths, options = [Path(path) for path in paths], options or InputOptions()
     _check_names(paths)
@@ -75,7 +76,7 @@ def read_measurement(
             )
     listed = None
     if points is not None:
-        from kinematics.tables.points_csv import read_points
+        from kinematics.tidy.points_csv import read_points
 
         with collecting(faults):
             listed = read_points(points)

@@ -9,17 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
-from kinematics.notices import Notice, unique
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.spread import body_noise
 from kinematics.readers.stated import with_bodies, with_runs, with_stated
 from kinematics.readers.values import value_faults
-from kinematics.tables.frequency_grids import join_lines
-from kinematics.tables.points_csv import Points
+from kinematics.tidy.frequency_grids import join_lines
+from kinematics.tidy.points_csv import Points
+from stapeskit.faults import raise_all, sentence
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -22,10 +22,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.text import plain_text
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
-from kinematics.tables.csv_table import Table, read_table
+from stapeskit.faults import raise_all, sentence
+from stapeskit.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
 ROLES = ("response", "reference", "ignore")

@@ -48,12 +48,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.values import number_faults, scaled
+from stapeskit.faults import collecting, raise_all, sentence
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
@@ -331,7 +332,7 @@ def write_hdf5(
     KinematicsError
         A shape, unit or name that `read` would refuse.
     """
-    from kinematics.output import staged
+    from stapeskit.outputs import staged
 
     path = Path(path)
     numbers = np.asarray(value, dtype=complex)

@@ -9,7 +9,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import sentence
 
 _PATIENCE_S = 8.0
 _SMALL = 4 << 20

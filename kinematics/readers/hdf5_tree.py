@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5_probe import probe
+from stapeskit.faults import StapeskitError, sentence
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 64 << 20
@@ -47,7 +48,7 @@ def opened(path: Path, wanted: str) -> Iterator[Any]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except KinematicsError:
+    except StapeskitError:
         raise
     except (OSError, RuntimeError, LookupError, MemoryError, TypeError, ValueError, AttributeError) as fault:
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__

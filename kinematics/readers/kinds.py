@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers import vendor
 from kinematics.readers.options import InputOptions
 from kinematics.readers.psv_fastscan import looks_like_fastscan
@@ -14,6 +14,7 @@ from kinematics.readers.psv_text import decoded
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff_sets import looks_like_uff, plain_content
+from stapeskit.faults import sentence
 
 TIDY = "tidy"
 _HEAD = 1 << 16

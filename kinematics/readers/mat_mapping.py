@@ -32,7 +32,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import raise_all, sentence
 
 FREQUENCIES = (
     "freq_hz",

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5_tree import is_hdf5, matlab_tree, opened
 from kinematics.readers.mat5 import read_mat5
+from stapeskit.faults import sentence
 
 Tree = dict[str, Any]
 _HEADER = 128

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.mat_mapping import Layout, Signal, stacked, usd_direction
 from kinematics.readers.mat_tree import describe
 from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.values import in_mm
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 LENGTH_END = r"_(mm|um|m)$"

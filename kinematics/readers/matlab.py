@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.readers.mat_mapping import Layout, layout_of, read_mapping
 from kinematics.readers.mat_tree import describe, read_mat
 from kinematics.readers.mat_variables import (
@@ -37,6 +36,8 @@ from kinematics.readers.mat_variables import (
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
 from kinematics.readers.values import scaled
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 

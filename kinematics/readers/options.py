@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import raise_all, sentence
 
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")

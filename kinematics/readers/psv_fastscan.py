@@ -13,14 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.readers.psv_signals import Signal, frequency_hz, signals
 from kinematics.readers.psv_text import Block, fields_of, read_blocks
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.values import in_mm
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _FREQUENCY = ("frequency", "frequenz", "fréquence")

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.readers.psv_fastscan import axes_notice, axis_vector
 from kinematics.readers.psv_signals import signals
 from kinematics.readers.psv_text import Block, fields_of, read_blocks, value_of
@@ -21,6 +20,8 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.values import in_mm
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _POINT = ("point index", "punktindex", "punkt-index")

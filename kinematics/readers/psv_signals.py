@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.psv_text import Block, value_of
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
+from stapeskit.faults import collecting, raise_all, sentence
 
 ComplexArray = NDArray[np.complex128]
 _PARTS = {

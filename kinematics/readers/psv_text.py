@@ -12,8 +12,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
+from stapeskit.faults import collecting, raise_all, sentence
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5_tree import is_hdf5
-from kinematics.units import HIGHEST_HZ, LARGEST
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.units import HIGHEST_HZ, LARGEST
 
 Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
@@ -95,7 +96,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
 
 
 def _csv(path: Path, names: Sequence[str]) -> Series:
-    from kinematics.tables.csv_table import read_table
+    from stapeskit.tables.csv_table import read_table
 
     found: dict[str, str] = {}
 

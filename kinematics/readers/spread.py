@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.notices import Notice
 from kinematics.readers.recording import Recording
-from kinematics.tables.few_averages import steadied
+from kinematics.tidy.few_averages import steadied
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Place = tuple[int, int, NDArray[np.intp]]

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.readers.options import InputOptions, is_file
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.unit_labels import LENGTHS
 from kinematics.readers.values import scaled
-from kinematics.tables.points_csv import Points
+from kinematics.tidy.points_csv import Points
+from stapeskit.faults import raise_all, sentence
+from stapeskit.warnings import Notice
 
 DEFAULT_RUN = "1"
 Entry = tuple[str, Recording]

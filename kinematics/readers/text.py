@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import sentence
 
 _LINE = re.compile(r"\r\n|\n|\r")
 _MOST = 60

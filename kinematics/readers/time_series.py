@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice, unique
+from kinematics.errors import KinematicsError
 from kinematics.readers.channel_table import Channel, read_channels
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series_files import Series, read_series
@@ -28,6 +27,8 @@ from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.series_options import LOCAL, SeriesOptions
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 # Share of a step that may lie within another one: times are rounded.
@@ -291,8 +292,8 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
         A column is missing or a cell is no finite number, a step ends before it starts or overlaps another
         one, or a frequency is not positive; all faults are listed.
     """
-    from kinematics.tables.csv_table import read_table
-    from kinematics.tables.points_csv import finite_faults, require
+    from kinematics.tidy.points_csv import finite_faults, require
+    from stapeskit.tables.csv_table import read_table
 
     columns = ("start_s", "stop_s", "freq_hz")
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice, unique
+from kinematics.errors import KinematicsError
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, scaled
 from kinematics.readers.uff_coherence import coherences, reference_of
 from kinematics.readers.uff_cross import from_cross_spectra
@@ -21,6 +20,8 @@ from kinematics.readers.uff_motion import Motion, direction_label, point_name, u
 from kinematics.readers.uff_sets import Dataset, datasets, plain_content
 from kinematics.readers.unit_labels import is_none
 from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 _GEOMETRY = (15, 18, 164, 2411, 2420)

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.uff_function import AUTO, COHERENCE, FRF, PSD, TRANSMISSIBILITY, Function
+from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
 Key = tuple[object, ...]

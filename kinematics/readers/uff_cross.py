@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.errors import sentence
 from kinematics.readers.uff_function import AUTO, COHERENCE, CROSS, FRF, TRANSMISSIBILITY, Axis, Function
 from kinematics.readers.uff_motion import ORDERS
 from kinematics.readers.unit_labels import is_none, motion_unit, plain
+from stapeskit.faults import sentence
 
 _OVER = 1.05
 _RATE_POWER = re.compile(r"(?P<unit>\w*[a-z])2/s(?P<order>2|4)")

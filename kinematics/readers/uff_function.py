@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff_sets import CUT, Dataset, data_form
+from stapeskit.faults import collecting, raise_all, sentence
 
 Array = NDArray[np.float64]
 TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12

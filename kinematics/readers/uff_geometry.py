@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff_sets import CUT, Dataset
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Node = tuple[Array, int, int, str]

@@ -8,19 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinematics.errors import sentence
 from kinematics.readers.recording import QUANTITIES
 from kinematics.readers.text import shown
-from kinematics.readers.uff_function import (
-    COHERENCE,
-    FRF,
-    SPECTRUM,
-    TIME,
-    TRANSMISSIBILITY,
-    Function,
-)
+from kinematics.readers.uff_function import COHERENCE, FRF, SPECTRUM, TIME, TRANSMISSIBILITY, Function
 from kinematics.readers.uff_geometry import Geometry
 from kinematics.readers.unit_labels import MOTIONS, is_none, motion_unit, plain
+from stapeskit.faults import sentence
 
 ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice, unique
+from kinematics.errors import KinematicsError
 from kinematics.readers.channel_table import Channel
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.series_files import Series, check_finite, sampling_rate
@@ -26,6 +25,8 @@ from kinematics.readers.uff_motion import (
 )
 from kinematics.readers.unit_labels import is_none, plain
 from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 _TIME = 17

@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
+from stapeskit.faults import collecting, raise_all, sentence
 
 _RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _FIRST = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*|[bB][ \t]+\d[^\r\n]*)\r?\n")

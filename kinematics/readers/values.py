@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import sentence
 from kinematics.readers.recording import Recording
-from kinematics.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
+from stapeskit.faults import sentence
+from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 
 def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NoReturn
 
-from kinematics.errors import KinematicsError, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import sentence
 
 SUFFIXES = (".svd", ".pvd", ".set")
 COMPOUND = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import (
     Frf,
     check_signals,
@@ -31,6 +30,8 @@ from kinematics.signals.frf_noise import (
 from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
 from kinematics.signals.series_options import ESTIMATORS, WINDOWS
+from stapeskit.faults import raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

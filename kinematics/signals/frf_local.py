@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

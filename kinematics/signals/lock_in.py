@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, raise_all, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import raise_all, sentence
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

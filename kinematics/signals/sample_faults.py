@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.notices import Notice
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 # Shorter records are not looked at.

@@ -7,7 +7,8 @@ import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
+from kinematics.errors import KinematicsError
+from stapeskit.faults import collecting, raise_all, sentence
 
 ESTIMATORS = ("h1", "h2", "hv")
 LOCAL = "lpm"

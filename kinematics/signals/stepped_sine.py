@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.errors import KinematicsError, collecting, raise_all, sentence
-from kinematics.notices import Notice
+from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

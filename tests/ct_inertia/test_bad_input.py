@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work
-from kinematics.command import run
+from stapeskit.command import run
 from tests.ct_inertia.ears import ear
 
 

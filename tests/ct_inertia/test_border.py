@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.border import border_notices, cut_layers
 from ct_inertia.ct2mass import MassOptions, ct2mass
-from ct_inertia.cutting import Cut
-from ct_inertia.mass_json import mass_json
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.sight import SearchOptions
-from ct_inertia.volume import Volume
+from ct_inertia.exports.mass_json import mass_json
+from ct_inertia.grey.border import border_notices, cut_layers
+from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.volume.volume import Volume
 from tests.ct_inertia.ears import ear
 
 

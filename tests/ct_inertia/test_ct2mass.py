@@ -14,13 +14,13 @@ import pytest
 from ct_inertia.cli import options_from, output_folder, parser, work
 from ct_inertia.ct2mass import MassOptions, ct2mass
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass_json import mass_json
-from ct_inertia.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.surface import read_surface, write_surface
-from kinematics.command import show
-from kinematics.errors import StapeskitError
-from kinematics.mass_record import read_mass_record
-from kinematics.provenance import content_hash
+from ct_inertia.exports.mass_json import mass_json
+from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.surface.surface import read_surface, write_surface
+from stapeskit.command import show
+from stapeskit.faults import StapeskitError
+from stapeskit.provenance import content_hash
+from stapeskit.records.mass_record import read_mass_record
 from tests.ct_inertia.shapes import box, stapes
 
 DENSITY = 1900.0

@@ -9,11 +9,11 @@ import pytest
 
 from ct_inertia.cli import work
 from ct_inertia.ct2mass import MassOptions, ct2mass
-from ct_inertia.display import check_request, display_mesh
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.surface import read_surface, write_surface
-from kinematics.frames import RigidTransform
+from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.surface.display import check_request, display_mesh
+from ct_inertia.surface.surface import read_surface, write_surface
+from stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import moved, stapes
 
 FAR = (40.0, -25.0, 60.0)

@@ -13,9 +13,9 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports import FILES, FORMATS, export, parse_formats, units_of
 from ct_inertia.exports.body import body_of, quaternion, roll_pitch_yaw
 from ct_inertia.exports.export import _module
-from ct_inertia.mass_properties import PointMass
-from ct_inertia.surface import read_surface, write_surface
-from kinematics.frames import RigidTransform
+from ct_inertia.mass.mass_properties import PointMass
+from ct_inertia.surface.surface import read_surface, write_surface
+from stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import box, moved, stapes
 
 TURN = Rotation.from_euler("xyz", [40, -65, 110], degrees=True).as_matrix()

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from ct_inertia.anatomy import AnatomyHints
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.footplate import footplate_frame
-from ct_inertia.surface import Surface
-from kinematics.frames import rotation_from_vector, vector_from_rotation
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.surface.surface import Surface
+from stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import PARTS, box, moved, outward, signed_permutations, stapes
 
 

@@ -9,14 +9,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
-from ct_inertia.anatomy import AnatomyHints
-from ct_inertia.footplate import footplate_frame
-from ct_inertia.footplate_face import without_blur
-from ct_inertia.frame_surface import frame_surface, height_noise_of
-from ct_inertia.surface import enclosed_volume
-from ct_inertia.surface_field import Diffusion, Mesh
-from kinematics.frames import vector_from_rotation
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.footplate_face import without_blur
+from ct_inertia.grey.frame_surface import frame_surface, height_noise_of
+from ct_inertia.surface.surface import enclosed_volume
+from ct_inertia.surface.surface_field import Diffusion, Mesh
 from sample_volumes import phantom
+from stapeskit.frames import vector_from_rotation
 
 RADIUS = 0.5
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.sight import SearchOptions
-from ct_inertia.volume import Volume
+from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.landmarks import read_landmarks
-from kinematics.errors import StapeskitError
+from ct_inertia.frames.landmarks import read_landmarks
+from stapeskit.faults import StapeskitError
 
 POINT = [1.25, -2.5, 3.0]
 IN_RAS = [-1.25, 2.5, 3.0]

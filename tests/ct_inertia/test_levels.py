@@ -6,15 +6,15 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from ct_inertia.bodies import PlateFace
-from ct_inertia.bone_level import measure_bone
-from ct_inertia.cutting import Cut
-from ct_inertia.distance import capped_distance
-from ct_inertia.level_fit import body_share, fit_bodies, spread
-from ct_inertia.levels import Air, Surroundings, measure_air, unclipped
-from ct_inertia.plate_face import displaced_share
-from ct_inertia.psf import edge_sigma
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.volume import Volume
+from ct_inertia.grey.bone_level import measure_bone
+from ct_inertia.grey.level_fit import body_share, fit_bodies, spread
+from ct_inertia.grey.levels import Air, Surroundings, measure_air, unclipped
+from ct_inertia.grey.plate_face import displaced_share
+from ct_inertia.grey.psf import edge_sigma
+from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 H = 0.04

@@ -11,9 +11,9 @@ from ct_inertia.cli import work
 from ct_inertia.ct2mass import MassOptions, ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports.body import body_of
-from ct_inertia.mass_properties import PointMass
-from ct_inertia.surface import write_surface
-from kinematics.spatial import matrix_from_parameters
+from ct_inertia.mass.mass_properties import PointMass
+from ct_inertia.surface.surface import write_surface
+from stapeskit.spatial import matrix_from_parameters
 from tests.ct_inertia.ears import AIR, BONE
 from tests.ct_inertia.shapes import box, stapes
 from tests.ct_inertia.solids import filled, grey_volume, imaged, random_rotation, stapes_surface

@@ -11,10 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.contours import contoured
-from ct_inertia.distance import capped_distance
-from ct_inertia.graphs import graph_pieces, in_hull, solver
-from ct_inertia.grids import (
+from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.partial_volume import Share, partial_volume_moments
+from ct_inertia.grey.psf import edge_sigma
+from ct_inertia.surface.contours import contoured
+from ct_inertia.surface.isosurface import largest_part
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.graphs import graph_pieces, in_hull, solver
+from ct_inertia.volume.grids import (
     boxes_and_sizes,
     dilated,
     eroded,
@@ -25,25 +29,13 @@ from ct_inertia.grids import (
     used_box,
     watershed,
 )
-from ct_inertia.interior import interior
-from ct_inertia.isosurface import largest_part
-from ct_inertia.level_fit import spread
-from ct_inertia.masked import (
-    deviation,
-    every_nth,
-    gathered,
-    looked_up,
-    lowest,
-    places_between,
-    sums,
-)
-from ct_inertia.normal import normal_cdf, normal_quantile
-from ct_inertia.partial_volume import Share, partial_volume_moments
-from ct_inertia.psf import edge_sigma
-from ct_inertia.volume import Volume
-from ct_inertia.working import working_box
+from ct_inertia.volume.interior import interior
+from ct_inertia.volume.masked import deviation, every_nth, gathered, looked_up, lowest, places_between, sums
+from ct_inertia.volume.normal import normal_cdf, normal_quantile
+from ct_inertia.volume.volume import Volume
+from ct_inertia.volume.working import working_box
 from hatch_build import system_compiler
-from kinematics.native import SWITCH, library_name
+from stapeskit.native import SWITCH, library_name
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -288,8 +280,8 @@ def test_the_normal_distribution(monkeypatch):
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16"])
 def test_labels_and_their_packing(monkeypatch, dtype):
     from ct_inertia.bodies import LabelledVolume
-    from ct_inertia.label_box import _labels, _Region
-    from ct_inertia.label_file import packed_labels
+    from ct_inertia.labelling.label_box import _labels, _Region
+    from ct_inertia.volume.label_file import packed_labels
 
     rng = np.random.default_rng(11)
     array = rng.integers(0, 120, (33, 41, 52)).astype(dtype)
@@ -332,7 +324,7 @@ def test_a_run_over_many_pieces_keeps_to_the_room_of_each():
 
 def test_labels_above_three_are_packed_too():
     from ct_inertia.bodies import LabelledVolume
-    from ct_inertia.label_file import packed_labels
+    from ct_inertia.volume.label_file import packed_labels
 
     values = (np.arange(7 * 8 * 9) % 5).astype(np.uint8).reshape(7, 8, 9)
     volume = Volume(values, np.full(3, 0.01), np.zeros(3), np.eye(3))
@@ -364,7 +356,7 @@ def test_the_name_of_the_library_follows_its_sources(tmp_path):
 
 
 def test_a_whole_ear_weighs_the_same_without_the_kernels(monkeypatch):
-    from ct_inertia.segmentation import find_bodies
+    from ct_inertia.labelling.from_scan import find_bodies
     from tests.ct_inertia.ears import ear
 
     volume = ear(h=0.04, seed=3).volume

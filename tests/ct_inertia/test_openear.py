@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.anatomy import AnatomyHints
-from ct_inertia.footplate import footplate_frame
-from ct_inertia.isosurface import iso_surface
-from kinematics.frames import vector_from_rotation
+from ct_inertia.frames.anatomy import AnatomyHints
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.surface.isosurface import iso_surface
 from sample_volumes import phantom
+from stapeskit.frames import vector_from_rotation
 
 
 @pytest.mark.parametrize(("voxel", "pose"), [(0.04, 2), (0.03, 5)])

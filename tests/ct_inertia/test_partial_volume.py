@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from ct_inertia.distance import capped_distance
-from ct_inertia.given_labels import voxel_moments
-from ct_inertia.moments import Moments
-from ct_inertia.partial_volume import Share, as_vector, partial_volume_moments, with_voxel_size
-from ct_inertia.psf import edge_sigma
-from ct_inertia.surface import Surface
-from ct_inertia.volume import Volume
+from ct_inertia.grey.partial_volume import Share, as_vector, partial_volume_moments, with_voxel_size
+from ct_inertia.grey.psf import edge_sigma
+from ct_inertia.labelling.from_labels import voxel_moments
+from ct_inertia.surface.moments import Moments
+from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.volume import Volume
 
 from .solids import filled, imaged, implicit_surface, moved, random_rotation
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.offscreen import draw_offscreen
-from ct_inertia.painter import paint_bodies
-from ct_inertia.pictures import (
+from ct_inertia.report.offscreen import draw_offscreen
+from ct_inertia.report.painter import paint_bodies
+from ct_inertia.report.pictures import (
     VIEWS,
     Body,
     Scene,
@@ -20,7 +20,7 @@ from ct_inertia.pictures import (
     render_scenes,
     render_views,
 )
-from kinematics.frames import RigidTransform, rotation_from_vector
+from stapeskit.frames import RigidTransform, rotation_from_vector
 
 
 def box(low, high):
@@ -135,7 +135,7 @@ def test_a_renderer_that_dies_by_a_signal_costs_only_a_notice(scene, monkeypatch
     crash = tmp_path / "python"
     crash.write_text(f"#!/bin/sh\nexec {sys.executable} -c 'import os; os.kill(os.getpid(), 11)'\n")
     crash.chmod(0o755)
-    monkeypatch.setattr("ct_inertia.offscreen.sys.executable", str(crash))
+    monkeypatch.setattr("ct_inertia.report.offscreen.sys.executable", str(crash))
     pictures, notices = render_scenes([scene])
     assert pictures[0].startswith(b"\x89PNG")
     assert [notice.code for notice in notices] == ["pictures_by_matplotlib"]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ct_inertia.isosurface import iso_surface
-from ct_inertia.plate_frame import plate_frame
-from ct_inertia.volume import Volume
-from kinematics.frames import rotation_from_vector, vector_from_rotation
+from ct_inertia.frames.plate_frame import plate_frame
+from ct_inertia.surface.isosurface import iso_surface
+from ct_inertia.volume.volume import Volume
+from stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import box, moved
 
 HALF = np.array([1.6, 0.25, 1.1])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ct_inertia.bodies import PlateFace
-from ct_inertia.cutting import Cut
-from ct_inertia.plate_face import FaceFit, plate_share
-from ct_inertia.plate_face_doubt import face_doubt
-from ct_inertia.volume import Volume
+from ct_inertia.grey.plate_face import FaceFit, plate_share
+from ct_inertia.grey.plate_face_doubt import face_doubt
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.volume.volume import Volume
 
 H, CONTRAST = 0.04, 20000.0
 

@@ -8,7 +8,7 @@ import pytest
 
 from ct_inertia.cli import work
 from ct_inertia.ct2mass import MassOptions, ct2mass
-from ct_inertia.progress import told_on_terminal
+from ct_inertia.volume.progress import told_on_terminal
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.shapes import stapes
 
@@ -43,7 +43,7 @@ def test_stages_are_told_in_order(tmp_path):
 
 @pytest.mark.parametrize(("words", "shown"), [("", True), ("--quiet", False), ("--json", False)])
 def test_the_command_shows_them_on_a_terminal(monkeypatch, tmp_path, words, shown):
-    from ct_inertia.surface import write_surface
+    from ct_inertia.surface.surface import write_surface
 
     write_surface(tmp_path / "s.ply", stapes(0.08))
     made = terminal(monkeypatch)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ct_inertia.blocks import BlockArray, sampled
 from ct_inertia.read import read_labels, read_volume
 from ct_inertia.readers.raw import RawLayout
+from ct_inertia.volume.blocks import BlockArray, sampled
 from tests.ct_inertia import formats as f
 from tests.ct_inertia.formats import SPACING, check_corners, picture
 

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from ct_inertia.cli import main, options_from, parser
-from kinematics.errors import StapeskitError
+from stapeskit.faults import StapeskitError
 from tests.ct_inertia import formats as f
 from tests.ct_inertia.ears import ear
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work
-from ct_inertia.report_evidence import evidence_rows
-from ct_inertia.surface import write_surface
+from ct_inertia.report.report_evidence import evidence_rows
+from ct_inertia.surface.surface import write_surface
 from tests.ct_inertia.shapes import stapes
 
 TOLD = {

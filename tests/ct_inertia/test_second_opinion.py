@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from ct_inertia.second_opinion import second_opinion
-from ct_inertia.surface import Surface
+from ct_inertia.surface.second_opinion import second_opinion
+from ct_inertia.surface.surface import Surface
 from sample_volumes import bodies
 
 

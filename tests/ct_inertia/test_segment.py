@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.footplate_face import without_blur
-from ct_inertia.partial_volume import as_vector
+from ct_inertia.frames.footplate_face import without_blur
+from ct_inertia.grey.partial_volume import as_vector
+from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read import read_volume
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.sight import SearchOptions
-from ct_inertia.surface import enclosed_volume
-from ct_inertia.surface_field import Diffusion, Mesh
-from ct_inertia.volume import Volume
+from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.surface.surface import enclosed_volume
+from ct_inertia.surface.surface_field import Diffusion, Mesh
+from ct_inertia.volume.volume import Volume
 
 from .ears import AIR, BONE, ear, errors
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from ct_inertia.level_fit import BodyFit
-from ct_inertia.levels import Air, Surroundings
-from ct_inertia.plane_faces import PlaneFace
-from ct_inertia.plate_covered import covered_face
-from ct_inertia.psf import edge_widths
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.thin_bone import thin_bone
-from ct_inertia.volume import Volume
+from ct_inertia.frames.plane_faces import PlaneFace
+from ct_inertia.frames.plate_covered import covered_face
+from ct_inertia.grey.level_fit import BodyFit
+from ct_inertia.grey.levels import Air, Surroundings
+from ct_inertia.grey.psf import edge_widths
+from ct_inertia.grey.thin_bone import thin_bone
+from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
 H = 0.04

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ct_inertia.moments import Moments
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.thresholded import is_thresholded, with_threshold
+from ct_inertia.grey.thresholded import is_thresholded, with_threshold
+from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.surface.moments import Moments
 
 from .ears import AIR, BONE, ear
 from .solids import implicit_surface

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.volume import Volume
+from ct_inertia.volume.volume import Volume
 
 from .solids import random_rotation
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read import read_labels, read_volume
-from ct_inertia.segmentation import find_bodies
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.formats import picture
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from ct_inertia.bodies import LabelledVolume
-from ct_inertia.border import border_notices
-from ct_inertia.coarse import coarse_scan, material_levels, noise_of
-from ct_inertia.cutting import Cut
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.interior import interior
-from ct_inertia.levels import Surroundings, measure_air, unclipped
+from ct_inertia.grey.border import border_notices
+from ct_inertia.grey.levels import Surroundings, measure_air, unclipped
+from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read import read_volume
-from ct_inertia.segmentation import find_bodies
-from ct_inertia.volume import Volume
-from ct_inertia.working import block_for, working_box
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.volume.coarse import coarse_scan, material_levels, noise_of
+from ct_inertia.volume.interior import interior
+from ct_inertia.volume.volume import Volume
+from ct_inertia.volume.working import block_for, working_box
 
 from .ears import ear
 from .solids import random_rotation

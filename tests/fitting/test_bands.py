@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.bands import USUAL_BANDS, fewer_bands, frequency_dependence
 from fitting.errors import FittingError
-from fitting.experiment import driven_base
+from fitting.examples.experiment import driven_base
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED
 from fitting.kd import KDOptions, fit_kd
-from fitting.model import simulate
-from fitting.paper import PAPER_DAMPING_CORRECTED
-from kinematics.mass_record import MassMatrix
-from kinematics.spatial import dof_indices, matrix_from_parameters
+from fitting.model.model import simulate
+from fitting.uncertainty.bands import USUAL_BANDS, fewer_bands, frequency_dependence
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.spatial import dof_indices, matrix_from_parameters
 from tests.fitting.cases import DOF, FREQ, K, M, paper_motion, six_dof_parameters
 
 
@@ -93,7 +93,7 @@ def test_the_uncertainty_of_the_mass_matrix_belongs_to_the_factors() -> None:
 
 
 def _motion_with(mass: np.ndarray, seed: int):
-    from fitting.experiment import simulated_motion
+    from fitting.examples.experiment import simulated_motion
 
     base = driven_base(FREQ, DOF)
     return simulated_motion(

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting import beam_page
-from fitting.beam import Beam, transport_to_tip
-from fitting.beam_experiment import (
+from fitting.examples import beam_page
+from fitting.examples.beam import Beam, transport_to_tip
+from fitting.examples.beam_experiment import (
     Setup,
     coefficients,
     cube_mass,
@@ -20,7 +20,7 @@ from fitting.beam_experiment import (
     measured,
     tip_motion,
 )
-from fitting.paper import TABLE_1_THEORY
+from fitting.examples.paper import TABLE_1_THEORY
 
 MASSLESS = Setup(beam_has_mass=False)
 FULL = Setup()

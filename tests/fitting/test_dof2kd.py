@@ -15,11 +15,11 @@ from fitting.cli import _work
 from fitting.dof2kd import dof2kd, footplate_outline
 from fitting.errors import FittingError
 from fitting.kd import KDOptions, fit_kd
-from fitting.kd_json import kd_json
-from fitting.mass_file import read_mass
-from fitting.report import kd_page, kd_sections, source_words, summary_rows
-from kinematics.errors import StapeskitError
-from kinematics.motion_files import write_motion
+from fitting.model.mass_file import read_mass
+from fitting.report.kd_json import kd_json
+from fitting.report.sections import kd_page, kd_sections, source_words, summary_rows
+from stapeskit.faults import StapeskitError
+from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import DOF, D, K, M, paper_motion, six_dof_mass, six_dof_motion
 
 KEYS = {
@@ -246,7 +246,7 @@ def test_byte_order_mark_and_blank_lines_in_m_csv(tmp_path: Path) -> None:
 def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
     """Enormous and undefined numbers become null, never NaN, which is no JSON."""
     mass, stiffness = np.diag(np.diag(M)), np.diag(np.diag(K))
-    from fitting.experiment import driven_base, simulated_motion
+    from fitting.examples.experiment import driven_base, simulated_motion
     from tests.fitting.cases import FREQ
 
     base = driven_base(FREQ, DOF, others=0.0)
@@ -256,7 +256,7 @@ def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
 
 def test_page_of_six_degrees_of_freedom_several_runs_and_all_sources() -> None:
     from fitting.kd import KDOptions as Options
-    from kinematics.spatial import DOF_NAMES
+    from stapeskit.spatial import DOF_NAMES
     from tests.fitting.cases import six_dof_parameters
 
     parameters = six_dof_parameters()

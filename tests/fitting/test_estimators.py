@@ -5,17 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.damping import VISCOUS, DampingLaw
 from fitting.errors import FittingError
 from fitting.estimators import ESTIMATORS, EstimatorOptions, constrained, estimator, ml, pinv
 from fitting.estimators.interior import inside, pull_inside, smallest_eigenvalues
 from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
-from fitting.lines import Lines, Scale, assemble, backward, cholesky, evaluate, forward, real_rows, regressor
-from fitting.model import modes, passive
-from fitting.observation import observe
-from fitting.symmetric import join, split
-from kinematics.motion import RigidMotion
-from kinematics.spatial import DOF_NAMES
+from fitting.model.damping import VISCOUS, DampingLaw
+from fitting.model.lines import (
+    Lines,
+    Scale,
+    assemble,
+    backward,
+    cholesky,
+    evaluate,
+    forward,
+    real_rows,
+    regressor,
+)
+from fitting.model.model import modes, passive
+from fitting.model.observation import observe
+from fitting.model.symmetric import join, split
+from stapeskit.records.motion import RigidMotion
+from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, D, K, M, damping_for, paper_motion, six_dof_matrices, six_dof_motion
 
 OPTIONS = EstimatorOptions()
@@ -53,7 +63,7 @@ def test_any_number_of_degrees_of_freedom(name: str, dof: tuple[str, ...]) -> No
     mass, stiffness, damping = (
         part[np.ix_(*[[DOF_NAMES.index(one) for one in dof]] * 2)] for part in six_dof_matrices()
     )
-    from fitting.experiment import driven_base, simulated_motion
+    from fitting.examples.experiment import driven_base, simulated_motion
 
     freq = np.linspace(400.0, 5000.0, 120)
     base = np.concatenate([driven_base(freq, dof, one) for one in dof[:3]])
@@ -266,8 +276,8 @@ def test_constrained_finds_one_optimum_with_stability_active() -> None:
 
 def printed_damping_lines(noise: float, seed: int | None, dof: tuple[str, ...] = DOF) -> Lines:
     """Data of a truth that is unstable and not passive: the paper's M and K with D as printed."""
-    from fitting.experiment import driven_base, simulated_motion
-    from fitting.paper import PAPER_DAMPING_PRINTED
+    from fitting.examples.experiment import driven_base, simulated_motion
+    from fitting.examples.paper import PAPER_DAMPING_PRINTED
 
     freq = np.linspace(400.0, 5000.0, 60)
     rng = None if seed is None else np.random.default_rng(seed)

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.damping import DampingLaw
 from fitting.errors import FittingError
-from fitting.experiment import driven_base, simulated_motion
+from fitting.examples.experiment import driven_base, simulated_motion
+from fitting.examples.paper import PAPER_DAMPING_PRINTED
 from fitting.kd import KDOptions, fit_kd
-from fitting.paper import PAPER_DAMPING_PRINTED
-from fitting.principal_axes import principal_axes
-from fitting.symmetric import entry_names, entry_units, join, split
-from kinematics.motion import RigidMotion
-from kinematics.spatial import DOF_NAMES
+from fitting.model.damping import DampingLaw
+from fitting.model.principal_axes import principal_axes
+from fitting.model.symmetric import entry_names, entry_units, join, split
+from stapeskit.records.motion import RigidMotion
+from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import (
     DOF,
     FREQ,
@@ -294,8 +294,8 @@ def test_outliers_are_told() -> None:
 
 
 def test_principal_axes_undo_a_shift_and_a_rotation() -> None:
-    from kinematics.frames import rotation_from_vector
-    from kinematics.spatial import twist_transfer
+    from stapeskit.frames import rotation_from_vector
+    from stapeskit.spatial import twist_transfer
 
     diagonal = np.zeros((6, 6))
     diagonal[1, 1], diagonal[3, 3], diagonal[5, 5] = 1500.0, 1.2e-3, 3.1e-3

@@ -9,9 +9,9 @@ import pytest
 
 from fitting.errors import FittingError
 from fitting.kd import KDOptions, fit_kd
-from fitting.ranges import check_result
-from kinematics.errors import KinematicsError, StapeskitError
-from kinematics.spatial import DOF_NAMES
+from fitting.model.ranges import check_result
+from stapeskit.faults import StapeskitError
+from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
 
 
@@ -76,9 +76,9 @@ def test_mass_about_another_point_is_refused() -> None:
 
 def test_missing_body_or_motion_is_refused() -> None:
     motion = paper_motion()
-    with pytest.raises(KinematicsError, match="the body must be one of stapes, base; got incus"):
+    with pytest.raises(StapeskitError, match="the body must be one of stapes, base; got incus"):
         fit_kd(motion, M, KDOptions(structure="incus"))
-    with pytest.raises(KinematicsError, match="Name one with --base"):
+    with pytest.raises(StapeskitError, match="Name one with --base"):
         fit_kd(motion, M, KDOptions(base="bone"))
     with pytest.raises(FittingError, match="two different bodies"):
         fit_kd(motion, M, KDOptions(base="stapes"))

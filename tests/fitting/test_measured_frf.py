@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fitting.kd import KDFit, KDOptions, fit_kd
-from kinematics.motion import RigidMotion
+from stapeskit.records.motion import RigidMotion
 
 FILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "frf" / "case1.mat"
 BAND = (208.0, 217.0)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.damping import VISCOUS, DampingLaw
 from fitting.errors import FittingError
-from fitting.model import dynamic_stiffness, frequency_response, modes, passive, simulate, state_matrix
+from fitting.model.damping import VISCOUS, DampingLaw
+from fitting.model.model import dynamic_stiffness, frequency_response, modes, passive, simulate, state_matrix
 from tests.fitting.cases import FREQ, D, K, M, damping_for
 
 

@@ -11,9 +11,9 @@ import pytest
 from fitting.cli import _work
 from fitting.kd import KDOptions, fit_kd
 from fitting.montecarlo import monte_carlo
-from kinematics.errors import StapeskitError
-from kinematics.mass_record import frame_derivative
-from kinematics.motion_files import write_motion
+from stapeskit.faults import StapeskitError
+from stapeskit.records.mass_record import frame_derivative
+from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
 from tests.fitting.test_uncertainty import with_frame_errors
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from fitting import native
-from fitting.damping import VISCOUS
 from fitting.estimators import EstimatorOptions, irls, ml
 from fitting.estimators.base import gram, transposed_times
 from fitting.estimators.expansion import CORRECTED, DISTANCES, EQUAL, MEASURED, expanded
-from fitting.inertia import inertia_of
-from fitting.lines import Lines, Scale, cholesky, evaluate, forward, real_rows, regressor
-from fitting.observation import observe
-from fitting.problem import Problem
+from fitting.estimators.problem import Problem
+from fitting.model.damping import VISCOUS
+from fitting.model.inertia import inertia_of
+from fitting.model.lines import Lines, Scale, cholesky, evaluate, forward, real_rows, regressor
+from fitting.model.observation import observe
 from tests.fitting.cases import DOF, M, paper_motion
 
 OPTIONS = EstimatorOptions()

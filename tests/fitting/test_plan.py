@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from fitting.cli import _work, parser
-from fitting.damping import VISCOUS
 from fitting.errors import FittingError
 from fitting.estimators import EstimatorOptions, ml
-from fitting.lines import Scale, assemble
-from fitting.observation import observe
-from fitting.plan import Plan, expect, planned_motion
-from fitting.plan_example import PLAN_EXAMPLE
-from fitting.plan_file import read_plan
-from kinematics.errors import StapeskitError
-from kinematics.spatial import DOF_NAMES
+from fitting.model.damping import VISCOUS
+from fitting.model.lines import Scale, assemble
+from fitting.model.observation import observe
+from fitting.plan.plan import Plan, expect, planned_motion
+from fitting.plan.plan_example import PLAN_EXAMPLE
+from fitting.plan.plan_file import read_plan
+from stapeskit.faults import StapeskitError
+from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, M, six_dof_mass, six_dof_matrices
 
 

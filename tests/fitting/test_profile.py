@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fitting.kd import KDOptions, fit_kd
-from fitting.profile import QUANTILE_95, profile_intervals
-from fitting.report import kd_sections
-from fitting.symmetric import join
-from fitting.uncertainty import chi2, known_and_spread
+from fitting.model.symmetric import join
+from fitting.report.sections import kd_sections
+from fitting.uncertainty.covariance import chi2, known_and_spread
+from fitting.uncertainty.profile import QUANTILE_95, profile_intervals
 from tests.fitting.cases import D, K, M, paper_motion
 
 TRUTH = join(K, D)

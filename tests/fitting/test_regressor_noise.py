@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fitting.estimators import ml
+from fitting.estimators.regressor_noise import information, regressor_noise
 from fitting.kd import KDOptions, fit_kd
-from fitting.regressor_noise import information, regressor_noise
-from fitting.symmetric import join
-from kinematics.motion import RigidMotion
+from fitting.model.symmetric import join
+from stapeskit.records.motion import RigidMotion
 from tests.fitting.cases import DOF, D, K, M, paper_motion
 
 
@@ -44,7 +44,7 @@ def test_the_noise_of_the_motion_is_what_the_hessian_has_too_much() -> None:
 
 
 def _observed(problem, motion):
-    from fitting.observation import observe
+    from fitting.model.observation import observe
 
     kept = problem.observation
     made = observe(motion, DOF, with_load=False)

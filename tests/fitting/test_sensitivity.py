@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.damping import VISCOUS
 from fitting.estimators import EstimatorOptions
-from fitting.inertia import inertia_of
-from fitting.lines import Scale
-from fitting.observation import observe
-from fitting.problem import Problem
-from fitting.sensitivity import contract, slope_by_motion
+from fitting.estimators.problem import Problem
+from fitting.model.damping import VISCOUS
+from fitting.model.inertia import inertia_of
+from fitting.model.lines import Scale
+from fitting.model.observation import observe
+from fitting.uncertainty.sensitivity import contract, slope_by_motion
 from tests.fitting.cases import DOF, six_dof_mass, six_dof_motion
 
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.damping import VISCOUS
 from fitting.estimators import EstimatorOptions, ml
-from fitting.experiment import driven_base, simulated_motion
+from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.kd import KDOptions, fit_kd
-from fitting.lines import Scale, assemble
-from fitting.model import simulate
-from fitting.observation import Observation, observe
-from fitting.symmetric import join, split, vector
-from fitting.uncertainty import invert
-from kinematics.frames import rotation_from_vector
-from kinematics.mass_record import frame_derivative
-from kinematics.motion import RigidMotion, SharedErrors
-from kinematics.spatial import DOF_NAMES, matrix_from_parameters, twist_transfer
+from fitting.model.damping import VISCOUS
+from fitting.model.lines import Scale, assemble
+from fitting.model.model import simulate
+from fitting.model.observation import Observation, observe
+from fitting.model.symmetric import join, split, vector
+from fitting.uncertainty.covariance import invert
+from stapeskit.frames import rotation_from_vector
+from stapeskit.records.mass_record import frame_derivative
+from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.spatial import DOF_NAMES, matrix_from_parameters, twist_transfer
 from tests.fitting.cases import (
     DOF,
     FREQ,
@@ -276,7 +276,7 @@ def test_several_runs_narrow_the_intervals() -> None:
 
 
 def test_simulation_of_the_truth_is_within_its_band() -> None:
-    from fitting.responses import responses
+    from fitting.report.responses import responses
 
     fit = fit_kd(paper_motion(0.05, 6), M)
     found = responses(fit)

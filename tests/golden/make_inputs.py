@@ -164,10 +164,10 @@ def _labels(grey: np.ndarray) -> np.ndarray:
 
 
 def _recording(lines: int = 30, seed: int = 3, **how: object) -> tuple[object, object]:
-    from fitting.paper import PAPER_MASS
-    from kinematics.frames import RigidTransform
+    from fitting.examples.paper import PAPER_MASS
     from sample_volumes import bodies
     from sample_volumes.vibrometer import Vibrometry, record
+    from stapeskit.frames import RigidTransform
 
     chosen = Vibrometry(lines=lines, seed=seed, stapes_points=8, bone_points=6, **how)
     mass = np.diag([3.2e-6, 3.2e-6, 3.2e-6, 9e-12, 4e-12, 9e-12])
@@ -228,7 +228,7 @@ def _exports(folder: Path) -> None:
     from scipy.io import savemat
 
     from kinematics.readers.hdf5 import write_hdf5
-    from kinematics.tables.ldv_csv import read_ldv
+    from kinematics.tidy.ldv_csv import read_ldv
     from sample_volumes.make_sample import write_recording
     from tests.kinematics import written_uff as uff
     from tests.kinematics.rewritten import write_three_ways
@@ -374,9 +374,9 @@ def _surfaces(folder: Path) -> None:
 
 def _motions(folder: Path) -> None:
     """Motions as points2dof writes them, with the mass they belong to."""
-    from fitting.damping import DampingLaw
-    from kinematics.motion_files import write_motion
+    from fitting.model.damping import DampingLaw
     from pipeline.scan2kd import run_study
+    from stapeskit.records.motion_files import write_motion
     from tests.fitting.cases import M, paper_motion, six_dof_matrices, six_dof_motion
 
     made = folder / "motions"

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.frames import RigidTransform
-from kinematics.pages.report_faults import groups_of, verdict_section
 from kinematics.points2dof import points2dof
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.report.fault_sections import groups_of, verdict_section
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.frames import RigidTransform
 from tests.kinematics.ligament import altered, channels_of, exchanged, relisted
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_volumes"

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.frames import rotation_from_vector
-from kinematics.geometry.calibrate import calibrate
-from kinematics.geometry.calibrated_fit import calibration_errors
-from kinematics.geometry.geometry_model import GeometryModel, GeometryPriors
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES, point_rows
+from kinematics.registration.calibrate import calibrate
+from kinematics.registration.calibrated_fit import calibration_errors
+from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import rotation_from_vector
+from stapeskit.spatial import DOF_NAMES, point_rows
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 COUNT = 7
@@ -182,7 +182,7 @@ def test_changes_are_the_derivatives_of_the_rows():
 def test_many_parameters_are_kept_as_combinations(monkeypatch):
     measurement, _, _ = ear(1)
     whole = points2dof(measurement, options=Options(calibrate=GeometryPriors()))
-    monkeypatch.setattr("kinematics.geometry.calibrated_fit._NAMED_BYTES", 0)
+    monkeypatch.setattr("kinematics.registration.calibrated_fit._NAMED_BYTES", 0)
     names, covariance, slopes = calibration_errors(whole.calibration, whole.fits, whole.motion.q.shape)
     assert len(names) == 40
     full = whole.motion.shared
@@ -199,8 +199,8 @@ def test_many_parameters_are_kept_as_combinations(monkeypatch):
 
 
 def test_impossible_calibrations_are_refused():
-    with pytest.raises(KinematicsError, match="--axes-sd must be a number from 0 to 20"):
+    with pytest.raises(StapeskitError, match="--axes-sd must be a number from 0 to 20"):
         GeometryPriors(-1.0)
     measurement, _, _ = ear(0, pos=0.0)
-    with pytest.raises(KinematicsError, match="--calibrate must be used with something to estimate"):
+    with pytest.raises(StapeskitError, match="--calibrate must be used with something to estimate"):
         points2dof(measurement, options=Options(calibrate=GeometryPriors(0.0, 0.0)))

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.faults.each_body import diagnosed
 from kinematics.fit.noise import with_noise
 from kinematics.fit.record_noise import cautious
 from kinematics.measurement import RecordNoise, from_arrays
-from kinematics.motion_files import standard_deviation
 from kinematics.points2dof import Options, points2dof
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.recording import Recording
-from kinematics.spatial import point_rows
+from stapeskit.faults import StapeskitError
+from stapeskit.records.motion_files import standard_deviation
+from stapeskit.spatial import point_rows
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 FREQ = np.array([100.0, 200.0, 300.0])
@@ -77,7 +77,7 @@ def test_it_stands_in_the_covariance_of_the_motion():
     )
     both = points2dof(with_it, options=Options(reference_noise=0.4)).motion
     np.testing.assert_allclose(both.common_sd, np.hypot(shared, 0.4))
-    with pytest.raises(KinematicsError, match=r"the noise of the reference must be of shape \(1, 3\)"):
+    with pytest.raises(StapeskitError, match=r"the noise of the reference must be of shape \(1, 3\)"):
         type(plain)(**{**vars(plain), "common_sd": shared[:, :2]})
 
 

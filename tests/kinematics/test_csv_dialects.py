@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kinematics.errors import KinematicsError
-from kinematics.tables.ldv_csv import read_ldv
-from kinematics.tables.points_csv import read_points
+from kinematics.tidy.ldv_csv import read_ldv
+from kinematics.tidy.points_csv import read_points
+from stapeskit.faults import StapeskitError
 from tests.kinematics.written_csv import FIRST, HEAD, ROWS, plain, same, written
 
 
@@ -80,10 +80,10 @@ def test_the_lines_told_are_those_of_the_file(tmp_path):
     rows = list(ROWS)
     rows[3] = rows[3].replace("stapes", "st,apes")
     text = "sep=,\n# note\n\n" + plain(["", *rows[:2], "# pause", *rows[2:]])
-    with pytest.raises(KinematicsError, match="line 10") as caught:
+    with pytest.raises(StapeskitError, match="line 10") as caught:
         read_ldv(written(tmp_path, text))
     assert "must be 9 cells long" in str(caught.value)
-    with pytest.raises(KinematicsError, match=r"no column body \(ldv.csv, line 3\)"):
+    with pytest.raises(StapeskitError, match=r"no column body \(ldv.csv, line 3\)"):
         read_ldv(written(tmp_path, "# note\n\n" + plain(head=HEAD.replace("body", "bone"))))
 
 
@@ -108,7 +108,7 @@ def test_what_is_no_number_is_refused(tmp_path, cell, words, mark):
     rows[4][7] = cell
     text = plain([mark.join(row) for row in rows], HEAD.replace(",", mark))
     with pytest.raises(
-        KinematicsError, match=rf're_m_s must be a number; got "{re.escape(cell)}" \(ldv.csv, line 6\)'
+        StapeskitError, match=rf're_m_s must be a number; got "{re.escape(cell)}" \(ldv.csv, line 6\)'
     ) as caught:
         read_ldv(written(tmp_path, text))
     assert words in str(caught.value)
@@ -118,7 +118,7 @@ def test_what_is_no_number_is_refused(tmp_path, cell, words, mark):
 def test_decimal_points_among_decimal_commas_are_refused(tmp_path):
     rows = [decimal_commas(row) for row in ROWS]
     rows[7] = semicolons(ROWS[7])
-    with pytest.raises(KinematicsError, match=r"line 9\)") as caught:
+    with pytest.raises(StapeskitError, match=r"line 9\)") as caught:
         read_ldv(written(tmp_path, plain(rows, semicolons(HEAD))))
     assert {int(n) for n in re.findall(r"line (\d+)\)", str(caught.value))} == {9}
 
@@ -127,7 +127,7 @@ def test_words_for_truth_are_no_numbers(tmp_path):
     rows = [row.split(",") for row in ROWS]
     for row in rows:
         row[8] = "True"
-    with pytest.raises(KinematicsError, match=r'im_m_s must be a number; got "True" \(ldv.csv, line 2\)'):
+    with pytest.raises(StapeskitError, match=r'im_m_s must be a number; got "True" \(ldv.csv, line 2\)'):
         read_ldv(written(tmp_path, plain([",".join(row) for row in rows])))
 
 
@@ -135,7 +135,7 @@ def test_cells_moved_from_row_to_row_are_found(tmp_path):
     rows = list(ROWS)
     rows[2] += ",5"
     rows[6] = rows[6].rsplit(",", 1)[0]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     told = str(caught.value)
     assert "got 10 (ldv.csv, line 4)" in told
@@ -146,7 +146,7 @@ def test_cells_moved_from_row_to_row_are_found(tmp_path):
 def test_runs_and_levels_named_in_some_rows_only_are_refused(tmp_path):
     for name in ("run", "repeat", "level"):
         rows = [f"{row},{'' if k == 5 else '1'}" for k, row in enumerate(ROWS)]
-        with pytest.raises(KinematicsError) as caught:
+        with pytest.raises(StapeskitError) as caught:
             read_ldv(written(tmp_path, plain(rows, f"{HEAD},{name}")))
         assert str(caught.value) == (
             f"{name} must be given in every row, or in none; got an empty cell "
@@ -157,14 +157,14 @@ def test_runs_and_levels_named_in_some_rows_only_are_refused(tmp_path):
 
 
 def test_rows_parted_otherwise_than_the_header(tmp_path):
-    with pytest.raises(KinematicsError, match="Part all rows by commas, as the header is, not by semicolons"):
+    with pytest.raises(StapeskitError, match="Part all rows by commas, as the header is, not by semicolons"):
         read_ldv(written(tmp_path, plain([semicolons(row) for row in ROWS])))
 
 
 def test_an_unclosed_quotation_mark_is_named(tmp_path):
     rows = list(ROWS)
     rows[3] = '"' + rows[3]
-    with pytest.raises(KinematicsError, match=r"\(ldv.csv, line 5\). Close the quotation mark"):
+    with pytest.raises(StapeskitError, match=r"\(ldv.csv, line 5\). Close the quotation mark"):
         read_ldv(written(tmp_path, plain(rows)))
 
 
@@ -174,7 +174,7 @@ def test_many_faults_name_every_line_and_every_kind(tmp_path):
         rows.append(f"stapes,{k},0,0,0,up,100,1,2")
     rows[150] = "stapes,150,0,0,0,y,-5,1,2"
     rows[160] = "stapes,160,0,0,0,y,100,one,2"
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     told = str(caught.value)
     assert "got -5 (ldv.csv, line 152, freq_hz)" in told
@@ -188,13 +188,13 @@ def test_faults_of_both_files_come_together(tmp_path):
     points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\ns,1,0,oops,0\ns,2,0,0,\n", "points.csv")
     head = "body,point,dir,freq_hz,re_m_s,im_m_s"
     table = written(tmp_path, plain(["s,1,y,0,1,2", "s,2,up,5,1,2"], head))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table, points)
     lines = str(caught.value).splitlines()
     assert len(lines) == 4
     assert sum("points.csv" in line for line in lines) == 2
     table = written(tmp_path, plain(["s,1,y,0,1,2"], head.replace("dir", "richtung")))
-    with pytest.raises(KinematicsError, match="no column dir_x, dir_y, dir_z") as caught:
+    with pytest.raises(StapeskitError, match="no column dir_x, dir_y, dir_z") as caught:
         read_ldv(table, points)
     assert "points.csv, line 2" in str(caught.value)
 
@@ -203,7 +203,7 @@ def test_unknown_bodies_and_names_in_other_letters(tmp_path):
     points = written(tmp_path, "body,point,x_mm,y_mm,z_mm\nStapes,1,0,0,0\nbone,1,0,0,1\n", "points.csv")
     head = "body,point,dir,freq_hz,re_m_s,im_m_s"
     table = written(tmp_path, plain(["stapes,1,y,5,1,2", "incus,1,y,5,1,2"], head))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table, points)
     told = str(caught.value)
     assert "no row of that name there, but Stapes 1 (ldv.csv, line 2, point). Write both names alike" in told
@@ -227,7 +227,7 @@ def test_numbers_are_read_to_the_nearest(tmp_path, value):
 def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
     rows = ["s,1,0,0,0,y,1e13,1,2", "s,1,0,0,0,y,5,1e101,2", "s,1,0,0,0,y,6,1e400,-1e308"]
     rows += ["s,1,0,0,0,y,4e-298,1,2"]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
     assert sorted(told) == [
@@ -238,17 +238,17 @@ def test_numbers_beyond_any_motion_and_torn_headers_are_refused(tmp_path):
         "re_m_s must be finite; got inf (ldv.csv, line 4, re_m_s)",
     ]
     table = written(tmp_path, HEAD.replace("freq_hz", "freq\r_hz") + "\ns,1,0,0,0,y,5,1,2\n")
-    with pytest.raises(KinematicsError, match="the header must be one line of names; got new-line character"):
+    with pytest.raises(StapeskitError, match="the header must be one line of names; got new-line character"):
         read_ldv(table)
     far = written(tmp_path, plain(["s,1,0,0,0,1e301,0,0,5,1,2"], HEAD.replace("dir", "dir_x,dir_y,dir_z")))
-    with pytest.raises(KinematicsError, match="must be a unit vector"):
+    with pytest.raises(StapeskitError, match="must be a unit vector"):
         read_ldv(far)
 
 
 def test_positions_beyond_any_place_are_refused(tmp_path):
     rows = ["a,1,0,0,1e200,0.1", "a,2,0,n/a,0,0.1", "a,3,0,0,0,1e300", "a,4,0,0,0,1e-300"]
     path = written(tmp_path, "body,point,x_mm,y_mm,z_mm,sd_mm\n" + "\n".join(rows) + "\n", "points.csv")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_points(path)
     told = [line.split(". ")[0] for line in str(caught.value).splitlines()]
     assert sorted(told) == [
@@ -294,7 +294,7 @@ def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
     line = text[:place].count("\n") + 1
     try:
         read = read_ldv(written(tmp_path, spoiled))
-    except KinematicsError as fault:
+    except StapeskitError as fault:
         told = str(fault)
         assert "ldv.csv" in told
         if "\x00" not in spoiled:
@@ -312,9 +312,7 @@ def test_any_corruption_is_refused_in_place_or_changes_what_it_touches_only(
 
 def test_a_table_without_header_is_told_so(tmp_path):
     path = written(tmp_path, "\n".join(ROWS) + "\n")
-    with pytest.raises(
-        KinematicsError, match=r"the first line must be the header; got numbers \(ldv.csv, li"
-    ):
+    with pytest.raises(StapeskitError, match=r"the first line must be the header; got numbers \(ldv.csv, li"):
         read_ldv(path)
 
 
@@ -322,20 +320,20 @@ def test_bad_cells_are_listed_by_line(tmp_path):
     rows = list(ROWS)
     rows[4] = rows[4].replace("1.125", "left")
     rows[1] = rows[1].replace("250.5", "1k")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(written(tmp_path, plain(rows)))
     assert re.findall(r"line (\d+)", str(caught.value)) == [str(1 + FIRST), str(4 + FIRST)]
 
 
 def test_large_files_are_mapped_into_memory(tmp_path, monkeypatch, expected):
-    from kinematics.tables import csv_text
+    from stapeskit.tables import csv_text
 
     monkeypatch.setattr(csv_text, "_LARGE", 10)
     for name in ("semicolons", "byte order mark", "utf-16", "old line ends", "comments between", "quotes"):
         same(read_ldv(written(tmp_path, DIALECTS[name], f"{name}.csv")), expected)
-    with pytest.raises(KinematicsError, match="UTF-16 or binary"):
+    with pytest.raises(StapeskitError, match="UTF-16 or binary"):
         read_ldv(written(tmp_path, plain() + "\x00"))
-    with pytest.raises(KinematicsError, match="an empty file"):
+    with pytest.raises(StapeskitError, match="an empty file"):
         read_ldv(written(tmp_path, " " * 50 + "\n"))
-    with pytest.raises(KinematicsError, match="another encoding"):
+    with pytest.raises(StapeskitError, match="another encoding"):
         read_ldv(written(tmp_path, plain([*ROWS, ROWS[0].replace("stapes", "st\xe4pes")]).encode("latin-1")))

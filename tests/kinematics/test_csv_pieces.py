@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.tables import csv_cells, csv_fast
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.faults import StapeskitError
+from stapeskit.tables import csv_cells, csv_fast
 from tests.kinematics.written_csv import plain, same, written
 
 SPOILS = (
@@ -40,7 +40,7 @@ def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_fast, "_PIECE", 2000)
     same(read_ldv(path), whole)
     monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
-    import kinematics.tables.csv_table as csv_table
+    import stapeskit.tables.csv_table as csv_table
 
     monkeypatch.setattr(csv_table, "read_fast", lambda *_: None)
     same(read_ldv(path), whole)
@@ -76,7 +76,7 @@ def test_reading_costs_little_more_than_the_bare_parser(tmp_path):
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("mark", [",", ";"])
 def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkeypatch, seed, mark):
-    import kinematics.tables.csv_table as csv_table
+    import stapeskit.tables.csv_table as csv_table
 
     rng = np.random.default_rng(seed)
     rows = [f"s,p{k // 100},{k // 100},0.25,1,y,{100 + k % 100},1.5,{k}" for k in range(1000)]
@@ -88,7 +88,7 @@ def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkey
     def read():
         try:
             return read_ldv(path)
-        except KinematicsError as fault:
+        except StapeskitError as fault:
             return sorted(str(fault).splitlines())
 
     with monkeypatch.context() as patch:
@@ -105,7 +105,7 @@ def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkey
 
 
 def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeypatch):
-    import kinematics.tables.csv_table as csv_table
+    import stapeskit.tables.csv_table as csv_table
 
     rows = [f"s,p{k // 1000},{k // 1000},0.25,1,y,{100 + k % 1000},1.5,{k}" for k in range(8000)]
     rows[5000] = rows[5000].replace("1.5", "one")
@@ -117,7 +117,7 @@ def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeyp
         return csv_cells.read_cells(sheet, *rest)
 
     monkeypatch.setattr(csv_table, "read_cells", counted)
-    with pytest.raises(KinematicsError, match=r're_m_s must be a number; got "one" \(ldv.csv, line 5002\)'):
+    with pytest.raises(StapeskitError, match=r're_m_s must be a number; got "one" \(ldv.csv, line 5002\)'):
         read_ldv(path)
     assert len(lengths) == 1
     assert lengths[0] <= 1 << 15

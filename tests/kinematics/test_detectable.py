@@ -10,11 +10,11 @@ from kinematics.faults.detectable import POWER, detectable
 from kinematics.faults.detectable_joint import invisible, joint
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.frames import rotation_from_vector
-from kinematics.pages.draw_motion import full_motion
-from kinematics.pages.report_detectable import size_of
-from kinematics.pages.report_faults import verdict_section
 from kinematics.points2dof import points2dof
+from kinematics.report.detectable_sections import size_of
+from kinematics.report.draw_motion import full_motion
+from kinematics.report.fault_sections import verdict_section
+from stapeskit.frames import rotation_from_vector
 from tests.kinematics.simulated import body, measurement, readings, scene
 
 ALARM = 1e-4

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.pages.report_faults import clean_words
 from kinematics.points2dof import Options, points2dof
+from kinematics.report.fault_sections import clean_words
 from tests.kinematics.simulated import FAULTS, body, measurement, scene
 
 
@@ -85,7 +85,7 @@ def test_two_culprits_are_both_named():
 
 
 def test_turned_beam_axes_are_told_of_the_whole_body():
-    from kinematics.frames import rotation_from_vector
+    from stapeskit.frames import rotation_from_vector
 
     made = scene(7)
     made.directions = made.directions @ rotation_from_vector(np.radians([0.0, 2.0, 1.0]))

@@ -19,7 +19,7 @@ from kinematics.faults.search import Search
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 from tests.kinematics.test_diagnose import driven
 

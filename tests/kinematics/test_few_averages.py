@@ -10,9 +10,9 @@ from scipy.special import chdtrc
 
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import LineFit, fit_lines
-from kinematics.spatial import DOF_NAMES
-from kinematics.tables.few_averages import steadied
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.few_averages import steadied
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 LINES = 1500

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinematics.errors import KinematicsError
 from kinematics.fit.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.frames import rotation_from_vector
 from kinematics.measurement import BodyChannels, Measurement, from_arrays
-from kinematics.motion_files import standard_deviation
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import rotation_from_vector
+from stapeskit.records.motion_files import standard_deviation
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,
     measurement,
@@ -147,7 +147,7 @@ def test_lines_with_too_few_channels_stay_empty():
 
 
 def refusal(places, beams, dof=DOF_NAMES):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         beam_set("stapes", places, beams, dof)
     return str(caught.value)
 
@@ -323,22 +323,22 @@ def test_subset_columns_follow_the_order_of_the_names():
     ],
 )
 def test_faulty_options_are_refused(make, match):
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         make()
 
 
 def test_faulty_measurements_are_refused():
     made = scene(1, lines=4)
     good = body("stapes", made)
-    with pytest.raises(KinematicsError, match="positions_mm of body a must be"):
+    with pytest.raises(StapeskitError, match="positions_mm of body a must be"):
         BodyChannels("a", good.points, good.positions_mm[:3], good.directions, good.displacement)
-    with pytest.raises(KinematicsError, match="beam directions of body a must be unit vectors"):
+    with pytest.raises(StapeskitError, match="beam directions of body a must be unit vectors"):
         BodyChannels("a", good.points, good.positions_mm, 2.0 * good.directions, good.displacement)
-    with pytest.raises(KinematicsError, match="the data of body stapes must be of shape"):
+    with pytest.raises(StapeskitError, match="the data of body stapes must be of shape"):
         Measurement("footplate", ("1", "2"), made.freq_hz, (good,))
-    with pytest.raises(KinematicsError, match="freq_hz must be positive and ascending"):
+    with pytest.raises(StapeskitError, match="freq_hz must be positive and ascending"):
         Measurement("footplate", ("1",), made.freq_hz[::-1], (good,))
-    with pytest.raises(KinematicsError, match="a measurement must be of one body at least"):
+    with pytest.raises(StapeskitError, match="a measurement must be of one body at least"):
         Measurement("footplate", ("1",), made.freq_hz, ())
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.tables.frequency_grids import join_lines
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.frequency_grids import join_lines
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.faults import StapeskitError
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 GRID = np.linspace(400.0, 5000.0, 47)
@@ -44,7 +44,7 @@ def test_values_stay_with_their_lines(tmp_path):
 
 @pytest.mark.parametrize("shift", [0.5, 5.0, 50.0])
 def test_shifted_grids_of_bodies_are_refused(tmp_path, shift):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(tmp_path, {("stapes", 1): GRID, ("base", 1): GRID + shift})
     told = str(caught.value)
     assert told.startswith("the frequencies of bodies stapes and base must be the same within 1 %")
@@ -53,7 +53,7 @@ def test_shifted_grids_of_bodies_are_refused(tmp_path, shift):
 
 
 def test_bands_without_a_common_line_are_refused(tmp_path):
-    with pytest.raises(KinematicsError, match="0 of them in common"):
+    with pytest.raises(StapeskitError, match="0 of them in common"):
         read(tmp_path, {("stapes", 1): GRID, ("base", 1): [6000.0, 6100.0]})
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Welch, effective_averages, segment_for, welch_frf
 from kinematics.signals.frf_periodic import Periodic, periodic_frf
+from stapeskit.faults import StapeskitError
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])
@@ -166,7 +166,7 @@ def test_the_sd_over_periods_is_that_of_the_estimate(noise, periods, colour):
 
 def test_a_period_of_a_fraction_of_samples_is_joined_to_whole_ones():
     assert Periodic(0.1025).block(1000.0) == (205, 2)
-    with pytest.raises(KinematicsError, match="the period must be whole samples"):
+    with pytest.raises(StapeskitError, match="the period must be whole samples"):
         Periodic(0.1 * np.sqrt(2.0)).block(1000.0)
 
 
@@ -193,23 +193,23 @@ def test_bad_signals_are_refused():
     rng = np.random.default_rng(7)
     drive, response = random_record(rng, 0.0, 0.1, 1024)
     how = Welch(256)
-    with pytest.raises(KinematicsError, match="segments long at least; got 1 of 1024 samples"):
+    with pytest.raises(StapeskitError, match="segments long at least; got 1 of 1024 samples"):
         welch_frf([(drive, response)], RATE, Welch(1024))
-    with pytest.raises(KinematicsError, match="the samples must be finite numbers"):
+    with pytest.raises(StapeskitError, match="the samples must be finite numbers"):
         welch_frf([(np.where(np.arange(1024) == 3, np.nan, drive), response)], RATE, how)
-    with pytest.raises(KinematicsError, match="the reference must be a signal; got one value"):
+    with pytest.raises(StapeskitError, match="the reference must be a signal; got one value"):
         welch_frf([(np.ones(1024), response)], RATE, how)
-    with pytest.raises(KinematicsError, match="reference and responses must be of shapes"):
+    with pytest.raises(StapeskitError, match="reference and responses must be of shapes"):
         welch_frf([(drive[:-1], response)], RATE, how)
-    with pytest.raises(KinematicsError, match="the sampling rate must be positive"):
+    with pytest.raises(StapeskitError, match="the sampling rate must be positive"):
         welch_frf([(drive, response)], 0.0, how)
-    with pytest.raises(KinematicsError, match="the records must be one at least"):
+    with pytest.raises(StapeskitError, match="the records must be one at least"):
         welch_frf([], RATE, how)
-    with pytest.raises(KinematicsError, match="the records must be of the same channels"):
+    with pytest.raises(StapeskitError, match="the records must be of the same channels"):
         welch_frf([(drive, response), (drive, np.vstack([response, response]))], RATE, how)
-    with pytest.raises(KinematicsError, match="two blocks of periods long at least; got 1 blocks"):
+    with pytest.raises(StapeskitError, match="two blocks of periods long at least; got 1 blocks"):
         periodic_frf([(drive, response)], RATE, Periodic(512 / RATE))
-    with pytest.raises(KinematicsError, match="the reference must be periodic"):
+    with pytest.raises(StapeskitError, match="the reference must be periodic"):
         periodic_frf([(rng.standard_normal(4096), rng.standard_normal((1, 4096)))], RATE, Periodic(0.128))
 
 
@@ -227,7 +227,7 @@ def test_bad_signals_are_refused():
     ],
 )
 def test_options_out_of_range(make, message):
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         make()
 
 

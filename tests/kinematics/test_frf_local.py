@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import get_window, lfilter
 
-from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Welch, welch_frf
 from kinematics.signals.frf_local import Local, local_frf
 from kinematics.signals.leakage import noise_of_differences
+from stapeskit.faults import StapeskitError
 
 RATE = 1000.0
 GAINS = np.array([[1.0], [2.0], [-0.5], [3.0]])
@@ -87,10 +87,10 @@ def test_noise_of_the_reference_is_told_apart() -> None:
 def test_a_resolution_too_fine_for_the_record_is_refused() -> None:
     rng = np.random.default_rng(4)
     with pytest.raises(
-        KinematicsError, match=r"the resolution must be 2\.44 Hz at least for records of 4\.1 s"
+        StapeskitError, match=r"the resolution must be 2\.44 Hz at least for records of 4\.1 s"
     ):
         local_frf([record(rng, SMOOTH, 0.1)], RATE, Local(1.0))
-    with pytest.raises(KinematicsError, match="the resolution must be positive"):
+    with pytest.raises(StapeskitError, match="the resolution must be positive"):
         Local(0.0)
 
 

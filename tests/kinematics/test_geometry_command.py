@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
-from kinematics.errors import KinematicsError
+from stapeskit.faults import StapeskitError
 from tests.kinematics.surfaces import on_faces
 from tests.kinematics.test_moved import (
     MARKS,
@@ -114,21 +114,21 @@ def test_without_the_options_fiducials_and_checks_are_told(files, scan):
     ],
 )
 def test_options_that_do_not_go_together_are_refused(files, scan, more, match):
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         run(files, scan, *more)
 
 
 def test_surface_points_need_a_mass_file_and_no_frame(files):
     base = [str(files / "ldv.csv"), "--points", str(files / "points.csv"), "--plate-points",
             str(files / "plate.csv"), "--frame", "footplate"]  # fmt: skip
-    with pytest.raises(KinematicsError, match=r"--plate-points must be given with --mass") as told:
+    with pytest.raises(StapeskitError, match=r"--plate-points must be given with --mass") as told:
         work(base)
     assert "--frame must be left out beside --plate-points" in str(told.value)
 
 
 def test_positions_that_alone_are_mirrored_are_refused_and_cured(files, scan):
     """Turn y of all positions round in the files: refused by fiducials, right with --mirror-points."""
-    from kinematics.motion_files import read_motion
+    from stapeskit.records.motion_files import read_motion
 
     run(files, scan)
     wanted = read_motion(files / "dof.h5").q
@@ -139,7 +139,7 @@ def test_positions_that_alone_are_mirrored_are_refused_and_cured(files, scan):
         for row in cells:
             row[column] = str(-float(row[column]))
         path.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
-    with pytest.raises(KinematicsError, match="right-handed"):
+    with pytest.raises(StapeskitError, match="right-handed"):
         run(files, scan)
     run(files, scan, "--mirror-points", "y")
     assert np.allclose(read_motion(files / "dof.h5").q, wanted, rtol=1e-6, atol=1e-16)

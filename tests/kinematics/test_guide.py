@@ -14,7 +14,7 @@ import numpy as np
 
 from ct_inertia.cli import parser as ct_parser
 from kinematics.cli import work
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.records import write_record
 from tests.kinematics.rewritten import write_three_ways
 
@@ -55,7 +55,9 @@ def test_the_commands_of_the_guide_run_on_exports_of_the_sample(tmp_path, monkey
 
 def test_the_sections_of_the_guide_are_those_of_the_page():
     named = re.findall(r"^\| ([A-Z][\w ]+?) \|", GUIDE, re.MULTILINE)
-    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "kinematics").rglob("report*.py"))
+    source = "".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / "kinematics" / "report").rglob("*.py")
+    )
     assert len(named) == 7
     for heading in named:
         assert f'"{heading}"' in source

@@ -9,11 +9,11 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.errors import KinematicsError
-from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry.placement import Placement
 from kinematics.measurement import Measurement
 from kinematics.points2dof import points2dof
+from kinematics.registration.placement import Placement
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.simulated import FAULTS, body, scene
 
 POSE = RigidTransform.from_parts(
@@ -36,7 +36,7 @@ def replace_frame(pose):
 def test_mirrored_positions_are_refused_with_their_axis(axis, sd):
     data = measured(3, sd=sd).mirrored(axis, points_only=True)
     with pytest.raises(
-        KinematicsError, match=rf"only when their {axis} is turned round.*--mirror-points {axis}"
+        StapeskitError, match=rf"only when their {axis} is turned round.*--mirror-points {axis}"
     ):
         points2dof(data, Placement(POSE))
     points2dof(data.mirrored(axis, points_only=True), Placement(POSE))
@@ -44,7 +44,7 @@ def test_mirrored_positions_are_refused_with_their_axis(axis, sd):
 
 def test_mirrored_beams_are_refused_and_cured_by_both_options():
     data = measured(4).mirrored("z").mirrored("z", points_only=True)
-    with pytest.raises(KinematicsError, match=r"--mirror-points z.*with --mirror z too when it is the dir"):
+    with pytest.raises(StapeskitError, match=r"--mirror-points z.*with --mirror z too when it is the dir"):
         points2dof(data, Placement(POSE))
     q = points2dof(data.mirrored("z").mirrored("z", points_only=True), Placement(POSE)).motion.q
     assert np.allclose(q, points2dof(measured(4), Placement(POSE)).motion.q, rtol=1e-9)

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers.hdf5 import read, write_hdf5
 from kinematics.readers.kinds import read_recordings
+from stapeskit.faults import StapeskitError
 
 RNG = np.random.default_rng(0)
 FREQ = np.linspace(100.0, 4000.0, 40)
@@ -89,7 +89,7 @@ def test_compound_values_and_square_arrays_need_dims(tmp_path):
         file["value"] = pairs
         file["direction"] = BEAMS.T
         file.attrs["unit"], file.attrs["point"] = "m", ";".join(NAMES)
-    with pytest.raises(KinematicsError, match="the order of dimensions must be clear"):
+    with pytest.raises(StapeskitError, match="the order of dimensions must be clear"):
         read(path)
     with h5py.File(path, "a") as file:
         file.attrs["dims"] = "freq,channel"
@@ -134,7 +134,7 @@ def test_what_is_wrong_is_said(tmp_path, change, message):
     path = written(tmp_path / "ldv.h5")
     with h5py.File(path, "a") as file:
         change(file)
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read(path)
 
 
@@ -145,7 +145,7 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
         file["direction"][3] = 0.0
         file["freq_hz"][0] = -5.0
         file["re"][2, 1] = np.inf
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     said = str(caught.value).splitlines()
     assert [line.split(" must be")[0] for line in said] == [
@@ -165,7 +165,7 @@ def _replace(file, name, values):
 
 def test_the_writer_refuses_what_the_reader_would(tmp_path):
     path = tmp_path / "ldv.h5"
-    with pytest.raises(KinematicsError, match="point must be 6 names"):
+    with pytest.raises(StapeskitError, match="point must be 6 names"):
         written(path, point=["1"])
     assert not list(tmp_path.iterdir())
 
@@ -176,7 +176,7 @@ def test_sizes_that_the_file_cannot_hold(tmp_path):
         file["freq_hz"] = FREQ
         file.create_dataset("re", shape=(10**8, 40), chunks=(1000, 40), dtype="f8")
         file.create_dataset("im", shape=(10**8, 40), chunks=(1000, 40), dtype="f8")
-    with pytest.raises(KinematicsError, match="as large as the file can hold"):
+    with pytest.raises(StapeskitError, match="as large as the file can hold"):
         read(path)
 
 
@@ -185,7 +185,7 @@ def test_damaged_files_are_refused_in_a_sentence(tmp_path):
     bad = tmp_path / "bad.h5"
     for length in np.linspace(8, len(whole) - 1, 20).astype(int):
         bad.write_bytes(whole[:length])
-        with pytest.raises(KinematicsError):
+        with pytest.raises(StapeskitError):
             read(bad)
 
 
@@ -209,7 +209,7 @@ def test_all_faults_of_a_file_are_told_together(tmp_path):
         file["point"] = ["1", "2"]
         file["direction"][2] = (0.0, 0.0, 2.0)
         file["re"][1, 3] = np.inf
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     told = str(caught.value).splitlines()
     expected = [
@@ -227,7 +227,7 @@ def test_all_faults_of_a_file_are_told_together(tmp_path):
         assert sum(words in line for line in told) == 1
     with h5py.File(path, "r+") as file:
         file["freq_hz"][4] = 1.0
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     assert "freq_hz must be ascending and finite; got 1.0 at place 5" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 3
@@ -241,6 +241,6 @@ def test_a_damaged_number_of_a_written_file_is_told(tmp_path, numbers):
     whole = path.read_bytes()
     place = whole.index(np.ascontiguousarray(numbers).tobytes()[:32]) + 6
     path.write_bytes(whole[:place] + bytes([whole[place] ^ 2]) + whole[place + 1 :])
-    with pytest.raises(KinematicsError, match=r"ldv\.h5") as caught:
+    with pytest.raises(StapeskitError, match=r"ldv\.h5") as caught:
         read(path)
     assert " must be " in str(caught.value)

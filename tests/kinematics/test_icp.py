@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinematics.errors import KinematicsError
-from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry.icp import fit_to_surface
-from kinematics.geometry.icp_refine import Cloud
-from kinematics.geometry.mesh_distance import TriangleSurface, nearest_on_triangles
-from kinematics.geometry.registration import displacement
-from kinematics.geometry.surface_points import mirrored, read_surface_points
+from kinematics.registration.icp import fit_to_surface
+from kinematics.registration.icp_refine import Cloud
+from kinematics.registration.mesh_distance import TriangleSurface, nearest_on_triangles
+from kinematics.registration.surface_points import mirrored, read_surface_points
+from stapeskit.alignment.registration import displacement
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
 from tests.kinematics.surfaces import box, on_faces, wedge
 
 WEDGE = wedge()
@@ -124,7 +124,7 @@ def test_noise_is_estimated_when_not_stated():
 def test_half_turns_of_a_box_are_refused_or_told_apart_by_other_points():
     plate = box([-2.1, -1.0, -1.4], [2.1, 0.0, 1.4])
     cloud, pose, towards = measured(plate, 1, 60)
-    with pytest.raises(KinematicsError, match=r"one placement fits best; got 4 that fit alike.*180 degrees"):
+    with pytest.raises(StapeskitError, match=r"one placement fits best; got 4 that fit alike.*180 degrees"):
         fit_to_surface(cloud, plate, towards=towards)
     stapes = box([0.3, 0.5, -0.4], [1.9, 3.0, 0.2])
     known = pose.inverse().points(on_faces(stapes, np.random.default_rng(8), 8))
@@ -146,7 +146,7 @@ def test_slides_that_the_points_leave_open_are_named(sides, match):
     cloud, pose, towards = measured(plate, 4, 60, sides=sides)
     stapes = box([0.3, 0.5, -0.4], [1.9, 3.0, 0.2])
     known = pose.inverse().points(on_faces(stapes, np.random.default_rng(8), 8))
-    with pytest.raises(KinematicsError, match=r"leave open|fit alike") as told:
+    with pytest.raises(StapeskitError, match=r"leave open|fit alike") as told:
         fit_to_surface(cloud, plate, towards=towards, witnesses=[(known, stapes)])
     guess = (pose.perturbed([2e-5, 1e-5, 2e-5, 1e-3, 0.0, 1e-3]), np.diag([4e-10] * 3 + [4e-6] * 3))
     fit = fit_to_surface(cloud, plate, guess=guess)
@@ -178,7 +178,7 @@ def test_a_guess_counts_by_its_covariance():
 def test_mirrored_coordinates_are_refused():
     cloud, _, _ = measured(WEDGE, 5, 80)
     flipped = mirrored(cloud, "y")
-    with pytest.raises(KinematicsError, match=r"fit only as a mirror image|fit alike|that fit, "):
+    with pytest.raises(StapeskitError, match=r"fit only as a mirror image|fit alike|that fit, "):
         fit_to_surface(flipped, WEDGE)
 
 
@@ -188,20 +188,20 @@ def test_mirrored_coordinates_are_refused():
 )
 def test_other_units_are_refused(factor, match):
     cloud, _, towards = measured(WEDGE, 0)
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         fit_to_surface(Cloud(cloud.names, factor * cloud.points_mm), WEDGE, towards=towards)
 
 
 def test_impossible_clouds_are_refused():
     cloud, _, _ = measured(WEDGE, 0)
-    with pytest.raises(KinematicsError, match="the plate points must be at least 7"):
+    with pytest.raises(StapeskitError, match="the plate points must be at least 7"):
         fit_to_surface(Cloud(cloud.names[:5], cloud.points_mm[:5]), WEDGE)
-    with pytest.raises(KinematicsError, match="finite"):
+    with pytest.raises(StapeskitError, match="finite"):
         fit_to_surface(Cloud(cloud.names, cloud.points_mm * np.nan), WEDGE)
-    with pytest.raises(KinematicsError, match="made of triangles with finite corners"):
+    with pytest.raises(StapeskitError, match="made of triangles with finite corners"):
         TriangleSurface(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     lost = np.random.default_rng(3).normal(size=(40, 3))
-    with pytest.raises(KinematicsError, match=r"the plate points .*must be"):
+    with pytest.raises(StapeskitError, match=r"the plate points .*must be"):
         fit_to_surface(Cloud(cloud.names, lost, cloud.sd_mm), WEDGE)
 
 
@@ -237,5 +237,5 @@ def test_surface_points_are_read(tmp_path):
 def test_faulty_surface_points_are_named(tmp_path, text, match):
     path = tmp_path / "points.csv"
     path.write_text(text)
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         read_surface_points(path, "plate")

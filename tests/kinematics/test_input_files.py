@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser, work
-from kinematics.errors import KinematicsError, StapeskitError
-from kinematics.motion_files import write_motion
 from kinematics.points2dof import points2dof
 from kinematics.readers import InputOptions, read_measurement
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.faults import StapeskitError
+from stapeskit.records.motion_files import write_motion
 from tests.kinematics import written_uff as uff
 from tests.kinematics.rewritten import write_three_ways
 from tests.kinematics.test_inputs import PLACES, F, codes, value
@@ -177,7 +177,7 @@ def test_directions_may_begin_with_a_minus(word):
 def test_refusals_of_the_command(tmp_path):
     points_file(tmp_path / "points.csv")
     tidy(tmp_path / "ldv.csv", [0, 1, 7, 8])
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         run(
             tmp_path,
             tmp_path / "ldv.csv",
@@ -192,20 +192,18 @@ def test_refusals_of_the_command(tmp_path):
     assert len(str(caught.value).splitlines()) == 2
     (tmp_path / "more").mkdir()
     tidy(tmp_path / "more" / "ldv.csv", [0])
-    with pytest.raises(
-        KinematicsError, match=r"names of the vibrometer files must be different; got ldv.csv"
-    ):
+    with pytest.raises(StapeskitError, match=r"names of the vibrometer files must be different; got ldv.csv"):
         run(tmp_path, tmp_path / "ldv.csv", tmp_path / "more" / "ldv.csv")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         run(tmp_path, tmp_path / "none.uff", tmp_path / "nor.uff")
     assert len(str(caught.value).splitlines()) == 2
     with pytest.raises(StapeskitError, match="--amplitude must be one of peak, rms; got pp"):
         run(tmp_path, tmp_path / "ldv.csv", "--amplitude", "pp")
-    with pytest.raises(KinematicsError, match="--beam must be x, y, z"):
+    with pytest.raises(StapeskitError, match="--beam must be x, y, z"):
         run(tmp_path, tmp_path / "ldv.csv", "--beam", "up")
     (tmp_path / "a.uff").write_bytes(b"    -1\n    58\n")
     (tmp_path / "b.uff").write_bytes(b"    -1\n   164\n")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         run(tmp_path, tmp_path / "a.uff", tmp_path / "b.uff")
     assert len(str(caught.value).splitlines()) == 2
     assert not (tmp_path / "dof.csv").exists()
@@ -244,7 +242,7 @@ def test_empty_files_and_archives_say_what_they_are(tmp_path):
     with zipfile.ZipFile(tmp_path / "scan.uff", "w") as archive:
         archive.writestr("scan.txt", "hello")
     (tmp_path / "empty.mat").write_bytes(b"")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_measurement([tmp_path / "scan.uff", tmp_path / "empty.mat", tmp_path / "none.h5"])
     told = str(caught.value).splitlines()
     assert "got a ZIP archive (scan.uff). Unpack it" in told[0]
@@ -261,5 +259,5 @@ def test_files_that_cannot_be_opened_are_told_in_one_sentence(tmp_path, monkeypa
         raise PermissionError(13, "Permission denied", str(self))
 
     monkeypatch.setattr("pathlib.Path.open", refused)
-    with pytest.raises(KinematicsError, match=r"must be readable; got Permission denied \(a.uff\). Check"):
+    with pytest.raises(StapeskitError, match=r"must be readable; got Permission denied \(a.uff\). Check"):
         read_measurement([tmp_path / "a.uff"])

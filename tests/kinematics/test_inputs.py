@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers import InputOptions
 from kinematics.readers.assemble import assemble
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.values import scaled
-from kinematics.tables.points_csv import read_points
+from kinematics.tidy.points_csv import read_points
+from stapeskit.faults import StapeskitError
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_volumes"
@@ -54,7 +54,7 @@ def codes(measurement):
 
 
 def fault(*files, points=None, **said):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         assemble(files, points, InputOptions(**said))
     text = str(caught.value)
     assert all("must be" in line for line in text.splitlines())
@@ -127,13 +127,13 @@ def test_points_without_or_with_two_bodies_are_named(tmp_path):
     ],
 )
 def test_what_is_said_is_checked_first(said, words):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         InputOptions(**said)
     assert words in str(caught.value)
 
 
 def test_all_that_is_said_wrongly_is_told_at_once():
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         InputOptions(body=("a", "b=3-1"), beam="up", run=("x",))
     assert len(str(caught.value).splitlines()) == 4
 
@@ -202,7 +202,7 @@ def test_a_line_at_zero_is_dropped_with_a_warning():
     made = assemble([Recordings(one, file="a.uff", amplitude_stated=True)])
     assert "the line at 0 Hz of 18 spectra of a.uff holds no motion" in made.notices[0].text
     np.testing.assert_allclose(made.freq_hz, F)
-    with pytest.raises(KinematicsError, match="must be above 0 Hz; got 0 Hz alone"):
+    with pytest.raises(StapeskitError, match="must be above 0 Hz; got 0 Hz alone"):
         assemble([recordings(freq_hz=np.zeros(1), value=np.ones(1, complex))])
 
 
@@ -343,7 +343,7 @@ def test_frequencies_below_zero_are_no_dc_line():
     turned = Recordings(
         tuple(replace(one, freq_hz=freq) for one in made.recordings), file="a.uff", amplitude_stated=True
     )
-    with pytest.raises(KinematicsError, match="the frequencies must be positive; got -5 Hz"):
+    with pytest.raises(StapeskitError, match="the frequencies must be positive; got -5 Hz"):
         assemble([turned])
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinematics import kernels
+from kinematics import native as kernels
 from kinematics.fit import line_kernels
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.line_solver import solve

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
+from stapeskit.faults import StapeskitError
 
 HEAD = "body,point,x_mm,y_mm,z_mm,dir,freq_hz,re_m_s,im_m_s"
 ROWS = ["stapes,1,0,0,0,y,100,1,2", "stapes,1,0,0,0,y,200,3,4", "stapes,2,1,0,0,-z,100,5,6"]
@@ -90,7 +90,7 @@ def test_dialects_read_the_same(tmp_path):
 @pytest.mark.parametrize("word", ["n/a", "NA", "N/A", "#N/A", "null", "None", "-", "missing"])
 def test_words_for_missing_values_are_refused_with_their_place(tmp_path, word):
     rows = ["s,1,0,0,0,y,100,1,2", f"s,1,0,0,0,y,200,{word},3", "s,1,0,0,0,y,300,1,1"]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table(tmp_path, HEAD, rows))
     found = (
         f're_m_s must be a number; got "{word}" (ldv.csv, line 3). Write a plain number, or leave the cell'
@@ -220,7 +220,7 @@ def test_faulty_rows_are_named(tmp_path, head, row, match):
     first = {HEAD: "s,1,0,0,0,y,100,1,2", D: "s,1,0,0,0,0,1,0,100,1,2"}
     good = next(text for key, text in first.items() if head.startswith(key)) + ",1" * head.count(",c")
     good += ",1" * (head.count(",sd_") + head.count(",n_avg"))
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         read_ldv(table(tmp_path, head, [good, row]))
 
 
@@ -255,13 +255,13 @@ def test_small_errors_of_unit_vectors_are_taken_out(tmp_path):
     ],
 )
 def test_faulty_headers_are_named(tmp_path, head, match):
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         read_ldv(table(tmp_path, head, ["x"]))
 
 
 def test_all_faults_come_in_one_message(tmp_path):
     rows = [*ROWS, "stapes,2,1,0,0,up,100,5,6", "stapes,3,1,0,0,x,-1,5,oops", "stapes,4,1,0,0,x,100,inf,6,7"]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table(tmp_path, rows=rows))
     lines = str(caught.value).splitlines()
     assert len(lines) == 4
@@ -270,7 +270,7 @@ def test_all_faults_come_in_one_message(tmp_path):
 
 def test_duplicates_are_told_beside_other_faults(tmp_path):
     rows = [*ROWS, "stapes,3,1,0,0,x,-1,5,6", ROWS[0], "stapes,4,1,0,0,x,100,oops,6"]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table(tmp_path, rows=rows))
     assert len(str(caught.value).splitlines()) == 3
     assert re.search(r"the same as in line 2 \(ldv.csv, line 6\)", str(caught.value))
@@ -285,7 +285,7 @@ def test_duplicates_are_told_beside_other_faults(tmp_path):
     ],
 )
 def test_a_text_is_one_fault(tmp_path, head, row, column):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table(tmp_path, head, [row]))
     (line,) = str(caught.value).splitlines()
     assert line.startswith(f"{column} must be a number")
@@ -293,7 +293,7 @@ def test_a_text_is_one_fault(tmp_path, head, row, column):
 
 def test_an_unknown_unit_is_told_once(tmp_path):
     head = HEAD.replace("re_m_s,im_m_s", "re_inch_s,im_inch_s")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_ldv(table(tmp_path, head, ["x"]))
     assert [
         "of column re_inch_s" in line or "of column im_inch_s" in line
@@ -316,7 +316,7 @@ def test_every_fault_says_what_to_do_next(tmp_path):
         "s,2,0,0,0,y,5,1,2",
     ]
     for head, rows in [*((head, ["x"]) for head in heads), (HEAD, bad)]:
-        with pytest.raises(KinematicsError) as caught:
+        with pytest.raises(StapeskitError) as caught:
             read_ldv(table(tmp_path, head, rows))
         for line in str(caught.value).splitlines():
             assert re.search(r"\(ldv.csv, line .*\)\. [A-Z].*\.$", line), line
@@ -325,25 +325,25 @@ def test_every_fault_says_what_to_do_next(tmp_path):
 def test_points_must_be_listed_once_and_agree(tmp_path):
     path = table(tmp_path, "body,point,dir,freq_hz,re_m_s,im_m_s", ["s,1,y,100,1,2", "s,9,y,100,1,2"])
     points = write(tmp_path, "body,point,x_mm,y_mm,z_mm\ns,1,0,0,0\n", "p.csv")
-    with pytest.raises(KinematicsError, match=r"point 9 of body s must be listed in p.csv.*line 3"):
+    with pytest.raises(StapeskitError, match=r"point 9 of body s must be listed in p.csv.*line 3"):
         read_ldv(path, points)
     points = write(tmp_path, "body,point,x_mm,y_mm,z_mm\ns,1,0,0,0\ns,1,0,0,1\ns,9,0,0,0\n", "p.csv")
-    with pytest.raises(KinematicsError, match="listed once; got a second position"):
+    with pytest.raises(StapeskitError, match="listed once; got a second position"):
         read_ldv(path, points)
     points = write(tmp_path, "body,point,x_mm,y_mm,z_mm,sd_mm\ns,1,0,,0,-1\n,9,0,0,0,1\n", "p.csv")
-    with pytest.raises(KinematicsError, match="y_mm must be a finite number") as caught:
+    with pytest.raises(StapeskitError, match="y_mm must be a finite number") as caught:
         read_ldv(path, points)
     assert "sd_mm must be positive" in str(caught.value)
     assert "body and point must be names" in str(caught.value)
     points = write(tmp_path, "body,point,x_mm,y_mm,z_mm\nstapes,1,0,0,0.1\nstapes,2,1,0,0\n", "p.csv")
-    with pytest.raises(KinematicsError, match="the position of point 1 of body stapes must be one"):
+    with pytest.raises(StapeskitError, match="the position of point 1 of body stapes must be one"):
         read_ldv(table(tmp_path), points)
-    with pytest.raises(KinematicsError, match="no column z_mm"):
+    with pytest.raises(StapeskitError, match="no column z_mm"):
         read_ldv(path, write(tmp_path, "body,point,x_mm,y_mm\ns,1,0,0\n", "p.csv"))
 
 
 def test_sd_that_is_empty_throughout_is_refused(tmp_path):
-    with pytest.raises(KinematicsError, match="sd_m_s must be a number in some row at least"):
+    with pytest.raises(StapeskitError, match="sd_m_s must be a number in some row at least"):
         read_ldv(table(tmp_path, HEAD + ",sd_m_s", [row + ",nan" for row in ROWS]))
 
 
@@ -360,16 +360,16 @@ def test_sd_that_is_empty_throughout_is_refused(tmp_path):
     ],
 )
 def test_what_is_no_table_is_refused(tmp_path, data, match):
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         read_ldv(write(tmp_path, data))
 
 
 def test_other_formats_are_told_what_is_read(tmp_path):
-    with pytest.raises(KinematicsError, match="an existing CSV file"):
+    with pytest.raises(StapeskitError, match="an existing CSV file"):
         read_ldv(tmp_path / "nowhere.csv")
-    with pytest.raises(KinematicsError, match=r"a CSV table .*which is what is read now"):
+    with pytest.raises(StapeskitError, match=r"a CSV table .*which is what is read now"):
         read_ldv(write(tmp_path, b"x", "scan.uff"))
-    with pytest.raises(KinematicsError, match="a CSV table"):
+    with pytest.raises(StapeskitError, match="a CSV table"):
         read_ldv(tmp_path)
 
 

@@ -16,7 +16,7 @@ from kinematics.fit.rigid_fit import fit_lines, refitted
 from kinematics.fit.robust_fit import TOLERANCE, robust_weight
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,
     measurement,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from kinematics.errors import KinematicsError
 from kinematics.signals.lock_in import SteppedSine, fit_sine
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from stapeskit.faults import StapeskitError
 
 RATE = 8192.0
 COUNT = 1600
@@ -120,7 +120,7 @@ def test_steps_are_cut_where_the_set_frequency_changes():
         (100.0, 3.0, 5),
         (200.0, 10.0, 4),
     ]
-    with pytest.raises(KinematicsError, match="the column freq_hz must be positive"):
+    with pytest.raises(StapeskitError, match="the column freq_hz must be positive"):
         steps_of(np.zeros(14), np.arange(14.0), np.arange(14.0)[None])
 
 
@@ -136,14 +136,14 @@ def test_steps_are_cut_where_the_set_frequency_changes():
     ],
 )
 def test_what_cannot_be_evaluated_is_refused(make, message):
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         make()
 
 
 def test_a_silent_reference_is_refused():
     rng = np.random.default_rng(6)
     step = Step(500.0, rng.standard_normal(COUNT), record(rng, 500.0).responses)
-    with pytest.raises(KinematicsError, match=r"a sine well above its noise; got noise \(step 1 at 500 Hz\)"):
+    with pytest.raises(StapeskitError, match=r"a sine well above its noise; got noise \(step 1 at 500 Hz\)"):
         stepped_frf([step], RATE, SteppedSine(refine=False))
 
 
@@ -151,9 +151,9 @@ def test_a_step_of_another_frequency_is_refused():
     rng = np.random.default_rng(7)
     step = record(rng, 900.0)
     moved = [Step(700.0, step.reference, step.responses)]
-    with pytest.raises(KinematicsError, match=r"the sine of a step must be within .* of its nominal 700 Hz"):
+    with pytest.raises(StapeskitError, match=r"the sine of a step must be within .* of its nominal 700 Hz"):
         stepped_frf(moved, RATE)
-    with pytest.raises(KinematicsError, match="the reference must be a sine well above its noise"):
+    with pytest.raises(StapeskitError, match="the reference must be a sine well above its noise"):
         stepped_frf(moved, RATE, SteppedSine(refine=False))
 
 
@@ -167,7 +167,7 @@ def test_the_faults_of_all_steps_are_told_at_once(estimate):
         Step(500.0, good.reference[:20], good.responses[:, :20]),
         Step(800.0, good.reference, good.responses),
     ]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         estimate(steps, RATE)
     told = str(caught.value).splitlines()
     places = [f"step 2 at {RATE:g} Hz", "step 3 at 500 Hz", "step 4 at 800 Hz"]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
-from kinematics.errors import KinematicsError
 from kinematics.fit.beams import beam_set, observability
 from kinematics.fit.ratio import per_reference
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.fit.shared_errors import position_errors, position_patterns
 from kinematics.measurement import from_arrays
-from kinematics.motion_files import read_motion, standard_deviation, write_motion
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES
+from kinematics.registration.shared_errors import position_errors, position_patterns
+from stapeskit.faults import StapeskitError
+from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import HEADER, body, csv_rows, measurement, readings, scene, smooth_motion
 
 
@@ -41,7 +41,7 @@ def test_patterns_of_many_points_carry_their_covariance(uneven, monkeypatch):
     fit = fit_lines(beam_set("s", made.positions_mm, made.directions, DOF_NAMES), value, sd)
     single = position_errors({(0, 0): fit}, [data])
     assert len(single.names) == 27
-    monkeypatch.setattr("kinematics.fit.shared_errors._NAMED_BYTES", 0)
+    monkeypatch.setattr("kinematics.registration.shared_errors._NAMED_BYTES", 0)
     few = position_errors({(0, 0): fit}, [data])
     assert few.names[0] == "position.stapes.pattern_1"
     assert np.all(few.variances == 1.0)
@@ -103,7 +103,7 @@ def test_noise_of_the_reference_adds_to_motion_and_cancels_in_ratios(tmp_path):
     assert other.common_sd is None
     _, path = write_motion(tmp_path, "dof", loud)
     assert np.array_equal(read_motion(path).common_sd, loud.common_sd)
-    with pytest.raises(KinematicsError, match="--reference-noise must be from 0 to below 1; got"):
+    with pytest.raises(StapeskitError, match="--reference-noise must be from 0 to below 1; got"):
         Options(reference_noise=1.5)
 
 

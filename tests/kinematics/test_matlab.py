@@ -12,10 +12,10 @@ import pytest
 from scipy.io import savemat
 
 from kinematics.cli import work
-from kinematics.errors import KinematicsError
 from kinematics.readers.kinds import read_recordings
 from kinematics.readers.mat_tree import read_mat
 from kinematics.readers.matlab import read
+from stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 
 LINES, POINTS = 40, 7
@@ -240,7 +240,7 @@ def test_a_mapping_of_elements(file, tmp_path):
 def test_faulty_mappings(tmp_path, text, message):
     v5(tmp_path / "scan.mat", {"x": FREQ, "y": VALUE, "short": np.arange(3.0)[None]})
     (tmp_path / "map.toml").write_text(text)
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read(tmp_path / "scan.mat", tmp_path / "map.toml")
 
 
@@ -260,7 +260,7 @@ def test_faulty_mappings(tmp_path, text, message):
     ],
 )
 def test_what_cannot_be_read_is_said(file, variables, message):
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read(file(**variables))
 
 
@@ -274,7 +274,7 @@ def test_damaged_files_are_refused_in_a_sentence(tmp_path):
         cut = tmp_path / "cut.mat"
         for length in np.linspace(0, len(whole) - 1, 25).astype(int):
             cut.write_bytes(whole[:length])
-            with pytest.raises(KinematicsError):
+            with pytest.raises(StapeskitError):
                 read(cut)
         if write is write_v73:
             continue
@@ -283,20 +283,20 @@ def test_damaged_files_are_refused_in_a_sentence(tmp_path):
             for place in rng.integers(0, len(whole), 4):
                 data[place] = rng.integers(256)
             cut.write_bytes(bytes(data))
-            with suppress(KinematicsError):
+            with suppress(StapeskitError):
                 read(cut)
 
 
 def test_other_files_of_this_ending(tmp_path):
     path = tmp_path / "scan.mat"
     path.write_bytes(b"# Created by Octave 8.1\n# name: x\n")
-    with pytest.raises(KinematicsError, match=r"must be a MATLAB file; got Octave's text format.*save -v7"):
+    with pytest.raises(StapeskitError, match=r"must be a MATLAB file; got Octave's text format.*save -v7"):
         read(path)
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600))
-    with pytest.raises(KinematicsError, match="no HDF5 behind its header"):
+    with pytest.raises(StapeskitError, match="no HDF5 behind its header"):
         read(path)
     path.write_bytes(b"\0" * 200)
-    with pytest.raises(KinematicsError, match=r"a MATLAB file of version 5 to 7\.3"):
+    with pytest.raises(StapeskitError, match=r"a MATLAB file of version 5 to 7\.3"):
         read(path)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from kinematics.errors import KinematicsError
 from kinematics.readers.mat_tree import read_mat
 from kinematics.readers.matlab import read
+from stapeskit.faults import StapeskitError
 from tests.kinematics.test_matlab import FREQ, LINES, POINTS, VALUE, XYZ, usd, v5
 from tests.kinematics.written_mat import write_v73
 
@@ -35,13 +35,13 @@ def test_all_faults_of_the_variables_are_told_together(file):
         'frequency = "f"\nposition = "xyz"\npoints = "names"\n[[signal]]\nvalue = "v"\nusd = "usd"\n'
         'coherence = "coh"\nsd = "nothing"\nn_avg = 0\ndirection = [0, 1]\n'
     )
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     told = str(caught.value).splitlines()
     assert len(told) == 3
     assert "got 3800 at place 2 and 38 more (scan.mat)" in told[0]
     path = file(f=FREQ, v=VALUE, xyz=XYZ[:4], usd=usd("dB"), coh=np.ones((2, LINES)), names=["a"] * POINTS)
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     told = str(caught.value).splitlines()
     expected = [
@@ -60,7 +60,7 @@ def test_all_faults_of_the_variables_are_told_together(file):
 def test_every_element_at_fault_is_told(file):
     good = {"f": FREQ, "v": VALUE[:1], "usd": usd()}
     elements = [{**good, "usd": usd("V")}, good, {**good, "usd": usd(PowerSignal=1.0)}]
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(file(point=elements))
     told = str(caught.value).splitlines()
     assert [line.split("(scan.mat, ")[1][:9] for line in told] == ["point(1))", "point(3))"]
@@ -74,7 +74,7 @@ def test_every_damaged_variable_is_told(tmp_path):
         place = content.index(name) - 16
         content[place : place + 4] = struct.pack("<i", -7)
     (tmp_path / "a.mat").write_bytes(content)
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_mat(tmp_path / "a.mat")
     told = str(caught.value).splitlines()
     assert [line.split(" in ")[1][:10] for line in told] == ["variable 1", "variable 3"]

@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 import trimesh
 
-from kinematics.errors import KinematicsError
-from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry.fiducials import Fiducials
-from kinematics.geometry.icp_refine import Cloud
-from kinematics.geometry.moved import check_surfaces
-from kinematics.geometry.placement import place, place_on_surface
-from kinematics.geometry.registration import fit_rigid
-from kinematics.geometry.scan_surfaces import OTHER_BONE, ScanSurfaces, label_surface, read_labels, read_mesh
-from kinematics.geometry.tie import tie
-from kinematics.mass_record import read_mass_record
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
+from kinematics.registration.fiducials import Fiducials
+from kinematics.registration.icp_refine import Cloud
+from kinematics.registration.moved import check_surfaces
+from kinematics.registration.placement import place, place_on_surface
+from kinematics.registration.scan_surfaces import (
+    OTHER_BONE,
+    ScanSurfaces,
+    label_surface,
+    read_labels,
+    read_mesh,
+)
+from kinematics.registration.tie import tie
+from stapeskit.alignment.registration import fit_rigid
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.records.mass_record import read_mass_record
 from tests.kinematics.records import SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.surfaces import box, on_faces, wedge, write_labels
 
@@ -143,7 +149,7 @@ def test_coplanar_fiducials_are_told_from_their_mirror_image_by_the_points(scan)
         frames=("plate",) * 4, sd_mm=np.full(4, 0.01),
     )  # fmt: skip
     assert "fiducials_coplanar" in [notice.code for notice in checked(scan, measurement, flat).notices]
-    with pytest.raises(KinematicsError, match=r"right-handed; got points that lie .* --mirror"):
+    with pytest.raises(StapeskitError, match=r"right-handed; got points that lie .* --mirror"):
         checked(scan, measurement.mirrored("y"), flat.mirrored("y"))
 
 
@@ -153,9 +159,9 @@ def test_bone_points_beside_the_measurement_are_checked(scan):
     bone = Cloud(tuple("abcde"), seen, np.full(5, 0.01), "bone")
     codes = [notice.code for notice in checked(scan, measurement, marks, bone).notices]
     assert codes == ["sample_moved"]
-    with pytest.raises(KinematicsError, match="--bone-points must be at least 3 points; got 2"):
+    with pytest.raises(StapeskitError, match="--bone-points must be at least 3 points; got 2"):
         checked(scan, measurement, marks, Cloud(("a", "b"), seen[:2], None, "bone"))
-    with pytest.raises(KinematicsError, match=r"--bone-points must be points within 1 mm of other bone"):
+    with pytest.raises(StapeskitError, match=r"--bone-points must be points within 1 mm of other bone"):
         checked(scan, measurement, marks, replace(bone, points_mm=seen + 40.0))
 
 
@@ -178,7 +184,7 @@ def test_plate_points_tie_the_vibrometer(scan):
     alone = tie(measurement, None, "footplate", mass, surfaces, plate).registration.covariance_si
     assert np.all(np.diag(placement.registration.covariance_si) < np.diag(alone))
     with pytest.raises(
-        KinematicsError, match=r"--plate-points must be given with a mass.json that has a plate"
+        StapeskitError, match=r"--plate-points must be given with a mass.json that has a plate"
     ):
         tie(measurement, None, "footplate", mass, ScanSurfaces.beside(scan[0] / "x" / "mass.json"), plate)
 
@@ -261,13 +267,13 @@ def test_labels_in_ras_are_turned(tmp_path):
 def test_damaged_labels_are_refused(tmp_path, damage, match):
     path = write_labels(tmp_path / "labels.nrrd", np.ones((3, 4, 5)))
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(KinematicsError, match=match):
+    with pytest.raises(StapeskitError, match=match):
         read_labels(path)
 
 
 def test_damaged_meshes_are_refused(tmp_path):
-    with pytest.raises(KinematicsError, match="the surface of the plate must be an existing mesh"):
+    with pytest.raises(StapeskitError, match="the surface of the plate must be an existing mesh"):
         read_mesh(tmp_path / "plate.ply", "plate")
     (tmp_path / "plate.ply").write_text("no mesh")
-    with pytest.raises(KinematicsError, match="the surface of the plate must be a triangle mesh"):
+    with pytest.raises(StapeskitError, match="the surface of the plate must be a triangle mesh"):
         read_mesh(tmp_path / "plate.ply", "plate")

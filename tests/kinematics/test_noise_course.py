@@ -14,7 +14,7 @@ from kinematics.fit.rigid_fit import LineFit, fit_lines
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
 from kinematics.signals.frf import line_spread
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
 
 FREQ = np.linspace(100.0, 4000.0, 60)

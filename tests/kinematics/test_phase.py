@@ -9,10 +9,10 @@ import pytest
 
 from kinematics.faults.across.ligament import ligament_test
 from kinematics.faults.across.phase import phase_notice
-from kinematics.frames import rotation_from_vector
-from kinematics.motion import RigidMotion
 from kinematics.points2dof import points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.frames import rotation_from_vector
+from stapeskit.records.motion import RigidMotion
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.ligament import altered, base_motion, stapes_motion, study
 
 FREQ = np.linspace(400.0, 5000.0, 90)

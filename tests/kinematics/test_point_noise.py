@@ -19,7 +19,7 @@ from kinematics.faults.score_tests import ScoreTests, axes_batch, batches
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 
 

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
-from kinematics.errors import KinematicsError, StapeskitError
-from kinematics.geometry.fiducials import read_fiducials
-from kinematics.geometry.placement import place
-from kinematics.mass_record import read_mass_record
-from kinematics.motion_files import read_motion, standard_deviation
 from kinematics.points2dof import points2dof
-from kinematics.spatial import matrix_from_parameters
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.registration.fiducials import read_fiducials
+from kinematics.registration.placement import place
+from kinematics.tidy.ldv_csv import read_ldv
 from sample_volumes.faults import Fault, faulty
 from sample_volumes.make_sample import write_recording
 from sample_volumes.vibrometer import Vibrometry, base_motion, record, stapes_motion
+from stapeskit.faults import StapeskitError
+from stapeskit.records.mass_record import read_mass_record
+from stapeskit.records.motion_files import read_motion, standard_deviation
+from stapeskit.spatial import matrix_from_parameters
 from tests.kinematics.records import PARAMETERS, SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.simulated import HEADER, csv_rows, scene
 
@@ -67,7 +67,7 @@ def test_the_true_motion_is_found_within_its_uncertainty(tmp_path):
     motion = read_motion(tmp_path / "out" / "dof.csv")
     assert motion.bodies == ("stapes", "base")
     base = base_motion(motion.freq_hz, "y")
-    from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+    from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 
     stapes = stapes_motion(
         motion.freq_hz, base, matrix_from_parameters(PARAMETERS), PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED
@@ -99,7 +99,7 @@ def test_a_left_handed_scanner_is_refused_and_turned_round(tmp_path):
     from dataclasses import replace
 
     arguments = make(tmp_path, replace(HOW, mirror="x"))
-    with pytest.raises(KinematicsError, match=r"must be right-handed.*--mirror x, y or z"):
+    with pytest.raises(StapeskitError, match=r"must be right-handed.*--mirror x, y or z"):
         work(arguments)
     mirrored = fitted(tmp_path, "x").motion
     make(tmp_path)
@@ -221,7 +221,7 @@ def test_a_fault_leaves_nothing_behind(tmp_path):
     path, _ = write_plain(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace("stapes,1", "stapes,,1", 1))
     before = sorted(tmp_path.iterdir())
-    with pytest.raises(KinematicsError, match="line"):
+    with pytest.raises(StapeskitError, match="line"):
         work([str(path), "--out", str(tmp_path / "out" / "dof.csv")])
     assert sorted(tmp_path.iterdir()) == before
 
@@ -289,7 +289,7 @@ def test_bodies_that_hold_nothing_are_refused(tmp_path):
         (False, "0", "values of body stapes must be other than zero.*zeros throughout.*Give an sd column"),
     ):
         path.write_text(recording_of(made, spread)(value))
-        with pytest.raises(KinematicsError, match=match) as caught:
+        with pytest.raises(StapeskitError, match=match) as caught:
             work([str(path), "--out", str(tmp_path / "dof.csv")])
         assert len(str(caught.value).splitlines()) == 2
     path.write_text(recording_of(made)("0"))
@@ -302,7 +302,7 @@ def test_a_body_with_too_few_channels_at_every_line_is_refused(tmp_path):
     rows = csv_rows("stapes", made)
     kept = [row for place, row in enumerate(rows) if (place // 12) % 12 == place % 12]
     (tmp_path / "ldv.csv").write_text("\n".join([HEADER, *kept]) + "\n")
-    with pytest.raises(KinematicsError, match=r"body stapes must be measured by channels.*--dof"):
+    with pytest.raises(StapeskitError, match=r"body stapes must be measured by channels.*--dof"):
         work([str(tmp_path / "ldv.csv"), "--out", str(tmp_path / "dof.csv")])
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers import psv_fastscan, psv_points
 from kinematics.readers.kinds import kind_of, read_recordings
+from stapeskit.faults import StapeskitError
 from tests.kinematics.written_psv import fastscan, point
 
 FREQ = np.array([500.0, 1000.0, 1500.5])
@@ -109,7 +109,7 @@ def spoiled(tmp_path, old, new):
     path = folder / "scan_1000Hz.txt"
     assert old in path.read_bytes()
     path.write_bytes(path.read_bytes().replace(old, new, 1))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         psv_fastscan.read(folder)
     assert "must be" in str(caught.value)
     return str(caught.value)
@@ -140,7 +140,7 @@ def test_a_row_cut_short_is_named(tmp_path):
     text = path.read_bytes()
     for end in (text.rindex(b"\t"), text.rindex(b"e-") + 1):
         path.write_bytes(text[:end])
-        with pytest.raises(KinematicsError, match=r"a row must be of .*scan_1000Hz.txt, line 13"):
+        with pytest.raises(StapeskitError, match=r"a row must be of .*scan_1000Hz.txt, line 13"):
             psv_fastscan.read(folder)
 
 
@@ -148,7 +148,7 @@ def test_every_file_at_fault_is_told(tmp_path):
     folder = scanned(tmp_path)
     for path in folder.iterdir():
         path.write_bytes(path.read_bytes().replace(b"[m/s]", b"[dB]"))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         psv_fastscan.read(folder)
     assert len(str(caught.value).splitlines()) == 3
     assert "not in dB" in str(caught.value)
@@ -254,14 +254,14 @@ def test_responses_before_spectra(tmp_path):
     ],
 )
 def test_spoiled_points_are_named(content, words, tmp_path):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         psv_points.read(pointwise(tmp_path, content))
     assert words in str(caught.value)
     assert "must be" in str(caught.value)
 
 
 def test_one_point_twice_is_refused(tmp_path):
-    with pytest.raises(KinematicsError, match="the signal of point 1 must be there once"):
+    with pytest.raises(StapeskitError, match="the signal of point 1 must be there once"):
         psv_points.read(pointwise(tmp_path, point(1, FREQ, SPECTRUM), point(1, FREQ, SPECTRUM)))
 
 
@@ -281,17 +281,17 @@ def test_the_layouts_of_the_documentation_are_read(tmp_path):
 def test_files_of_the_vendors_program_say_what_to_export(name, tmp_path):
     path = tmp_path / name
     path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(64))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_recordings(path)
     assert "as UFF (universal file, with geometry) or as ASCII" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_folders_and_files_of_no_known_kind(tmp_path):
-    with pytest.raises(KinematicsError, match="one with text exports"):
+    with pytest.raises(StapeskitError, match="one with text exports"):
         kind_of(tmp_path)
     (tmp_path / "a.xyz").write_text("something")
-    with pytest.raises(KinematicsError, match="a universal file"):
+    with pytest.raises(StapeskitError, match="a universal file"):
         kind_of(tmp_path / "a.xyz")
-    with pytest.raises(KinematicsError, match="an existing file"):
+    with pytest.raises(StapeskitError, match="an existing file"):
         kind_of(tmp_path / "none.uff")

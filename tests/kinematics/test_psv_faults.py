@@ -7,15 +7,15 @@ import os
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers import InputOptions, read_measurement
 from kinematics.readers.kinds import kind_of, read_recordings
+from stapeskit.faults import StapeskitError
 from tests.kinematics.test_psv import FREQ, SPECTRUM, pointwise, scanned
 from tests.kinematics.written_psv import fastscan, point
 
 
 def fault(path):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_recordings(path)
     return str(caught.value)
 
@@ -129,5 +129,5 @@ def test_localised_columns_and_radians(tmp_path):
 
 def test_values_too_large_to_be_motion_are_refused(tmp_path):
     folder = pointwise(tmp_path, point(1, FREQ, np.array([1e200, 1.0, 1.0]), place=(0, 0, 0), component="Z"))
-    with pytest.raises(KinematicsError, match=r"the values of point 1 must be below 1e\+100"):
+    with pytest.raises(StapeskitError, match=r"the values of point 1 must be below 1e\+100"):
         read_measurement([folder], options=InputOptions(body=("s=1",)))

@@ -11,7 +11,7 @@ from kinematics.faults.refit import Places, Refit
 from kinematics.faults.refit_factor import FactorRefit, refit
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 

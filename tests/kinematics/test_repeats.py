@@ -13,10 +13,10 @@ import pytest
 from kinematics.cli import work
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.points2dof import Options, points2dof
-from kinematics.tables.ldv_csv import read_ldv
-from kinematics.takes.pooling import pooled
-from kinematics.takes.repeats import code_of
-from kinematics.takes.stated_freedom import inverse_moments, stated_freedom
+from kinematics.repeats.pooling import pooled
+from kinematics.repeats.repeats import code_of
+from kinematics.repeats.stated_freedom import inverse_moments, stated_freedom
+from kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.simulated import HEADER, readings, scene
 
 
@@ -162,7 +162,7 @@ def test_repeats_that_differ_at_all_lines_alike_are_as_uncertain_as_they_say():
 
 
 def test_pooling_piece_by_piece_takes_little_memory_and_gives_the_same(monkeypatch):
-    from kinematics.takes import take_shapes
+    from kinematics.repeats import take_shapes
 
     measurement = measured(3, repeats(4), lines=2000)[0]
     spoiled = measurement.bodies[0].displacement

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.notices import Notice
-from kinematics.pages.report import grouped_notices, write_report
-from kinematics.pages.report_faults import groups_of, residual_section, verdict_section
-from kinematics.pages.report_motion import motion_section, moving_section
-from kinematics.pages.scenery import Scenery
 from kinematics.points2dof import Options, points2dof
+from kinematics.report.fault_sections import groups_of, residual_section, verdict_section
+from kinematics.report.motion_sections import motion_section, moving_section
+from kinematics.report.scenery import Scenery
+from kinematics.report.sections import grouped_notices, write_report
+from stapeskit.warnings import Notice
 from tests.kinematics.simulated import (
     body,
     measurement,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from kinematics.measurement import Measurement, Take
-from kinematics.pages.report_repeats import repeats_section
 from kinematics.points2dof import points2dof
+from kinematics.report.repeat_sections import repeats_section
 from tests.kinematics.simulated import body, scene
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser, work
-from kinematics.errors import KinematicsError
-from kinematics.motion_files import read_motion, standard_deviation
 from kinematics.points2dof import points2dof
 from kinematics.readers import InputOptions, read_measurement
 from kinematics.signals.series_options import series_options
+from stapeskit.faults import StapeskitError
+from stapeskit.records.motion_files import read_motion, standard_deviation
 from tests.kinematics import series
 
 SCALE = 1e3  # mm/s
@@ -180,12 +180,12 @@ def test_noise_of_the_reference_is_told_and_left_out(tmp_path):
 
 def test_options_of_time_series_need_a_channel_table(tmp_path):
     (tmp_path / "scan.npz").write_bytes(b"PK\x03\x04")
-    with pytest.raises(KinematicsError, match="--frf must be given with --channels FILE"):
+    with pytest.raises(StapeskitError, match="--frf must be given with --channels FILE"):
         work([str(tmp_path / "scan.npz"), "--frf", "h2"])
-    with pytest.raises(KinematicsError, match="read with --channels FILE"):
+    with pytest.raises(StapeskitError, match="read with --channels FILE"):
         work([str(tmp_path / "scan.npz")])
     table = series.table(tmp_path / "channels.csv")
-    with pytest.raises(KinematicsError, match=r"--overlap must be between 0 and 0\.95"):
+    with pytest.raises(StapeskitError, match=r"--overlap must be between 0 and 0\.95"):
         work([str(tmp_path / "scan.npz"), "--channels", str(table), "--overlap", "1.5"])
-    with pytest.raises(KinematicsError, match="readable NPZ archive"):
+    with pytest.raises(StapeskitError, match="readable NPZ archive"):
         work([str(tmp_path / "scan.npz"), "--channels", str(table)])

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
-from kinematics.errors import KinematicsError
 from kinematics.readers.channel_table import read_channels, sensitivity
 from kinematics.readers.series_files import read_series
 from kinematics.readers.time_series import read, read_steps
 from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 
 RATE, COUNT = 2000.0, 4000
@@ -126,7 +126,7 @@ def test_sensitivity_scales_volts(tmp_path):
 )
 def test_faulty_channel_tables(tmp_path, text, message):
     (tmp_path / "c.csv").write_text(text)
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read_channels(tmp_path / "c.csv")
 
 
@@ -163,22 +163,22 @@ def _with(tmp_path, table=TABLE, **arrays):
 )
 def test_faulty_series(tmp_path, arrays, message):
     path, options = _with(tmp_path, **arrays)
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read(path, options)
 
 
 def test_references_are_chosen(tmp_path):
     table = TABLE + "mic,reference,,,,Pa\n"
     path, options = _with(tmp_path, table, vib=ANSWER, ref=DRIVE, mic=0.5 * DRIVE, fs=RATE)
-    with pytest.raises(KinematicsError, match="the reference must be one channel; got ref, mic"):
+    with pytest.raises(StapeskitError, match="the reference must be one channel; got ref, mic"):
         read(path, options)
     one = read(path, SeriesOptions(options.channels, reference="mic")).recordings[0]
     assert one.per == "Pa"
     np.testing.assert_allclose(one.value, 4e-3, rtol=1e-9)
-    with pytest.raises(KinematicsError, match="--reference-channel must be one of vib, ref, mic; got other"):
+    with pytest.raises(StapeskitError, match="--reference-channel must be one of vib, ref, mic; got other"):
         read(path, SeriesOptions(options.channels, reference="other"))
     path, options = _with(tmp_path, TABLE.replace("reference", "ignore"), vib=ANSWER, fs=RATE)
-    with pytest.raises(KinematicsError, match="the channel table must be with a reference; got none"):
+    with pytest.raises(StapeskitError, match="the channel table must be with a reference; got none"):
         read(path, options)
 
 
@@ -207,7 +207,7 @@ def test_the_file_column_restricts_rows(tmp_path):
     path, options = _with(tmp_path, table, vib=ANSWER, ref=DRIVE, fs=RATE)
     assert [one.point for one in read(path, options).recordings] == ["1"]
     path = path.rename(tmp_path / "third.npz")
-    with pytest.raises(KinematicsError, match=r"with a response of third\.npz"):
+    with pytest.raises(StapeskitError, match=r"with a response of third\.npz"):
         read(path, options)
 
 
@@ -217,9 +217,9 @@ def test_options_change_the_estimate(tmp_path):
         path, SeriesOptions(options.channels, resolution_hz=10.0, band_hz=(100.0, 200.0))
     ).recordings[0]
     np.testing.assert_allclose(found.freq_hz, np.arange(100.0, 201.0, 10.0))
-    with pytest.raises(KinematicsError, match="the band must be with one line at least"):
+    with pytest.raises(StapeskitError, match="the band must be with one line at least"):
         read(path, SeriesOptions(options.channels, band_hz=(5000.0, 6000.0)))
-    with pytest.raises(KinematicsError, match="--steps must be left out beside --period"):
+    with pytest.raises(StapeskitError, match="--steps must be left out beside --period"):
         SeriesOptions(options.channels, period_s=1.0, steps=options.channels)
 
 
@@ -239,7 +239,7 @@ def test_options_change_the_estimate(tmp_path):
 )
 def test_faulty_tables_of_steps(tmp_path, text, message):
     (tmp_path / "steps.csv").write_text(text)
-    with pytest.raises(KinematicsError, match=message):
+    with pytest.raises(StapeskitError, match=message):
         read_steps(tmp_path / "steps.csv")
 
 
@@ -251,7 +251,7 @@ def test_steps_may_touch_and_stand_in_any_order(tmp_path):
 def test_steps_outside_the_record(tmp_path):
     path, options = _with(tmp_path, vib=ANSWER, ref=DRIVE, fs=RATE)
     (tmp_path / "steps.csv").write_text("start_s,stop_s,freq_hz\n1,9,100\n")
-    with pytest.raises(KinematicsError, match="a step must be within the record, 0 to 2 s; got 1 to 9 s"):
+    with pytest.raises(StapeskitError, match="a step must be within the record, 0 to 2 s; got 1 to 9 s"):
         read(path, SeriesOptions(options.channels, steps=tmp_path / "steps.csv"))
 
 
@@ -266,7 +266,7 @@ def test_damaged_archives_and_wav_files(tmp_path):
         whole, bad = path.read_bytes(), tmp_path / f"bad.{kind}"
         for length in np.linspace(20, len(whole) - 1, 20).astype(int):
             bad.write_bytes(whole[:length])
-            with pytest.raises(KinematicsError):
+            with pytest.raises(StapeskitError):
                 read_series(bad, ["1", "2"])
         for _ in range(80):
             data = bytearray(whole)
@@ -275,7 +275,7 @@ def test_damaged_archives_and_wav_files(tmp_path):
             bad.write_bytes(bytes(data))
             try:
                 read_series(bad, ["1", "2"])
-            except KinematicsError:
+            except StapeskitError:
                 continue
 
 
@@ -288,7 +288,7 @@ def test_an_array_larger_than_its_archive_is_refused(tmp_path):
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("vib.npy", head + b"\0" * 80)
-    with pytest.raises(KinematicsError, match=r"a readable NPZ archive; got vib\.npy claims"):
+    with pytest.raises(StapeskitError, match=r"a readable NPZ archive; got vib\.npy claims"):
         read_series(path, ["vib"])
 
 
@@ -309,7 +309,7 @@ def test_options_that_no_file_is_for_are_refused(tmp_path):
     (tmp_path / "scan.uff").write_text("    -1\n    58\n    -1\n")
     said = InputOptions(series=SeriesOptions(tmp_path / "channels.csv"), mapping=tmp_path / "map.toml")
     with pytest.raises(
-        KinematicsError, match="--channels must be left out: no file holds time series"
+        StapeskitError, match="--channels must be left out: no file holds time series"
     ) as told:
         read_measurement([tmp_path / "scan.uff"], options=said)
     assert "--mapping must be left out" in str(told.value)
@@ -319,7 +319,7 @@ def test_all_faults_of_time_series_are_told_together(tmp_path):
     path, options = _with(
         tmp_path, vib=np.where(np.arange(COUNT) == 4, np.nan, ANSWER), ref=DRIVE * 1e200, fs=-5.0
     )
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path, options)
     told = str(caught.value).splitlines()
     assert "the sampling rate must be positive, up to 1e+12 Hz; got -5 Hz" in told[0]
@@ -330,7 +330,7 @@ def test_all_faults_of_time_series_are_told_together(tmp_path):
     rows[5], rows[10], rows[30] = rows[5].replace(",", ",9", 1), "1,0.005,y", "2,x,1"
     rows[50] = "3,7,1"
     (tmp_path / "t.csv").write_text("record,time_s,vib\n" + "\n".join(rows))
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read_series(tmp_path / "t.csv", ["vib"])
     told = str(caught.value).splitlines()
     assert sorted(line.split("t.csv, ")[1][:7] for line in told) == [
@@ -345,7 +345,7 @@ def test_all_steps_outside_the_record_are_told(tmp_path):
     path, options = _with(tmp_path, vib=ANSWER, ref=DRIVE, fs=RATE)
     steps = tmp_path / "steps.csv"
     steps.write_text("start_s,stop_s,freq_hz\n1,9,100\n0,1,200\n-3,-1,300\n1e300,2e300,5\n")
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path, SeriesOptions(options.channels, steps=steps))
     told = str(caught.value).splitlines()
     assert [line.split("(steps.csv, ")[1] for line in told] == ["step 1).", "step 3).", "step 4)."]
@@ -354,7 +354,7 @@ def test_all_steps_outside_the_record_are_told(tmp_path):
 def test_a_recording_without_samples_is_refused(tmp_path):
     wavfile.write(tmp_path / "none.wav", 2000, np.zeros((0, 2), dtype=np.int16))
     with pytest.raises(
-        KinematicsError, match=r"a recording must be of 16 samples at least; got 0 \(none.wav\)"
+        StapeskitError, match=r"a recording must be of 16 samples at least; got 0 \(none.wav\)"
     ):
         read_series(tmp_path / "none.wav", ["1", "2"])
 
@@ -362,5 +362,5 @@ def test_a_recording_without_samples_is_refused(tmp_path):
 def test_tables_without_one_good_row_are_refused(tmp_path):
     for rows in ("1\n2\n", "", "\n\n"):
         (tmp_path / "t.csv").write_text("time_s,vib\n" + rows)
-        with pytest.raises(KinematicsError):
+        with pytest.raises(StapeskitError):
             read_series(tmp_path / "t.csv", ["vib"])

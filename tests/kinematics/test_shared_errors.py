@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.fit.beams import beam_set
 from kinematics.fit.ratio import per_reference
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.frames import RigidTransform, rotation_from_vector
-from kinematics.geometry.fiducials import Fiducials
-from kinematics.geometry.placement import Placement, place
 from kinematics.measurement import Measurement
-from kinematics.motion import RigidMotion
-from kinematics.motion_files import line_covariance
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES
+from kinematics.registration.fiducials import Fiducials
+from kinematics.registration.placement import Placement, place
+from stapeskit.faults import StapeskitError
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion_files import line_covariance
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 POSE = RigidTransform.from_parts(
@@ -152,7 +152,7 @@ def test_ratio_has_the_covariance_of_a_ratio():
 def test_impossible_references_are_refused(text):
     made = scene(1, lines=3)
     data = Measurement("footplate", ("1",), made.freq_hz, (body("base", made),), 0)
-    with pytest.raises(KinematicsError, match="--reference must be BODY:DOF"):
+    with pytest.raises(StapeskitError, match="--reference must be BODY:DOF"):
         points2dof(data, options=Options(("y", "alpha", "gamma"), text))
 
 

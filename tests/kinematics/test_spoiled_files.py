@@ -7,8 +7,8 @@ import random
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers import InputOptions, read_measurement
+from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.written_psv import fastscan, point
 
@@ -63,7 +63,7 @@ def fault_of(path):
     """What reading a file says, empty when it is read."""
     try:
         read_measurement([path], options=InputOptions(body=(f"s={path.name}",)))
-    except KinematicsError as fault:
+    except StapeskitError as fault:
         return str(fault)
     return ""
 

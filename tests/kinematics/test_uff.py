@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import pyuff
 
-from kinematics.errors import KinematicsError
 from kinematics.readers.kinds import kind_of, read_recordings
 from kinematics.readers.uff import read
 from kinematics.readers.uff_function import read_function
 from kinematics.readers.uff_sets import datasets, looks_like_uff
 from kinematics.readers.unit_labels import MotionUnit, motion_unit
+from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "uff"
@@ -35,7 +35,7 @@ def one(tmp_path, **how):
 
 
 def fault(tmp_path, *parts):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(written(tmp_path, *parts))
     text = str(caught.value)
     assert "must be" in text or "must have" in text
@@ -341,7 +341,7 @@ def test_files_from_measuring_systems():
     assert np.all(np.abs(made.y) < 1.0)
     assert float(np.std(made.y.real)) > 1e-4
     for name in ("TestLab 161 164 18 15 82.uff", "heat_engine_housing.uff"):
-        with pytest.raises(KinematicsError, match="one with functions"):
+        with pytest.raises(StapeskitError, match="one with functions"):
             read(SHARED / name)
 
 

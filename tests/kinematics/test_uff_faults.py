@@ -7,8 +7,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
 from kinematics.readers.uff import read
+from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 from tests.kinematics.test_uff import X, Y, fault, written
 
@@ -92,7 +92,7 @@ def test_a_file_cut_anywhere_is_refused_in_one_sentence(binary, tmp_path):
     for end in range(begins + 8, complete + 5, 7):
         if end in kept:
             continue
-        with pytest.raises(KinematicsError) as caught:
+        with pytest.raises(StapeskitError) as caught:
             read(written(tmp_path, content[:end]))
         assert len(str(caught.value).splitlines()) == 1
     assert len(read(written(tmp_path, content)).recordings) == 2
@@ -117,7 +117,7 @@ def test_a_file_that_lies_is_refused_before_memory_is_taken(how, words, tmp_path
         content = content.replace(f"{5:10d}{23:10d}".encode(), f"{3:10d}{23:10d}".encode())
     path = written(tmp_path, content)
     tracemalloc.start()
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

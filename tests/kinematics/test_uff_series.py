@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
-from kinematics.errors import KinematicsError
 from kinematics.readers.kinds import read_recordings
 from kinematics.readers.options import InputOptions
 from kinematics.readers.time_series import read as read_series
 from kinematics.readers.uff import read
 from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 
 RATE, COUNT = 2000.0, 4096
@@ -46,7 +46,7 @@ def responses(**how):
 
 
 def fault(path, options=None):
-    with pytest.raises(KinematicsError) as caught:
+    with pytest.raises(StapeskitError) as caught:
         read(path, options)
     return str(caught.value)
 
@@ -179,8 +179,8 @@ def test_the_command_reads_time_responses(tmp_path, monkeypatch):
     _, outcome = work([*words, "--resolution", "20"])
     assert outcome.result["lines"] == 48
     assert any("H1, window hann, resolution 20 Hz" in text for text in outcome.result["inputs_say"])
-    with pytest.raises(KinematicsError, match="--overlap must be between 0 and"):
+    with pytest.raises(StapeskitError, match="--overlap must be between 0 and"):
         work([*words, "--overlap", "2"])
     (tmp_path / "frf.uff").write_bytes(nodes + uff.function(TIME[1:9], TIME[1:9], 1, per_unit="N"))
-    with pytest.raises(KinematicsError, match="left out: no file holds time series"):
+    with pytest.raises(StapeskitError, match="left out: no file holds time series"):
         work(["frf.uff", "--body", "stapes=1", "--frf", "h1"])

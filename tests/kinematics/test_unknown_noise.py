@@ -15,7 +15,7 @@ from kinematics.faults.noise.unknown_noise import evened
 from kinematics.faults.packed.compact import compact
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 FOOTPLATE = "footplate, 5 points 3D"

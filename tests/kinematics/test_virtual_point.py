@@ -9,7 +9,7 @@ import pytest
 
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import Options, points2dof
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "virtual_point"
 

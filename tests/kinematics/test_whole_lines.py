@@ -11,7 +11,7 @@ from kinematics.faults.packed.fill import Gaps
 from kinematics.faults.packed.whole_lines import measured
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
-from kinematics.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, scene
 
 

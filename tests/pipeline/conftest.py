@@ -19,8 +19,10 @@ def settle(patch):
 def settled(monkeypatch):
     """Settle every test of this room, and leave the drawing away, which `finished` has done once."""
     settle(monkeypatch)
-    monkeypatch.setattr("kinematics.pages.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr("ct_inertia.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ()))
+    monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
+    monkeypatch.setattr(
+        "ct_inertia.report.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ())
+    )
 
 
 @pytest.fixture(scope="session")

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ct_inertia.mass_properties import footplate_mass_matrix, from_density
-from ct_inertia.surface import Surface, write_surface
-from kinematics.frames import RigidTransform, rotation_from_vector
+from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.surface.surface import Surface, write_surface
 from sample_volumes import bodies
 from sample_volumes.make_sample import write_recording
 from sample_volumes.vibrometer import Vibrometry, record
+from stapeskit.frames import RigidTransform, rotation_from_vector
 
 DENSITY = 1382.4
 TEXT = """

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from kinematics.errors import StapeskitError
 from pipeline import cli
 from pipeline.progress import Progress
 from pipeline.template import TEMPLATE
+from stapeskit.faults import StapeskitError
 
 ROOT = Path(__file__).parents[2]
 HEAVY = (

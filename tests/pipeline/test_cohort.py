@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.errors import StapeskitError
 from pipeline.cohort import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
 from pipeline.cohort_page import write_cohort_page
 from pipeline.several import folder_names, run_studies
+from stapeskit.faults import StapeskitError
 
 ROOT = Path(__file__).parents[2]
 

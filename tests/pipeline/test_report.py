@@ -5,9 +5,9 @@ from html.parser import HTMLParser
 
 import pytest
 
-from kinematics.pages import page as written
-from kinematics.pages.page import Section
 from pipeline.options import section_in_study_words
+from stapeskit.page import page as written
+from stapeskit.page.page import Section
 
 HEADINGS = (
     "This ear",

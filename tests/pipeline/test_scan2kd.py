@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
-from kinematics.errors import StapeskitError
-from kinematics.provenance import content_hash
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from pipeline import stages
 from pipeline.options import in_study_words
 from pipeline.progress import Progress
 from pipeline.scan2kd import output_set, run_study
 from pipeline.study import read_study
+from stapeskit.faults import StapeskitError
+from stapeskit.provenance import content_hash
 
 OUTPUTS = {"report.html", "mass.json", "stapes.ply", "dof.csv", "dof.h5", "dof.channels.csv", "kd.json"}
 

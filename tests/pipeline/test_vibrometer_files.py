@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from kinematics.errors import KinematicsError
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
 from pipeline.errors import PipelineError
 from pipeline.options import input_options, motion_options
 from pipeline.scan2kd import run_study
 from pipeline.stages import Motion
 from pipeline.study import parse_study
+from stapeskit.faults import StapeskitError
 from tests.kinematics.rewritten import write_three_ways
 from tests.pipeline.ears import make_ear
 
@@ -50,7 +50,7 @@ def test_noise_of_the_reference_is_a_key(tmp_path):
         == 0.01
     )
     wrong = parsed('file = "s.uff"\nreference_noise = 2\n', tmp_path).ldv
-    with pytest.raises(KinematicsError, match=r"--reference-noise must be from 0 to below 1; got 2"):
+    with pytest.raises(StapeskitError, match=r"--reference-noise must be from 0 to below 1; got 2"):
         motion_options(wrong)
 
 

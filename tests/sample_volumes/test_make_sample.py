@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from ct_inertia.read import read_volume
-from kinematics.tables.ldv_csv import read_ldv
+from kinematics.tidy.ldv_csv import read_ldv
 from pipeline.study import read_study
 from sample_volumes.make_sample import main, reseeded, study_text
 from sample_volumes.phantom import Ear, scene

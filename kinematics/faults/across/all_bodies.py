@@ -13,8 +13,8 @@ from kinematics.faults.across.lines import loud_lines
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
-from kinematics.faults.neglected import extended_beams
 from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.neglected import extended_beams
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
-from kinematics.spatial import dof_indices, point_rows
+from stapeskit.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

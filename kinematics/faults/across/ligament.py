@@ -13,8 +13,8 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.motion import RigidMotion
-from kinematics.motion_files import standard_deviation
+from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion_files import standard_deviation
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

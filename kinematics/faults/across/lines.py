@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from kinematics.fit.line_kernels import running_medians
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.motion import RigidMotion
-from kinematics.motion_files import standard_deviation
-from kinematics.notices import Notice
+from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion_files import standard_deviation
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.across.ligament import Ligament, ligament_test
-from kinematics.mass_record import MassRecord
-from kinematics.motion import RigidMotion
-from kinematics.motion_files import standard_deviation
-from kinematics.notices import Notice
-from kinematics.spatial import DOF_NAMES, dof_indices
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion_files import standard_deviation
+from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 # Standard deviations, and share of the lines, by which a lead of the structure is believed.

@@ -24,7 +24,7 @@ from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.noise_course import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
-from kinematics.spatial import dof_indices, point_rows
+from stapeskit.spatial import dof_indices, point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -1,0 +1,260 @@
+"""Write ``mass.json`` and the other outputs of a mass result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.exports.output_files import LABELS
+from ct_inertia.grey.border import CODE as CUT_BY_BORDER
+from ct_inertia.mass.budget import budget, not_included
+from ct_inertia.native import which
+from ct_inertia.surface.surface import Surface, write_surface
+from stapeskit.frames import RigidTransform
+from stapeskit.provenance import Hashes, record
+from stapeskit.records.mass_record import SCHEMA, MassMatrix
+from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, dof_indices
+
+if TYPE_CHECKING:
+    from ct_inertia.ct2mass import MassOptions, MassResult
+
+Array = NDArray[np.float64]
+
+REDUCED = ("y", "alpha", "gamma")
+_CONVENTION = {
+    "footplate": "displacement of the footplate frame in its own axes, m and rad",
+    "plate": "displacement of the plate frame in its own axes, m and rad",
+}
+_OUTLINE_POINTS = 160
+
+
+def mass_json(
+    result: MassResult,
+    sha256: bool = False,
+    hashes: Hashes | None = None,
+    second: bool = True,
+    labels_file: str = LABELS,
+) -> dict[str, Any]:
+    """Return the content of ``mass.json``.
+
+    Parameters
+    ----------
+    result : MassResult
+    sha256 : bool
+        Hash the inputs with SHA-256 instead of the faster default.
+    hashes : Hashes, optional
+        Of the inputs, when they were begun before.
+    second : bool
+        Ask another program (pymeshlab) for the moments of the surface.
+    labels_file : str
+        Under which name the labels are written beside it; see `output_files.labels_name`.
+    """
+    body, matrix = result.body, result.matrix
+    deviation = matrix.standard_deviation
+    places = dof_indices(REDUCED)
+    reduced = np.ix_(places, places)
+    provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256, hashes=hashes)
+    provenance["kernels"] = which()
+    content = {
+        "schema": SCHEMA,
+        "density_kg_m3": body.density_kg_m3,
+        "volume_m3": body.volume_m3,
+        "mass_kg": body.mass_kg,
+        "center_of_mass_in_scan_mm": body.com_mm.tolist(),
+        "inertia_about_center_of_mass_in_scan_axes_kg_m2": body.inertia_about_com.tolist(),
+        "frames": _frames(result),
+        "inertial_parameters": {
+            "names": list(PARAMETER_NAMES),
+            "about": matrix.about,
+            "axes": matrix.axes,
+            "values_si": matrix.parameters.tolist(),
+            "covariance_si": matrix.covariance.tolist(),
+            "contributions_si": {name: part.tolist() for name, part in matrix.contributions.items()},
+        },
+        "mass_matrix": _matrix_block(matrix),
+        "mass_matrix_plate_axes": None if result.plate_matrix is None else _matrix_block(result.plate_matrix),
+        "mass_matrix_reduced": {
+            "about": matrix.about,
+            "axes": matrix.axes,
+            "dof": list(REDUCED),
+            "matrix_si": matrix.matrix[reduced].tolist(),
+            "standard_deviation_si": deviation[reduced].tolist(),
+        },
+        "uncertainty": {
+            **budget(matrix),
+            "not_included": not_included(
+                matrix.contributions,
+                result.options.mass_known_by,
+                any(notice.code == CUT_BY_BORDER for notice in result.notices),
+            ),
+        },
+        "mass_known_by": result.options.mass_known_by,
+        "mass_alternatives": [way.as_json(matrix) for way in result.ways[1:]],
+        "found": _found(result),
+        "cross_check": _cross_check(result, second),
+        "segmentation": _segmentation(result),
+        "labels_file": None if result.bodies is None else labels_file,
+        "warnings": [notice.as_json() for notice in result.notices],
+        "provenance": provenance,
+    }
+    plain: dict[str, Any] = _finite(content)
+    return plain
+
+
+def write_outputs(result: MassResult, folder: Path, content: Mapping[str, Any]) -> list[str]:
+    """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names."""
+    folder = Path(folder)
+    (folder / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_surface(folder / "stapes.ply", result.stapes)
+    if result.plate is not None:
+        write_surface(folder / "plate.ply", result.plate)
+    if result.bodies is not None:
+        result.bodies.labels.write(folder / content["labels_file"])
+    return names_of(result, content)
+
+
+def names_of(result: MassResult, content: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files that `write_outputs` writes."""
+    names = ["mass.json", "stapes.ply"]
+    names += [] if result.plate is None else ["plate.ply"]
+    return names + ([] if result.bodies is None else [content["labels_file"]])
+
+
+def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:
+    return {
+        "about": matrix.about,
+        "axes": matrix.axes,
+        "dof": list(DOF_NAMES),
+        "matrix_si": (matrix.matrix + 0.0).tolist(),
+        "standard_deviation_si": matrix.standard_deviation.tolist(),
+    }
+
+
+def _frames(result: MassResult) -> dict[str, Any]:
+    footplate = result.footplate.scan_from_footplate
+    plate: RigidTransform | None = None
+    covariance: dict[str, Any] = {
+        "scan_from_footplate": _pose(result.footplate.covariance, "footplate"),
+        "scan_from_plate": None,
+    }
+    if result.plate_frame is not None:
+        plate = result.plate_frame.scan_from_plate
+        covariance["scan_from_plate"] = _pose(result.plate_frame.covariance, "plate")
+    return {
+        "scan_from_footplate": footplate.matrix.tolist(),
+        "scan_from_plate": None if plate is None else plate.matrix.tolist(),
+        "plate_from_footplate": None if plate is None else (plate.inverse() @ footplate).matrix.tolist(),
+        "pose_covariance": covariance,
+        "anterior_from": result.footplate.anterior_from,
+        "side": result.options.side,
+        "z_is": {"left": "superior", "right": "inferior"}.get(result.options.side or "", "unknown"),
+        "plate_from": None if result.plate_frame is None else result.plate_frame.source,
+        "plate_cropped": None if result.plate_frame is None else result.plate_frame.cropped,
+    }
+
+
+def _pose(covariance: Array, frame: str) -> dict[str, Any]:
+    return {
+        "names": list(DOF_NAMES),
+        "convention": _CONVENTION[frame],
+        "matrix_si": np.asarray(covariance).tolist(),
+    }
+
+
+def _found(result: MassResult) -> dict[str, Any]:
+    """Return what an anatomist compares: dimensions, and the outline of the footplate."""
+    footplate = result.footplate
+    outline = footplate.outline_mm
+    step = max(1, len(outline) // _OUTLINE_POINTS)
+    plate = result.plate_frame
+    return {
+        "height_mm": footplate.height_mm,
+        "footplate_length_mm": footplate.length_mm,
+        "footplate_width_mm": footplate.width_mm,
+        "footplate_area_mm2": footplate.face_area_mm2,
+        "footplate_flatness_rms_mm": footplate.face_rms_mm,
+        "surface_area_mm2": result.stapes.area_mm2,
+        "holes": _holes(result.stapes),
+        "footplate_outline_in_footplate_mm": np.round(outline[::step], 5).tolist(),
+        "plate_outline_in_scan_mm": None if plate is None else np.round(plate.outline_mm, 5).tolist(),
+        "added_masses": [
+            {"position_mm": mass.position_mm.tolist(), "mass_kg": mass.mass_kg, "sd_kg": mass.sd_kg}
+            for mass in result.options.added
+        ],
+    }
+
+
+def _holes(surface: Surface) -> int:
+    """Return the genus of a surface of one piece: 1 for a stapes."""
+    return (2 - surface.euler_characteristic) // 2
+
+
+def _cross_check(result: MassResult, second: bool) -> dict[str, Any]:
+    """Compare the moments used with those of the closed surface."""
+    used, mesh = result.moments, result.mesh_moments
+    opinion = None
+    if second:
+        from ct_inertia.surface.second_opinion import second_opinion
+
+        opinion = second_opinion(result.stapes)
+    root = np.sqrt(np.diag(result.matrix.matrix))
+    difference = (result.mesh_matrix.matrix - result.matrix.matrix) / np.outer(root, root)
+    return {
+        "used": "surface" if result.bodies is None or used is mesh else "partial volume",
+        "other": "surface",
+        "volume_m3": mesh.volume_mm3 * 1e-9,
+        "volume_difference_percent": 100.0 * (mesh.volume_mm3 / used.volume_mm3 - 1.0),
+        "centroid_difference_mm": (mesh.centroid_mm - used.centroid_mm).tolist(),
+        "mass_matrix_difference_percent": (100.0 * difference).tolist(),
+        "mass_matrix_difference_of": "sqrt(Mii Mjj)",
+        "surface_by_pymeshlab": None if opinion is None else asdict(opinion),
+    }
+
+
+def _segmentation(result: MassResult) -> dict[str, Any] | None:
+    bodies = result.bodies
+    if bodies is None:
+        return None
+    return {
+        "levels": None if bodies.levels is None else asdict(bodies.levels),
+        "psf_sigma_mm": bodies.psf_sigma_mm,
+        "voxel_size_mm": bodies.volume.spacing_mm.tolist(),
+        "size_voxels": [int(count) for count in bodies.volume.size],
+        "evidence": dict(bodies.evidence),
+    }
+
+
+def _parameters(options: MassOptions) -> dict[str, Any]:
+    """Return every option that was given, as JSON."""
+    given: dict[str, Any] = {}
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if value is None or value is False or value == ():
+            continue
+        if field.name == "added":
+            value = [[*mass.position_mm.tolist(), mass.mass_kg * 1e6] for mass in value]
+        if field.name == "raw":
+            value = asdict(value)
+        given[field.name] = value.name if isinstance(value, Path) else value
+    return given
+
+
+def _finite(value: Any) -> Any:
+    """Return JSON-able content: arrays as lists, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return _finite(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return _finite(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,1 @@
+"""The footplate frame and the plate frame, with their covariance."""

@@ -1,0 +1,123 @@
+"""What noise of the surface does to the footplate frame: first-order propagation, no simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.surface.surface_field import Diffusion, Patch, step_response
+
+Array = NDArray[np.float64]
+_SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+
+
+def height_noise(diffusion: Diffusion, vertices: NDArray[np.intp], normals: Array, grain_mm: float) -> float:
+    """Estimate the spectral density of the surface's height noise from vertices (n,) of it, mm4.
+
+    Notes
+    -----
+    The mean of the height over an area A has the variance density / A. The density is found from the second
+    difference of the heights after one, two and three steps of diffusion, a band where noise is larger than
+    the curvature of bone, robustly (median absolute deviation) over the face.
+    """
+    sigma_mm = diffusion.sigma_mm
+    once = diffusion.step(diffusion.mesh.points)
+    twice = diffusion.step(once)
+    waves = once - 2.0 * twice + diffusion.step(twice)
+    inner = np.einsum("ij,ij->i", waves[vertices], normals[vertices])
+    if len(inner) == 0:
+        return 0.0
+    deviation = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
+    k = np.linspace(0.0, 60.0 / sigma_mm, 6001)
+    low = step_response(k, sigma_mm)
+    band = low * (1.0 - low) ** 2 * _kept(k, grain_mm)
+    share = float(np.sum(k * band**2) * (k[1] - k[0]) / (2.0 * np.pi))
+    return deviation**2 / share
+
+
+def _kept(wave_number: Array, grain_mm: float) -> Array:
+    """Return the share of the amplitude of noise that reaches the surface through its grid and smoothing."""
+    return np.asarray(np.exp(-0.5 * (grain_mm * wave_number) ** 2))
+
+
+def height_covariance(
+    frame: tuple[Array, Array], centres: Array, areas: Array, weight: Callable[[Array], Array], density: float
+) -> Array:
+    """Return what height noise inside the face adds: origin along y, tilts alpha and gamma, (6, 6), SI.
+
+    Parameters
+    ----------
+    frame : (origin (3,), axes (3, 3))
+        mm, scan coordinates.
+    centres, areas : ndarray, (n, 3), (n,)
+        Pieces of the face, mm and mm2.
+    weight : callable
+        Weights of the robust plane as a function of the distance in mm.
+    density : float
+        Spectral density of the noise, mm4.
+    """
+    origin, axes = frame
+    local = (centres - origin) @ axes
+    influence = np.zeros((len(local), 6))
+    influence[:, 1] = 1.0 / areas.sum()
+    influence[:, [3, 5]] = _tilts(local, areas, weight)
+    covariance = density * (influence * areas[:, None]).T @ influence
+    return np.asarray(covariance * np.outer(_SI, _SI))
+
+
+def boundary_covariance(
+    frame: tuple[Array, Array],
+    patch: Patch,
+    areas: Array,
+    centres: Array,
+    density: float,
+    angle_deg: float,
+    sigma_mm: float,
+    weight: Callable[[Array], Array],
+    blur_and_grain_mm: tuple[float, float],
+) -> Array:
+    """Return what noise of the normals adds by moving the rim where the face ends, (6, 6), SI.
+
+    Notes
+    -----
+    A normal that errs by e moves the rim by e / curvature. Errors of the normal across the rim have the
+    line density ``density / 2 pi * integral of k^2 H(k)^2``, H the smoothing of the normals and the gain by
+    which taking the blur back raises short waves.
+    """
+    origin, axes = frame
+    k = np.linspace(-60.0 / sigma_mm, 60.0 / sigma_mm, 12001)
+    blur_mm, grain_mm = blur_and_grain_mm
+    low = step_response(k, sigma_mm)
+    lifted = 1.0 + 2.0 * (blur_mm / sigma_mm) ** 2 * (1.0 - low)
+    waves = k * low**2 * lifted * _kept(k, grain_mm)
+    line_density = density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
+    middle = (patch.segments.mean(axis=1) - origin) @ axes
+    length = np.linalg.norm(patch.segments[:, 1] - patch.segments[:, 0], axis=1)
+    curvature = np.maximum(patch.segment_slope / np.sin(np.radians(angle_deg)), 0.2)
+    local = (centres - origin) @ axes
+    total = areas.sum()
+    influence = np.zeros((len(middle), 6))
+    influence[:, :3] = middle / total
+    influence[:, [3, 5]] = _tilts(local, areas, weight, middle) * middle[:, 1:2]
+    spread = areas @ (local[:, 0] ** 2 - local[:, 2] ** 2)
+    influence[:, 4] = -middle[:, 0] * middle[:, 2] * np.cos(np.radians(angle_deg)) / max(spread, 1e-6)
+    influence /= curvature[:, None]
+    covariance = line_density * (influence * length[:, None]).T @ influence
+    return np.asarray(covariance * np.outer(_SI, _SI))
+
+
+def _tilts(local: Array, areas: Array, weight: Callable[[Array], Array], at: Array | None = None) -> Array:
+    """Return the tilts (alpha, gamma) per area and per height error at points (n, 3), rad/mm3.
+
+    The robust plane y = a + b x + c z has b = gamma and c = -alpha for small tilts.
+    """
+    offset = np.median(local[:, 1])
+    weights = areas * weight(local[:, 1] - offset)
+    design = np.column_stack([np.ones(len(local)), local[:, 0], local[:, 2]])
+    inverse = np.linalg.inv((design * weights[:, None]).T @ design)
+    points = local if at is None else at
+    rows = np.column_stack([np.ones(len(points)), points[:, 0], points[:, 2]])
+    share = (rows @ inverse) * weight(points[:, 1] - offset)[:, None]
+    return np.column_stack([-share[:, 2], share[:, 1]])

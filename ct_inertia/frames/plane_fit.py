@@ -1,0 +1,303 @@
+"""Plane faces fitted to the grey values themselves: edges along voxel columns, far below voxel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.frames.plane_faces import PlaneFace, fitted_plane
+from ct_inertia.volume.normal import normal_cdf
+from ct_inertia.volume.volume import Volume
+
+Array = NDArray[np.float64]
+
+_WINDOW = 5.5
+_PURE = 3.0
+_CLEAR = 1.0
+_NEAR = 3.5
+_WHOLE = 0.995
+_CELL_MM = 0.1
+_MOST_COLUMNS = 16000
+_LEVEL_VALUES = 8000
+_LEAST_COLUMNS = 60
+_FAR = 0.2
+_MOST_MOVE_MM = 0.03
+_DIRT = 6.0
+_SETTLING = 5
+_SQUARE_MM, _BESIDE_NOISE = 0.15, 4.0
+# What grey levels off by 0.2 % of the contrast do at the usual blur.
+_LEVELS_MM = 1e-4
+# What bone at the end of columns does to the face, per share of the contrast that could be there unseen.
+_FOOT = 0.6
+# Neighbouring columns share noise and the edges' blur: found on boxes with known faces.
+_CORRELATED = 2.0
+
+
+def fitted_to_grey(
+    faces: Sequence[PlaneFace], known: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> list[PlaneFace]:
+    """Return faces fitted to grey values; one that cannot be stays as it is.
+
+    Parameters
+    ----------
+    faces : sequence of PlaneFace
+        Found on a surface; those at the border of the scan stay as they are.
+    known : sequence of PlaneFace
+        All plane faces of the body, for where they end each other.
+    volume : Volume
+    sigma_mm : float
+        Standard deviation of the blur.
+
+    Notes
+    -----
+    In every voxel column that crosses the face, the shift of a blurred step that fits best (least squares,
+    linear about the last plane). Near an edge the step is lower, by what the blur takes across the other
+    face. The levels on both sides come from the ends of all columns together; columns with something else
+    at an end (bone, glue, a hole) do not count.
+    """
+    result = list(faces)
+    rest = [other for other in known if all(other is not face for face in faces)]
+    for place, face in enumerate(faces):
+        others = [*result[:place], *result[place + 1 :], *rest]
+        found = None if face.at_border else _fitted(face, others, volume, sigma_mm)
+        if found is not None and abs(face.distance(found.point_mm[None])[0]) > _FAR * sigma_mm:
+            found = _fitted(found, others, volume, sigma_mm)
+        result[place] = face if found is None else found
+    return result
+
+
+def _fitted(
+    face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> PlaneFace | None:
+    columns = _columns(face, others, volume, sigma_mm)
+    if columns is None:
+        return None
+    points, grey, away, beside = columns
+    inner, outer = (away < -_PURE * sigma_mm) & (beside > _WHOLE), away > _PURE * sigma_mm
+    if np.count_nonzero(inner.any(axis=1)) < _LEAST_COLUMNS:
+        return None
+    expected = beside * _below(away / sigma_mm)
+    outside, inside = _means(grey, outer), _means(grey, inner)
+    spread = min(_spread(outside), _spread(inside))
+    squares = _squares(points @ face.basis)
+    low, seen = _darkest(squares, outside, spread), _level(grey, inner)
+    if not seen > low:
+        return None
+    clean = _clean(outside, low, spread) & _clean(inside, seen, _spread(inside))
+    alone, unseen = _alone(squares, outside, low, spread)
+    clean &= alone
+    if np.count_nonzero(clean) < _LEAST_COLUMNS:
+        return None
+    low = _level(grey[clean], outer[clean])
+    foot = _FOOT * sigma_mm * unseen / (seen - low) * float(np.mean(~alone))
+    share = (grey - low) / (seen - low) * float(expected[inner].mean())
+    slope = beside * np.exp(-0.5 * (away / sigma_mm) ** 2) / (sigma_mm * np.sqrt(2.0 * np.pi))
+    shift = np.sum((share - expected) * slope, axis=1) / np.maximum(np.sum(slope**2, axis=1), 1e-12)
+    clean &= np.abs(shift) < _MOST_MOVE_MM + 2.0 * sigma_mm
+    if np.count_nonzero(clean) < _LEAST_COLUMNS:
+        return None
+    edge = points[clean] + shift[clean, None] * face.normal
+    found = fitted_plane(edge, np.full(len(edge), face.area_mm2 / len(edge)), face.normal)
+    turn = float(np.arccos(np.clip(found.normal @ face.normal, -1.0, 1.0)))
+    reach = float(np.max(np.linalg.norm(face.samples_mm - face.point_mm, axis=1)))
+    if abs(face.distance(found.point_mm[None])[0]) + turn * reach > 2.0 * _MOST_MOVE_MM:
+        return None
+    return replace(
+        found,
+        covariance=_CORRELATED * found.covariance + np.diag([_LEVELS_MM**2 + foot**2, 0.0, 0.0]),
+        area_mm2=face.area_mm2,
+        samples_mm=face.samples_mm,
+        turning_1_mm=face.turning_1_mm,
+    )
+
+
+def _columns(
+    face: PlaneFace, others: Sequence[PlaneFace], volume: Volume, sigma_mm: float
+) -> tuple[Array, Array, Array, Array] | None:
+    """Return columns across a face: points (n, 3) on it, grey values (n, k), heights (n, k) over it in mm.
+
+    And what the blur across the other faces leaves of the material in every voxel (n, k).
+    """
+    steps = volume.direction * volume.spacing_mm
+    across = face.normal @ steps
+    axis = int(np.argmax(np.abs(face.normal @ volume.direction)))
+    beside = [k for k in range(3) if k != axis]
+    half = int(np.ceil(_WINDOW * sigma_mm / abs(across[axis])))
+    index = volume.index_points(face.samples_mm)
+    low = np.maximum(np.floor(index.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(index.max(axis=0)).astype(int) + 1, volume.size)
+    low[axis] = max(low[axis] - half - 2, 0)
+    high[axis] = min(high[axis] + half + 2, int(volume.size[axis]))
+    if np.any(high - low < 2) or high[axis] - low[axis] < 2 * half + 1:
+        return None
+    count = face.area_mm2 * abs(face.normal @ volume.direction[:, axis]) / np.prod(volume.spacing_mm[beside])
+    stride = np.ones(3, dtype=int)
+    stride[beside] = max(1, round(float(np.sqrt(count / _MOST_COLUMNS))))
+    ticks = [np.arange(low[k], high[k], stride[k]) for k in range(3)]
+    flat = np.stack(np.meshgrid(ticks[beside[0]], ticks[beside[1]], indexing="ij"), axis=-1).reshape(-1, 2)
+    crossing = np.zeros((len(flat), 3))
+    crossing[:, beside] = flat
+    offset = (face.point_mm - volume.origin_mm) @ face.normal
+    crossing[:, axis] = (offset - flat @ across[beside]) / across[axis]
+    points = volume.scan_points(crossing)
+    first = np.round(crossing[:, axis]).astype(int) - half
+    keep = (first >= low[axis]) & (first + 2 * half < high[axis])
+    keep &= _covered(face, points)
+    others = [other for other in others if _ends(face, other)]
+    for other in others:
+        keep &= other.distance(points) < -_CLEAR * sigma_mm
+    if np.count_nonzero(keep) < _LEAST_COLUMNS:
+        return None
+    box = tuple(slice(int(low[k]), int(high[k]), int(stride[k])) for k in (2, 1, 0))
+    block = np.asarray(volume.array[box])
+    stack = np.moveaxis(block, 2 - axis, 2).transpose(1, 0, 2)
+    rows = np.flatnonzero(keep)
+    place = (first[keep] - low[axis])[:, None] + np.arange(2 * half + 1)
+    shape = (len(ticks[beside[0]]), len(ticks[beside[1]]))
+    row, column = (k[:, None] for k in np.unravel_index(rows, shape))
+    grey = stack[row, column, place].astype(float)
+    height = (first[keep][:, None] + np.arange(2 * half + 1) - crossing[keep, axis][:, None]) * across[axis]
+    crossing[:, axis] = 0.0
+    beside_others = _left_by(
+        others, volume.scan_points(crossing[keep]), place + low[axis], steps[:, axis], sigma_mm
+    )
+    finite = np.all(np.isfinite(grey), axis=1)
+    return points[keep][finite], grey[finite], height[finite], beside_others[finite]
+
+
+def _left_by(
+    others: Sequence[PlaneFace], feet: Array, index: NDArray[np.int64], step: Array, sigma_mm: float
+) -> Array:
+    """Return what the blur across other faces leaves of the material, (n, k), in voxels of columns.
+
+    Parameters
+    ----------
+    others : sequence of PlaneFace
+    feet : ndarray, (n, 3)
+        Points of the columns at index 0, mm.
+    index : ndarray of int, (n, k)
+        Of the voxels along the columns.
+    step : ndarray, (3,)
+        From one voxel of a column to the next, mm.
+    sigma_mm : float
+    """
+    left = np.ones(index.shape)
+    for other in others:
+        if other.at_border:
+            continue
+        height = other.distance(feet)[:, None] + index * float(step @ other.normal)
+        near = np.flatnonzero(height.max(axis=1) > -_NEAR * sigma_mm)
+        left[near] *= _below(height[near] / sigma_mm)
+    return left
+
+
+def _ends(face: PlaneFace, other: PlaneFace) -> bool:
+    """Say whether another face bounds this one: at a fair angle, and with nearly all of it inside.
+
+    What looks like a narrow face at a smaller angle is an edge rounded by the blur.
+    """
+    if abs(face.normal @ other.normal) > (0.995 if other.at_border else 0.5):
+        return False
+    return float(np.mean(other.distance(face.samples_mm) < 0.05)) > 0.9
+
+
+def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
+    """Say which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
+    flat = (face.samples_mm - face.point_mm) @ face.basis
+    start = flat.min(axis=0) - 2.0 * _CELL_MM
+    cells = np.floor((flat - start) / _CELL_MM).astype(int)
+    seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
+    seen[cells[:, 0], cells[:, 1]] = True
+    inner = _closed(seen)
+    place = np.floor(((points - face.point_mm) @ face.basis - start) / _CELL_MM).astype(int)
+    valid = np.all((place >= 0) & (place < np.array(seen.shape)), axis=1)
+    result = np.zeros(len(points), dtype=bool)
+    result[valid] = inner[place[valid, 0], place[valid, 1]]
+    return result
+
+
+def _closed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return cells (n, m) and those between them: grown by one all round and shrunk again."""
+    for joined in (np.logical_or, np.logical_and):
+        for axis in range(2):
+            lines = np.moveaxis(np.pad(cells, [(1 - axis, 1 - axis), (axis, axis)]), axis, 0)
+            cells = np.moveaxis(joined(joined(lines[:-2], lines[1:-1]), lines[2:]), 0, axis)
+    return cells
+
+
+def _below(height: Array) -> Array:
+    """Return the share that a step blurred by 1 leaves at heights over it."""
+    return normal_cdf(-height)
+
+
+def _level(grey: Array, where: NDArray[np.bool_]) -> float:
+    """Return the grey value of the material at one end of the columns, safe from a minority of others."""
+    values = grey[where]
+    values = values[:: max(1, len(values) // _LEVEL_VALUES)]
+    middle = float(np.median(values))
+    spread = 1.4826 * float(np.median(np.abs(values - middle)))
+    near = np.abs(values - middle) <= 2.0 * spread
+    return float(values[near].mean())
+
+
+def _means(grey: Array, where: NDArray[np.bool_]) -> Array:
+    """Return the mean at one end of every column, (n,); NaN where it has no voxel there."""
+    count = where.sum(axis=1)
+    total = np.where(where, grey, 0.0).sum(axis=1)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _spread(means: Array) -> float:
+    """Return how far the means of columns scatter, safe from a minority of others."""
+    told = means[np.isfinite(means)]
+    if len(told) == 0:
+        return float("inf")
+    return max(1.4826 * float(np.median(np.abs(told - np.median(told)))), 1e-12)
+
+
+def _squares(flat: Array) -> NDArray[np.intp]:
+    """Return the number of the square that each column, at flat (n, 2) in mm, lies in."""
+    cells = np.floor(flat / _SQUARE_MM).astype(np.int64)
+    cells -= cells.min(axis=0)
+    numbers = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    return np.asarray(np.unique(numbers, return_inverse=True)[1])
+
+
+def _darkest(squares: NDArray[np.intp], means: Array, spread: float) -> float:
+    """Return the level of air from the darkest tenth of the squares: the blur of bone near by only adds."""
+    told = np.isfinite(means)
+    count = np.bincount(squares, told)
+    large = count >= max(0.5 * float(np.median(count[squares])), 1.0)
+    total = np.bincount(squares, np.where(told, means, 0.0))
+    values = total[large] / count[large]
+    if len(values) == 0:
+        return float("nan")
+    sd = spread / float(np.sqrt(np.median(count[large])))
+    level = float(np.quantile(values, 0.1)) + 1.28 * sd
+    for _ in range(_SETTLING):
+        near = np.abs(values - level) <= 2.0 * sd
+        level = float(values[near].mean()) if np.any(near) else level
+    return level
+
+
+def _clean(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
+    """Say in which columns the mean at one end is that of the material, but for noise."""
+    return np.asarray(np.isnan(means) | (np.abs(means - level) <= _DIRT * spread))
+
+
+def _alone(
+    squares: NDArray[np.intp], means: Array, level: float, spread: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Say in which columns nothing lies at the end, and how much may lie there unseen.
+
+    By means over squares of columns: single ones are too noisy to tell the foot of the blur of bone near by.
+    """
+    told = np.isfinite(means)
+    count = np.bincount(squares, told)
+    total = np.bincount(squares, np.where(told, means - level, 0.0))
+    limit = _BESIDE_NOISE * spread
+    alone = np.abs(total) <= limit * np.sqrt(count) + 1e-12
+    return np.asarray(alone[squares]), limit / float(np.sqrt(max(np.median(count[squares]), 1.0)))

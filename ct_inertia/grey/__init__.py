@@ -1,0 +1,1 @@
+"""Measure on grey values: levels, blur, partial volume, plate face, soft surroundings."""

@@ -1,0 +1,142 @@
+"""The surface that the footplate frame is found on: the half level of the share of bone, coarse."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.surface.isosurface import iso_surface
+from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.normal import normal_quantile
+
+if TYPE_CHECKING:
+    from ct_inertia.grey.measure import Measured
+
+Array = NDArray[np.float64]
+
+_GRID_MM = 0.05
+_SMOOTH_VOXELS = 0.7
+_LEAST_SHARE = 0.02
+_CHORDS = 0.2
+
+
+def frame_surface(
+    share: NDArray[np.float32], scan_from_index: Array, sigma_mm: float
+) -> tuple[Surface, float]:
+    """Return the half level of a body's share of bone, and the blur with which it is seen, mm.
+
+    Parameters
+    ----------
+    share : ndarray of float32, [z, y, x]
+        1 inside the body, 0 outside, blurred.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+    sigma_mm : float
+        Standard deviation of the blur of the share, its voxels included.
+
+    Notes
+    -----
+    Grey values are averaged over blocks of at most 0.05 mm, or smoothed by 0.7 voxels where a voxel is
+    coarser than half of that; both widen the blur by what is known. The quantile of the normal
+    distribution makes a blurred edge a straight line along its normal, so that linear interpolation
+    between the coarse voxels meets the half level exactly where the surface is plane. Where it is curved,
+    straight edges of the grid and flat triangles cut corners, as a blur with the variance 0.2 h^2 would at a
+    spacing h (found on balls of every size; linear interpolation between points errs by h^2 / 12 times the
+    curvature on average). That is counted as blur.
+    """
+    spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
+    block = _blocks(spacing)
+    first, part = _around(share, block)
+    if np.any(block > 1):
+        part = _block_means(part, block)
+        variance = spacing**2 * (block**2 - 1.0) / 12.0
+    else:
+        part = gaussian(part, _SMOOTH_VOXELS, truncate=3.0)
+        variance = (_SMOOTH_VOXELS * spacing) ** 2
+    edge = (part > _LEAST_SHARE) & (part < 1.0 - _LEAST_SHARE)
+    limit = float(normal_quantile(_LEAST_SHARE))
+    steep = np.where(part > 0.5, np.float32(-limit), np.float32(limit))
+    steep[edge] = normal_quantile(part[edge])
+    transform = np.array(scan_from_index, dtype=float)
+    transform[:3, :3] = scan_from_index[:3, :3] * block
+    transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))
+    surface = iso_surface(steep, 0.0, transform)
+    variance = variance + _CHORDS * (spacing * block) ** 2
+    return surface, float(np.sqrt(sigma_mm**2 + variance.mean()))
+
+
+def height_noise_of(noise: float, correlation: float, scan_from_index: Array, blur_mm: float) -> float:
+    """Return the spectral density of the height noise that shared noise of the grey values makes, mm4.
+
+    That is what the frame surface has at long waves beyond what white noise would give it.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of the share of bone in one voxel.
+    correlation : float
+        Variance of sums of noise over that of white noise.
+    scan_from_index : ndarray, (4, 4)
+        Index x, y, z to scan coordinates, mm.
+    blur_mm : float
+        As ``frame_surface`` returns it.
+
+    Notes
+    -----
+    Noise of standard deviation s has at long waves the spectral density s^2 c V in space, c the correlation
+    and V the volume of a voxel, (c - 1) / c of it more than white noise; on a surface it is 1 / L of that, L
+    the length over which noise is averaged along the normal: blocks or smoothing, and its own correlation. A
+    share that errs by e moves the half level by e over the slope 1 / (sqrt(2 pi) blur).
+    """
+    shared = max(correlation - 1.0, 0.0)
+    spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
+    block = _blocks(spacing)
+    size = float(np.prod(spacing))
+    mean = (
+        float(np.prod(block)) ** (1.0 / 3.0) if np.any(block > 1) else 2.0 * np.sqrt(np.pi) * _SMOOTH_VOXELS
+    )
+    length = size ** (1.0 / 3.0) * np.sqrt(mean**2 + (1.0 + shared) ** (2.0 / 3.0) - 1.0)
+    return float(noise**2 * shared * size / length * 2.0 * np.pi * blur_mm**2)
+
+
+def _blocks(spacing_mm: Array) -> NDArray[np.int64]:
+    """Return over how many voxels along x, y, z grey values are averaged."""
+    return np.maximum(np.floor(_GRID_MM / spacing_mm + 1e-6), 1.0).astype(np.int64)
+
+
+def doubted_surface(measured: Measured, scan_from_index: Array) -> Surface | None:
+    """Return the surface with less taken off for what is soft around the stapes, or None without such."""
+    if measured.doubt is None:
+        return None
+    return frame_surface(measured.share + measured.doubt, scan_from_index, measured.sigma_mm)[0]
+
+
+def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:
+    """Return what holds more than a tenth of bone with air around, in whole blocks, and its first index."""
+    inside = share > 0.1
+    first, box, missing = [], [], []
+    for axis in range(3):
+        size = int(block[2 - axis])
+        place = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
+        low = max(int(place[0]) - 2 * size, 0) if len(place) else 0
+        count = -(-((int(place[-1]) if len(place) else 0) + 1 + 2 * size - low) // size)
+        first.append(low)
+        box.append(slice(low, low + count * size))
+        missing.append((0, max(low + count * size - share.shape[axis], 0)))
+    part = share[tuple(box)]
+    if any(after for _, after in missing):
+        part = np.pad(part, missing)
+    return np.array(first[::-1], dtype=float), part
+
+
+def _block_means(part: NDArray[np.float32], block: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return means over blocks of x, y, z voxels, axis after axis."""
+    for axis in range(3):
+        size = int(block[2 - axis])
+        if size > 1:
+            shape = (*part.shape[:axis], part.shape[axis] // size, size, *part.shape[axis + 1 :])
+            part = part.reshape(shape).mean(axis=axis + 1, dtype=np.float32)
+    return part

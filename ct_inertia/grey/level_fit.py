@@ -1,0 +1,237 @@
+"""Two-valued bodies and their blur, fitted to grey values: the bone level, and the tails of neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.native import checked, compiled, shape_of
+from ct_inertia.volume.grids import gaussian
+
+Array = NDArray[np.float64]
+
+_FINE = 2
+_ROUNDS, _SHAPE_ROUNDS = 14, 6
+_SETTLED = 1e-4
+_INNER = 0.8
+_SHAPE_STEP, _LONE_STEP = 0.7, 1.0
+_LOW, _HIGH = 0.15, 0.85
+_PAD = 4
+_PIECE = 30_000
+_SOFT = 0.25
+_CALM_PER_NOISE, _MOST_CALM = 8.0, 1.2
+
+
+@dataclass(frozen=True)
+class BodyFit:
+    """What the fit found.
+
+    Attributes
+    ----------
+    contrast : float
+        Bone minus air.
+    relative_sd : float
+        Standard uncertainty of the contrast, relative.
+    sigma_mm : float
+        Standard deviation of the point spread, voxel included.
+    residual : float
+        Root mean square of what the model leaves, relative to the contrast.
+    body : ndarray of float32, [z, y, x]
+        Share of each voxel that lies in a body, before blur.
+    """
+
+    contrast: float
+    relative_sd: float
+    sigma_mm: float
+    residual: float
+    body: NDArray[np.float32]
+
+
+def fit_bodies(
+    excess: NDArray[np.float32],
+    own: NDArray[np.bool_],
+    spacing_mm: Array,
+    contrast: float,
+    sigma_mm: float,
+    noise: float,
+    fit_contrast: bool = True,
+    side: NDArray[np.bool_] | None = None,
+) -> BodyFit:
+    """Fit two-valued bodies and their blur to grey values above air.
+
+    Parameters
+    ----------
+    excess : ndarray of float32, [z, y, x]
+        Grey values minus the air level.
+    own : ndarray of bool, [z, y, x]
+        Voxels that are modelled: the bodies and their blur.
+    spacing_mm : ndarray, (3,)
+    contrast, sigma_mm : float
+        Where to start.
+    noise : float
+        Standard deviation of a voxel.
+    fit_contrast : bool
+        Otherwise only the shapes are fitted.
+    side : ndarray of bool, [z, y, x], optional
+        Where two bodies face each other across a narrow gap, the voxels on one's side: the surfaces on
+        the two sides move each by itself.
+
+    Notes
+    -----
+    A body is where the grey values, interpolated to half a voxel, exceed a level that varies slowly over
+    the surface. Its blurred image is compared with the data: what differs near the surface moves the
+    surface (the local level); what differs inside, regressed on the image, scales the contrast; the blur is
+    that which leaves least. A wall of thickness t looks like contrast * erf(t / (2 sqrt(2) s)) at its middle
+    and has the area contrast * t, so that level and thickness part as long as t is not far below the blur s.
+
+    A rough surface drawn by noise would blur its image a second time and be paid for with a narrower blur
+    and a lower contrast (0.7 % at 15 % noise): the surface is taken from grey values smoothed the more the
+    louder they are, by 1.2 voxels at most, and only the comparison is made with those measured.
+    """
+    spacing = np.asarray(spacing_mm)[::-1]
+    own = np.pad(own, _PAD)
+    data = np.where(own, np.pad(excess, _PAD), np.float32(0.0)).astype(np.float32)
+    calm = _calmed(data, noise / contrast)
+    side = None if side is None else np.pad(side, _PAD)
+    level = np.full(data.shape, 0.5, dtype=np.float32)
+    history: list[float] = []
+    rounds, step = (_ROUNDS, _SHAPE_STEP) if fit_contrast else (_SHAPE_ROUNDS, _LONE_STEP)
+    for k in range(rounds):
+        share = data / np.float32(contrast)
+        body = body_share(calm / np.float32(contrast), level, own)
+        model = blurred(body, sigma_mm, spacing)
+        rest = np.where(own, share - model, np.float32(0.0))
+        near = (model > 0.05) & (model < 0.95) & own
+        width = 1.5 * sigma_mm / spacing
+        shift = _smoothed(rest, near, width, side)
+        level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
+        if not fit_contrast:
+            continue
+        inner = own & (model > _INNER)
+        if np.count_nonzero(inner) < 50:
+            break
+        slope = float((share[inner] @ model[inner]) / (model[inner] @ model[inner]))
+        history.append(slope)
+        contrast *= 1.0 + 1.2 * (slope - 1.0)
+        if k in (4, 8):
+            sigma_mm = _best_blur(data / np.float32(contrast), body, own, sigma_mm, spacing)
+        if k > 9 and abs(slope - 1.0) < _SETTLED:
+            break
+    rest = (data / np.float32(contrast) - model)[own]
+    residual = float(np.sqrt(np.mean(rest.astype(float) ** 2)))
+    sd = _uncertainty(model, own, noise / contrast, residual, history) if fit_contrast else 0.0
+    core = tuple(slice(_PAD, -_PAD) for _ in range(3))
+    return BodyFit(contrast, sd, sigma_mm, residual, body[core])
+
+
+def _smoothed(
+    rest: NDArray[np.float32], near: NDArray[np.bool_], width: Array, side: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Return the weighted mean of what is left near the surfaces, of each side by itself."""
+
+    def mean(of: NDArray[np.bool_]) -> NDArray[np.float32]:
+        weight = gaussian(of.astype(np.float32), width, truncate=3.0)
+        total = gaussian(np.where(of, rest, np.float32(0.0)), width, truncate=3.0)
+        return np.asarray(total / np.maximum(weight, np.float32(1e-3)))
+
+    return mean(near) if side is None else np.where(side, mean(near & side), mean(near & ~side))
+
+
+def _calmed(data: NDArray[np.float32], noise: float) -> NDArray[np.float32]:
+    """Smooth the grey values that the surface is taken from, in step with their noise."""
+    width = min(_CALM_PER_NOISE * noise, _MOST_CALM)
+    return gaussian(data, width, truncate=3.0) if width > 0.2 else data
+
+
+def body_share(
+    share: NDArray[np.float32], level: NDArray[np.float32], own: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the part of each voxel where the interpolated share exceeds the local level.
+
+    Only voxels that the surface passes near are sampled, at eight places by linear interpolation.
+    """
+    field = np.where(own, share - level, np.float32(-1.0))
+    inside = field > 0.0
+    rim = spread(inside) & spread(~inside)
+    rim[[0, -1]] = rim[:, [0, -1]] = rim[:, :, [0, -1]] = False
+    result = inside.astype(np.float32)
+    index = np.flatnonzero(rim)
+    rows, columns = field.shape[1] * field.shape[2], field.shape[2]
+    steps = np.arange(-1, 2)
+    around = (steps[:, None, None] * rows + steps[:, None] * columns + steps).ravel()
+    offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
+    weights = np.maximum(1.0 - np.abs(offsets[:, None] - steps), 0.0)
+    every = np.einsum("ai,bj,ck->ijkabc", weights, weights, weights).reshape(27, -1).astype(np.float32)
+    flat = field.ravel()
+    for start in range(0, len(index), _PIECE):
+        part = index[start : start + _PIECE]
+        values = flat[part[:, None] + around] @ every
+        # Softened over the sample's own width: shares near 0 and 1 come out in between.
+        values *= np.float32(1.0 / _SOFT)
+        values += np.float32(0.5)
+        np.clip(values, 0.0, 1.0, out=values)
+        result.ravel()[part] = values.mean(axis=1)
+    return result
+
+
+def spread(mask: NDArray[np.bool_], corners: bool = True) -> NDArray[np.bool_]:
+    """Return a mask grown by a voxel in all 26 directions, or in the 6 across faces only."""
+    kernels = compiled()
+    if kernels is not None and corners:
+        mask = np.ascontiguousarray(mask)
+        out = np.empty(mask.shape, dtype=bool)
+        checked(kernels.spread(mask.ctypes.data, shape_of(mask), out.ctypes.data))
+        return out
+    grown = mask.copy()
+    for axis in range(3):
+        before = grown.copy() if corners else mask
+        ahead: list[slice] = [slice(None)] * 3
+        back: list[slice] = [slice(None)] * 3
+        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= before[tuple(back)]
+        grown[tuple(back)] |= before[tuple(ahead)]
+    return grown
+
+
+def blurred(body: NDArray[np.float32], sigma_mm: float, spacing: Array) -> NDArray[np.float32]:
+    """Blur shares of voxels, which hold the voxel's own width already."""
+    rest = np.sqrt(np.maximum((sigma_mm / spacing) ** 2 - 1.0 / 12.0, 0.0))
+    return gaussian(body, rest, truncate=4.5)
+
+
+def _best_blur(
+    share: NDArray[np.float32],
+    body: NDArray[np.float32],
+    own: NDArray[np.bool_],
+    sigma_mm: float,
+    spacing: Array,
+) -> float:
+    """Return the blur that leaves least: the vertex of a parabola through three trials."""
+    steps = np.array([0.92, 1.0, 1.08])
+    left = [
+        float(np.sum((share - blurred(body, sigma_mm * s, spacing))[own].astype(float) ** 2)) for s in steps
+    ]
+    second, first, _ = np.polyfit(steps, left, 2)
+    if second <= 0.0:
+        return sigma_mm
+    return sigma_mm * float(np.clip(-first / (2.0 * second), steps[0], steps[-1]))
+
+
+def _uncertainty(
+    model: NDArray[np.float32], own: NDArray[np.bool_], noise: float, residual: float, history: list[float]
+) -> float:
+    """Return the relative standard uncertainty of the contrast: noise, misfit, thin walls, settling.
+
+    The share of thin walls is the blur times the surface over the volume; 0.18 % at 0.67 was measured on
+    phantoms of a stapes with voxels of 0.04 to 0.07 mm, and the fourth power between them.
+    """
+    values = model[own].astype(float)
+    inner = values[values > _INNER]
+    random = 1.3 * noise / np.sqrt(max(float(inner @ inner), 1.0))
+    misfit = 0.1 * np.sqrt(max(residual**2 - noise**2, 0.0))
+    edge = np.count_nonzero((values > 0.05) & (values < 0.95)) / 3.29
+    thin = 1.8e-3 * (edge / max(float(values.sum()), 1.0) / 0.67) ** 4
+    settling = abs(history[-1] - 1.0) if history else 0.05
+    return float(np.sqrt(random**2 + misfit**2 + thin**2 + settling**2 + 1e-4**2))

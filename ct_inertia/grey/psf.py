@@ -1,0 +1,251 @@
+"""The scanner's blur, read off the edges of the bone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.native import compiled, shape_of
+from ct_inertia.volume.grids import interpolated
+from ct_inertia.volume.masked import places_between
+from ct_inertia.volume.normal import normal_quantile
+
+Array = NDArray[np.float64]
+_REACH_WIDTHS = 3.6
+_MOST = 4_000
+_LEAST = 60
+_FLAT = 0.1
+_BESIDE = 2.5
+_BENT_SD = 0.3
+# Rounds of the fit of widths, medians from which on an edge departs, and edges that must face each axis.
+_WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
+
+
+def edge_sigma(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    air: float,
+    bone: float,
+    spacing_mm: Array,
+    noise: float = 0.0,
+    seed: int = 0,
+    most: int = _MOST,
+) -> tuple[float, float] | None:
+    """Estimate the standard deviation of the point spread (voxel included) from edges of bone in air.
+
+    Parameters
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    near_edge : ndarray of bool, [z, y, x]
+        Where to look; voxels of middle grey value are taken from it.
+    air, bone : float
+        Grey levels.
+    spacing_mm : ndarray, (3,)
+    noise : float
+        Standard deviation of a voxel, in shares of bone minus air.
+    seed : int
+        Of the choice among many voxels.
+    most : int
+        How many voxels to look at.
+
+    Returns
+    -------
+    sigma_mm, sd_mm : float
+        None when there are too few clean edges.
+
+    Notes
+    -----
+    Across a plane edge blurred by a Gaussian, w = Phi(d / s) and |grad w| = phi(d / s) / s, so that every
+    voxel near the middle gives s = phi(Phi^-1(w)) / |grad w|. w and its gradient are taken with a Gaussian
+    of known width, whose variance is subtracted. Edges that do not reach bone on one side and air on the
+    other within a few widths (thin walls, corners, gaps) are left out, and curved ones too where there are
+    enough flat ones: a radius of curvature R lets s seem longer by the order of (s / R)^2. Beside a flat
+    edge, 2.5 s along its tangents, the share is still 1/2.
+    """
+    edges = _clean_edges(grey, near_edge, (air, bone), spacing_mm, noise, seed, most)
+    if edges is None:
+        return None
+    total, bent, width = edges.total_mm, edges.bent, edges.smoothing_mm
+    variance = np.median(total) ** 2 - width**2
+    if not variance > 0.0:
+        return 0.3 * width, 0.1 * width
+    sigma = float(np.sqrt(variance))
+    low_part, high_part = np.percentile(total, [25.0, 75.0])
+    several = max(len(total) / 50.0, 1.0)
+    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(edges.every_mm))
+    # What bent edges add to the width: with a curvature k some (k s)^2 of it, of which ``bent`` is a measure.
+    sd += _BENT_SD * float(np.median(bent)) ** 2 * float(np.median(edges.every_mm))
+    return sigma, sd * float(np.median(edges.every_mm)) / sigma
+
+
+def edge_widths(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    air: float,
+    bone: float,
+    spacing_mm: Array,
+    noise: float = 0.0,
+) -> Array | None:
+    """Estimate the point spread's standard deviations along x, y, z of the voxels, (3,), mm.
+
+    None where there are too few clean edges in all directions. Parameters as for ``edge_sigma``.
+
+    Notes
+    -----
+    Across a face of normal n an ellipsoidal Gaussian has the variance sum n_k^2 s_k^2: least squares over all
+    clean edges, those that depart most left out in turn.
+    """
+    edges = _clean_edges(grey, near_edge, (air, bone), spacing_mm, noise, 0, _MOST)
+    if edges is None:
+        return None
+    design, seen = edges.inward**2, edges.total_mm**2 - edges.smoothing_mm**2
+    good = np.ones(len(seen), dtype=bool)
+    for _ in range(_WIDTH_ROUNDS):
+        if np.any(design[good].sum(axis=0) < _LEAST_FACING):
+            return None
+        variances = np.linalg.lstsq(design[good], seen[good], rcond=None)[0]
+        left = np.abs(seen - design @ variances)
+        good = left < _DEPARTING * float(np.median(left))
+    least = (0.3 * edges.smoothing_mm) ** 2
+    return np.sqrt(np.maximum(variances, least))[::-1].copy()
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Clean edges of bone in air: their width with the smoothing (n,), inward normals z, y, x (n, 3).
+
+    ``bent`` (n,) is their curvature, ``every_mm`` the widths of all edges, ``smoothing_mm`` the width of the
+    Gaussian that grey values were smoothed by.
+    """
+
+    total_mm: Array
+    inward: Array
+    bent: Array
+    every_mm: Array
+    smoothing_mm: float
+
+
+def _clean_edges(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float,
+    seed: int,
+    most: int,
+) -> _Edges | None:
+    air, bone = levels
+    spacing = np.asarray(spacing_mm)[::-1]
+    width = float(spacing.mean())
+    reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
+    index = _middling(grey, near_edge, (air, bone), reach)
+    if len(index) < _LEAST:
+        return None
+    if len(index) > most:
+        index = index[np.random.default_rng(seed).choice(len(index), most, replace=False)]
+    w, gradient, spread = _smooth_gradient(grey, index, (air, bone), spacing, width, reach)
+    size = np.linalg.norm(gradient, axis=1)
+    # Noise lengthens every gradient: its share of the square is known for white noise.
+    size = np.sqrt(np.maximum(size**2 - noise**2 * spread, 1e-12))
+    good = (np.abs(w - 0.5) < 0.25) & (size > 0.05 / width)
+    w, size, gradient, index = w[good], size[good], gradient[good], index[good]
+    if len(w) < _LEAST:
+        return None
+    z = normal_quantile(w)
+    total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
+    middle = float(np.median(total))
+    inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
+    foot = index * spacing - z[:, None] * middle * inward
+
+    def share_at(points: Array) -> Array:
+        return np.asarray((interpolated(grey, points / spacing) - air) / (bone - air))
+
+    low, high, deep = (share_at(foot + reach * middle * inward) for reach in (-2.6, 2.6, 3.6))
+    slack = max(0.15, 2.5 * noise)
+    clean = (np.abs(low) < slack) & (np.abs(high - 1.0) < slack) & (np.abs(deep - 1.0) < slack)
+    if np.count_nonzero(clean) < _LEAST:
+        clean = np.abs(low) < slack + 0.05
+    if np.count_nonzero(clean) < _LEAST:
+        return None
+    bent = np.zeros(len(foot))
+    for tangent in _tangents(inward):
+        beside = [share_at(foot + sign * _BESIDE * middle * tangent) for sign in (-1.0, 1.0)]
+        bent = np.maximum(bent, np.abs(0.5 * (beside[0] + beside[1]) - 0.5))
+    flat = clean & (bent < max(_FLAT, 1.2 * noise))
+    if np.count_nonzero(flat) >= 2 * _LEAST:
+        clean = flat
+    return _Edges(total[clean], inward[clean], bent[clean], total, width)
+
+
+def _middling(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    levels: tuple[float, float],
+    reach: NDArray[np.int_],
+) -> NDArray[np.int64]:
+    """Return the places z, y, x of voxels of middle grey value, away from the border of the box."""
+    air, bone = levels
+    low, high = air + 0.2 * (bone - air), air + 0.8 * (bone - air)
+    return places_between(grey, near_edge, min(low, high), max(low, high), reach)
+
+
+def _smooth_gradient(
+    grey: NDArray[np.float32],
+    index: NDArray[np.int64],
+    levels: tuple[float, float],
+    spacing: Array,
+    width: float,
+    reach: NDArray[np.int_],
+) -> tuple[Array, Array, float]:
+    """Return share (n,) and its gradient (n, 3) per mm, smoothed by a Gaussian of deviation ``width``.
+
+    The third value is the variance of the gradient per variance of white noise.
+    """
+    air, bone = levels
+    offsets = [np.arange(-r, r + 1) for r in reach]
+    pairs = []
+    for o, h in zip(offsets, spacing, strict=True):
+        k = np.exp(-0.5 * (o * h / width) ** 2)
+        pairs.append(np.column_stack([k / k.sum(), k * (o * h) / (k @ (o * h) ** 2)]))
+    every = _smoothed(grey, index, pairs, reach)
+    w, gradient = (every[:, 0] - air) / (bone - air), every[:, 1:] / (bone - air)
+    square = [(pair**2).sum(axis=0) for pair in pairs]
+    spread = sum(float(np.prod([square[m][1 if m == axis else 0] for m in range(3)])) for axis in range(3))
+    return w, gradient, spread
+
+
+def _smoothed(
+    grey: NDArray[np.float32], index: NDArray[np.int64], pairs: list[Array], reach: NDArray[np.int_]
+) -> Array:
+    """Return the value and its slopes along z, y, x at places, (n, 4), by weights (k, 2) for each axis."""
+    kernels = compiled()
+    if kernels is not None:
+        grey = np.ascontiguousarray(grey)
+        place = np.ascontiguousarray(index, dtype=np.int64)
+        wide = np.ascontiguousarray(reach, dtype=np.int64)
+        weights = np.concatenate([pair.T.ravel() for pair in pairs])
+        found = np.empty((len(place), 4))
+        kernels.smooth_slopes(
+            *(grey.ctypes.data, shape_of(grey), place.ctypes.data, len(place), wide.ctypes.data),
+            *(weights.ctypes.data, found.ctypes.data),
+        )
+        return found
+    offsets = [np.arange(-r, r + 1) for r in reach]
+    blocks = grey[
+        (index[:, 0, None] + offsets[0])[:, :, None, None],
+        (index[:, 1, None] + offsets[1])[:, None, :, None],
+        (index[:, 2, None] + offsets[2])[:, None, None, :],
+    ].astype(float)
+    along_yx = np.einsum("nijc,jb->nibc", blocks @ pairs[2], pairs[1], optimize=True)
+    every = np.einsum("nibc,ia->nabc", along_yx, pairs[0], optimize=True)
+    return np.stack([every[:, 0, 0, 0], every[:, 1, 0, 0], every[:, 0, 1, 0], every[:, 0, 0, 1]], axis=1)
+
+
+def _tangents(normal: Array) -> tuple[Array, Array]:
+    """Return two unit vectors (n, 3) across each normal (n, 3) and each other."""
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return first, np.cross(normal, first)

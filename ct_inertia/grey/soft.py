@@ -1,0 +1,222 @@
+"""What surrounds the stapes and is neither air nor bone: ligament, fluid, glue; found, and taken off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.grey.level_fit import blurred, body_share
+from ct_inertia.grey.levels import Air
+from ct_inertia.grey.partial_volume import sensitivity
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.surface.moments import Moments
+from ct_inertia.volume.grids import gaussian
+from ct_inertia.volume.masked import every_nth
+from ct_inertia.volume.normal import normal_cdf, normal_quantile
+from ct_inertia.volume.volume import Volume
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+
+# Of the collar around the stapes: where blur leaves less bone than this it is looked at.
+_MOST_BONE = 0.12
+# In cells of this width and of so many voxels at least.
+_CELL_MM, _LEAST_CELL = 0.2, 12
+# A cell is soft from this share of the contrast on, and so many standard deviations of noise.
+_LEAST_SHARE, _STANDS_OUT = 0.03, 5.0
+# There is something soft when so much of the collar and so many cells are.
+_LEAST_PART, _LEAST_CELLS = 0.001, 3
+# Voxels that are looked at, evenly spread: they bound the time.
+_MOST_LOOKED_AT = 150_000
+# Width of the window over which the medium is even, in widths of the blur, and rounds of the alternation.
+_WINDOW_SIGMAS, _ROUNDS = 2.0, 5
+# The densest medium that can be told from bone, and the share of bone up to which a voxel tells the medium.
+_MOST_SOFT, _CLEAR = 0.85, 0.4
+# How wrong what was taken off may be, as a share of itself (standard deviation): for the mass, for the frame,
+# and where the plate is part of it, which it is from the last of these shares on.
+_SD, _FRAME_SD, _PLATE_SD, _TOUCHED = 0.15, 0.3, 0.5, 0.02
+# Share of the volume from which on a notice is worth reading.
+_TOLD = 5e-4
+
+
+@dataclass(frozen=True)
+class Soft:
+    """Something soft around the stapes.
+
+    Attributes
+    ----------
+    grey : ndarray of float32, [z, y, x]
+        The box's grey values as they would be with air in its place.
+    taken : ndarray of float32, [z, y, x]
+        What was taken off, as a share of the contrast between bone and air.
+    level : float
+        Its typical grey value, as a share of that contrast.
+    """
+
+    grey: NDArray[np.float32]
+    taken: NDArray[np.float32]
+    level: float
+
+    @property
+    def doubt(self) -> NDArray[np.float32]:
+        """By how much the share of bone may be wrong all around at once, where the frame is concerned."""
+        return self.taken * np.float32(_FRAME_SD)
+
+
+def without_soft(
+    cut: Cut,
+    distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
+    reach_mm: float,
+    spacing_mm: Array,
+    levels: tuple[Air, float, float | None],
+    sigma_mm: float,
+) -> Soft | None:
+    """Find what is soft around the stapes and take it off the grey values; None where there is nothing.
+
+    Parameters
+    ----------
+    cut : Cut
+        The plate's face subtracted.
+    distances_mm : (ndarray of float32, [z, y, x], the same or None)
+        From the stapes, and from other bone where that is near.
+    reach_mm : float
+        How far the stapes' blur reaches.
+    spacing_mm : ndarray, (3,)
+    levels : (Air, bone, between)
+        ``between``: the grey value above which voxels were taken for bone; None: half way.
+    sigma_mm : float
+        Standard deviation of the point spread.
+
+    Notes
+    -----
+    In a medium of the level b (air 0, bone 1) a body's blurred grey value is b + (1 - b) m, m its share
+    blurred in air; its surface lies at (1 + b) / 2. m is modelled as a two-valued body with that surface,
+    b = sum G (1 - m) (w - m) / sum G (1 - m)^2 over a Gaussian window G of two widths of the blur, in turn;
+    then m = (w - b) / (1 - b) takes the place of w. Inside bone that changes nothing.
+    """
+    if not _seen(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
+        return None
+    return taken_off(cut, distances_mm[0], reach_mm, spacing_mm, levels[:2], sigma_mm)
+
+
+def taken_off(
+    cut: Cut,
+    distance_mm: NDArray[np.float32],
+    reach_mm: float,
+    spacing_mm: Array,
+    levels: tuple[Air, float],
+    sigma_mm: float,
+) -> Soft:
+    """Take what is soft around the stapes off the grey values; see ``without_soft``."""
+    air, bone = levels
+    contrast = bone - air.level
+    near = distance_mm < 1.99 * reach_mm
+    box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in np.nonzero(near))
+    share = (cut.grey[box] - np.float32(air.level)) / np.float32(contrast)
+    spacing = spacing_mm[::-1]
+    everywhere = np.ones(share.shape, dtype=bool)
+    width = _WINDOW_SIGMAS * sigma_mm / spacing
+    noise = air.noise / contrast * np.sqrt(air.correlation)
+    least = max(0.5 * _LEAST_SHARE, 3.0 * noise / np.sqrt(float(np.prod(2.0 * np.sqrt(np.pi) * width))))
+    medium = np.zeros_like(share)
+    calm = gaussian(share, 0.6, truncate=3.0)
+    for _ in range(_ROUNDS):
+        body = body_share(calm, np.float32(0.5) * (1 + medium), everywhere)
+        model = blurred(body, sigma_mm, spacing)
+        free = np.where(model < _CLEAR, 1 - model, np.float32(0.0))
+        total = gaussian(free * (share - model), width, truncate=3.0)
+        weight = gaussian(free * free, width, truncate=3.0)
+        medium = total / np.maximum(weight, np.float32(1e-3))
+        medium *= np.clip((medium - least) / least, 0.0, 1.0)
+        np.minimum(medium, np.float32(_MOST_SOFT), out=medium)
+    taken = share - (share - medium) / (1 - medium)
+    # Bone itself is left as it is: there the medium is unknown and stands for nothing.
+    taken *= model < 0.98
+    grey, whole = cut.grey.copy(), np.zeros_like(cut.grey)
+    whole[box] = taken
+    grey[box] -= np.float32(contrast) * taken
+    collar = (medium > least) & (distance_mm[box] <= reach_mm) & (model < _CLEAR)
+    level = float(np.median(medium[collar])) if np.any(collar) else 0.0
+    return Soft(grey, whole, level)
+
+
+def _seen(
+    cut: Cut,
+    distances_mm: tuple[NDArray[np.float32], NDArray[np.float32] | None],
+    reach_mm: float,
+    spacing_mm: Array,
+    levels: tuple[Air, float, float | None],
+    sigma_mm: float,
+) -> bool:
+    """Look at the collar around the stapes, cell by cell, for grey values that blur does not explain."""
+    (distance_mm, away_mm), (air, bone, between) = distances_mm, levels
+    # Distances are from the first voxel above ``between``: the surface at the middle level lies beside it.
+    start = 0.5 if between is None else float(np.clip((between - air.level) / (bone - air.level), 0.02, 0.98))
+    half = 0.5 * float(spacing_mm.mean()) + sigma_mm * float(normal_quantile(start))
+    collar = (distance_mm > np.float32(max(sigma_mm + half, 0.0))) & (distance_mm < np.float32(reach_mm))
+    index = every_nth(collar, max(1, int(np.count_nonzero(collar)) // _MOST_LOOKED_AT))
+    if len(index) == 0:
+        return False
+    model = normal_cdf(-(distance_mm.ravel()[index].astype(float) - half) / sigma_mm)
+    if away_mm is not None:
+        model = model + normal_cdf(-(away_mm.ravel()[index].astype(float) - half) / sigma_mm)
+    good = model < _MOST_BONE
+    index, model = index[good], model[good]
+    if len(index) == 0:
+        return False
+    rest = (cut.grey.ravel()[index] - air.level) / (bone - air.level) - model
+    places = np.stack(np.unravel_index(index, cut.grey.shape), axis=1) * spacing_mm[::-1]
+    cell = np.floor((places - places.min(axis=0)) / _CELL_MM).astype(np.int64)
+    width = cell.max(axis=0) + 1
+    number = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
+    count = np.bincount(number)
+    used = count >= _LEAST_CELL
+    if not np.any(used):
+        return False
+    mean = np.bincount(number, rest)[used] / count[used]
+    expected = np.bincount(number, model)[used] / count[used]
+    noise = air.noise / (bone - air.level) * np.sqrt(air.correlation / count[used])
+    soft = mean > np.maximum(_LEAST_SHARE + 0.5 * expected, _STANDS_OUT * noise)
+    part = count[used][soft].sum() / count[used].sum()
+    return bool(np.count_nonzero(soft) >= _LEAST_CELLS and part > _LEAST_PART)
+
+
+def by_soft(
+    soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments, face: bool
+) -> Array:
+    """Return the covariance (10, 10) of what was taken off, known to a part of itself.
+
+    ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
+    half of it is common to all. Where the plate is part of it, for no plane face of it could be fitted
+    (``face`` false), less of it is known.
+    """
+    plate = not cut.immersed and bool(np.any(cut.plate & (soft.taken > _TOUCHED)))
+    hard = plate and not face
+    index = np.argwhere(own & (np.abs(soft.taken) > 1e-4))
+    covariance = np.zeros((10, 10))
+    if len(index) == 0:
+        return covariance
+    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+    amount = soft.taken[tuple(index.T)].astype(float) * volume.voxel_mm3 * (_PLATE_SD if hard else _SD)
+    steps = sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None]
+    octant = (away > np.median(away, axis=0)) @ np.array([1, 2, 4])
+    parts = [steps[octant == part].sum(axis=0) for part in range(8)]
+    for step in (*parts, np.sum(parts, axis=0)):
+        covariance += 0.5 * np.outer(step, step)
+    return covariance
+
+
+def soft_notices(soft: Soft, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
+    """Say what surrounds the stapes, whose voxels are ``own`` [z, y, x], and how much of it was taken off."""
+    share = float(soft.taken[own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
+    if share < _TOLD:
+        return []
+    text = (
+        f"Something neither air nor bone lies against the stapes (ligament, fluid, glue or mucosa, about "
+        f"{100.0 * soft.level:.0f} % as bright as bone): {100.0 * share:.2g} % of the volume were taken off "
+        f"for it, and the budget holds what is not known of that (surroundings). Its own mass is left out: "
+        f"name it with --add-mass; dry or clean the sample to be sure."
+    )
+    return [Notice("soft_surroundings", text)]

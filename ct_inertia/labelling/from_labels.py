@@ -1,0 +1,351 @@
+"""Bodies from a label volume made elsewhere, with or without the grey values it was drawn on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.grey.border import CODE, BorderCut, border_notices, cut_notice
+from ct_inertia.grey.frame_surface import doubted_surface, frame_surface
+from ct_inertia.grey.levels import Guess
+from ct_inertia.grey.partial_volume import sensitivity, with_voxel_size
+from ct_inertia.segment.cutting import Cut, box_around
+from ct_inertia.segment.separate import flooded
+from ct_inertia.segment.sight import SearchOptions
+from ct_inertia.surface.isosurface import iso_surface, volume_matched
+from ct_inertia.surface.moments import Moments
+from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+_SAME_GRID = 0.05
+_LEAST_VOXELS = 50
+_SURFACE_BLUR = 0.8
+_BEYOND = 2
+_LEAST_END = 10
+
+
+def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
+    """Take stapes and plate from a label volume; measure them by grey values where there are some.
+
+    Raises
+    ------
+    CtInertiaError
+        No label volume, no voxel of the stapes' number, values that are no labels, or labels whose grid
+        is not a part of the scan's.
+    """
+    labels = options.labels
+    if labels is None:
+        raise CtInertiaError("the label volume must be given; got none. Give it with --labels.")
+    _check_labels(labels, options)
+    if volume is None:
+        return _labels_alone(labels, options)
+    return _with_grey(volume, labels, options)
+
+
+def _check_labels(labels: Volume, options: SearchOptions) -> None:
+    array = labels.array
+    name = "the label volume" if labels.source is None else Path(labels.source).name
+    if array.dtype.kind == "f" and any(np.any(piece != np.rint(piece)) for piece in array):
+        raise CtInertiaError(
+            sentence(
+                "the label volume",
+                "whole numbers, one for each body",
+                "grey values",
+                name,
+                "Give the scan as the first argument and its segmentation with --labels",
+            )
+        )
+    count = sum(int(np.count_nonzero(piece == options.stapes_label)) for piece in array)
+    if count < _LEAST_VOXELS:
+        present = sorted({int(v) for piece in array[:: max(1, len(array) // 64)] for v in np.unique(piece)})
+        raise CtInertiaError(
+            sentence(
+                "the label volume",
+                f"one with voxels of the stapes (number {options.stapes_label})",
+                f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
+                name,
+                "Name the stapes' number with --stapes-label",
+            )
+        )
+
+
+def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
+    """Measure the solid that the labelled voxels fill."""
+    stapes = np.asarray(labels.array == options.stapes_label)
+    moments = voxel_moments(stapes, labels)
+    if options.voxel_size_sd is not None:
+        moments = with_voxel_size(moments, options.voxel_size_sd, labels.origin_mm)
+    surface = label_surface(stapes, labels, moments.volume_mm3)
+    plate = np.asarray(labels.array == options.plate_label)
+    plate_mesh = label_surface(plate, labels, None) if np.count_nonzero(plate) >= _LEAST_VOXELS else None
+    rest = np.asarray(labels.array != 0) & ~stapes & ~plate
+    text = (
+        "The bodies come from labels alone: without grey values their surfaces are known to the voxel only, "
+        "and a threshold's bias of some percent in volume stays unseen. Give the scan together with --labels."
+    )
+    return Bodies(
+        volume=labels,
+        labels=_labelled(stapes, plate, rest, labels),
+        stapes=surface,
+        frame_surface=surface,
+        plate=plate_mesh,
+        moments=moments,
+        mesh_moments=surface.moments(),
+        levels=None,
+        psf_sigma_mm=0.0,
+        evidence={"separation": "labels alone"},
+        notices=(*labels.notices, Notice("labels_alone", text), *_cut_by_border(stapes, labels.spacing_mm)),
+    )
+
+
+def voxel_moments(mask: NDArray[np.bool_], grid: Volume) -> Moments:
+    """Return the exact moments of the solid made of a mask's voxels.
+
+    Its one contribution, ``separation``, is what a shift of the whole surface by a quarter of a voxel does:
+    how far a drawn border may lie from the true one.
+
+    Notes
+    -----
+    Each voxel is a brick: its own second moments, h^2 / 12 times its volume along each axis, are part of
+    the sum.
+    """
+    from scipy.ndimage import binary_dilation, binary_erosion
+
+    index = np.stack(np.nonzero(mask)[::-1], axis=1).astype(float)
+    axes = grid.direction * grid.spacing_mm
+    middle = index.mean(axis=0)
+    points = (index - middle) @ axes.T
+    volume = len(index) * grid.voxel_mm3
+    brick = axes @ axes.T / 12.0
+    second = grid.voxel_mm3 * points.T @ points + volume * brick
+    padded = np.pad(mask, 1)
+    rim = (binary_dilation(padded) & ~binary_erosion(padded))[1:-1, 1:-1, 1:-1]
+    away = (np.stack(np.nonzero(rim)[::-1], axis=1) - middle) @ axes.T
+    step = sensitivity(away, volume, 0.0).sum(axis=0) * grid.voxel_mm3 * 0.125
+    contributions = {"separation": np.outer(step, step)}
+    return Moments(volume, grid.scan_points(middle), 0.5 * (second + second.T), contributions)
+
+
+def label_surface(mask: NDArray[np.bool_], grid: Volume, volume_mm3: float | None) -> Surface:
+    """Return a closed surface of a mask, its steps smoothed by less than a voxel."""
+    from scipy.ndimage import gaussian_filter
+
+    index = np.nonzero(mask)
+    low = np.array([max(0, int(k.min()) - 4) for k in index])
+    high = np.array([int(k.max()) + 5 for k in index])
+    part = mask[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    field = gaussian_filter(np.pad(part, 3).astype(np.float32), _SURFACE_BLUR)
+    transform = grid.scan_from_index.copy()
+    transform[:3, 3] = grid.scan_points(low[::-1] - 3)
+    if volume_mm3 is None:
+        return iso_surface(field, 0.5, transform)
+    return volume_matched(field, volume_mm3, transform)[0]
+
+
+def _labelled(
+    stapes: NDArray[np.bool_], plate: NDArray[np.bool_], rest: NDArray[np.bool_], grid: Volume
+) -> LabelledVolume:
+    index = np.nonzero(stapes | plate | rest)
+    box = tuple(slice(int(k.min()), int(k.max()) + 1) for k in index)
+    labels = np.zeros([s.stop - s.start for s in box], dtype=np.uint8)
+    for mask, number in ((rest, OTHER_BONE), (plate, PLATE), (stapes, STAPES)):
+        labels[mask[box]] = number
+    first = np.array([s.start for s in reversed(box)], dtype=np.int64)
+    return LabelledVolume.of_array(labels, first, grid)
+
+
+def _cut_by_border(stapes: NDArray[np.bool_], spacing_mm: Array) -> list[Notice]:
+    """Warn when the labels end in a flat cut at the border; a crop that only touches them does not count."""
+    found = []
+    for axis in range(3):
+        layers = np.moveaxis(stapes, axis, 0)
+        for end, outer, inner in (("first", layers[0], layers[1]), ("last", layers[-1], layers[-2])):
+            count = int(np.count_nonzero(outer))
+            if count > max(_LEAST_VOXELS, 0.8 * np.count_nonzero(inner)):
+                found.append(_border_cut(axis, end, count, spacing_mm))
+    return [cut_notice(found, "label volume")] if found else []
+
+
+def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut:
+    """Return the cut in a layer across an axis of an array [z, y, x]."""
+    across = 2 - axis
+    return BorderCut("xyz"[across], end, float(count * np.prod(np.delete(spacing_mm, across))))
+
+
+def _cut_by_labels(
+    volume: Volume, labels: Volume, offset: NDArray[np.int64], options: SearchOptions, middle: float
+) -> list[Notice]:
+    """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
+    from ct_inertia.volume.coarse import finite
+
+    for axis in range(3):
+        start, count = int(offset[2 - axis]), labels.array.shape[axis]
+        ends = (("first", 0, start - _BEYOND), ("last", count - 1, start + count - 1 + _BEYOND))
+        for name, layer, beyond in ends:
+            if not 0 <= beyond < volume.array.shape[axis]:
+                continue
+            end = np.take(labels.array, layer, axis=axis) == options.stapes_label
+            rest = [
+                slice(int(offset[2 - k]), int(offset[2 - k]) + labels.array.shape[k])
+                for k in range(3)
+                if k != axis
+            ]
+            rest.insert(axis, slice(beyond, beyond + 1))
+            further = finite(np.asarray(volume.array[tuple(rest)]), volume).squeeze(axis) > middle
+            if np.count_nonzero(end & further) > max(_LEAST_END, 0.5 * np.count_nonzero(end)):
+                there = _border_cut(axis, name, int(np.count_nonzero(end)), labels.spacing_mm)
+                text = (
+                    f"The stapes touches the border of the label volume at {there.told} while its bone goes "
+                    f"on in the scan: what lies beyond is missing from volume and mass, and the uncertainty "
+                    f"does not hold it. Draw the labels to its end."
+                )
+                return [Notice(CODE, text)]
+    return []
+
+
+def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
+    """Return the index x, y, z of the labels' first voxel in the scan."""
+    spacing = np.max(np.abs(labels.spacing_mm / volume.spacing_mm - 1.0))
+    turned = np.max(np.abs(labels.direction - volume.direction))
+    place = volume.index_points(labels.origin_mm)
+    offset = np.rint(place).astype(np.int64)
+    fits = np.all(offset >= 0) and np.all(offset + labels.size <= volume.size)
+    if spacing < 1e-3 and turned < 1e-3 and np.max(np.abs(place - offset)) < _SAME_GRID and fits:
+        return offset
+    if np.array_equal(labels.size, volume.size) and not labels.handedness_confirmed:
+        return np.zeros(3, dtype=np.int64)
+    raise CtInertiaError(
+        sentence(
+            "the label volume",
+            f"on the voxels of the scan ({_grid(volume)})",
+            _grid(labels),
+            "" if labels.source is None else Path(labels.source).name,
+            "Resample it onto the scan, or give --labels alone",
+        )
+    )
+
+
+def _grid(volume: Volume) -> str:
+    size = " x ".join(map(str, volume.size))
+    spacing = " x ".join(f"{v:.6g}" for v in volume.spacing_mm)
+    origin = ", ".join(f"{v:.6g}" for v in volume.origin_mm)
+    return f"{size} voxels of {spacing} mm from {origin}"
+
+
+def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies:
+    """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
+    from ct_inertia.grey.measure import measure
+    from ct_inertia.volume.coarse import finite
+
+    offset = _offset(volume, labels)
+    stapes_low, stapes_high = _reach(labels, options.stapes_label)
+    first, box = box_around(volume, stapes_low + offset, stapes_high + offset)
+    grey = finite(volume.array[box], volume)
+    local = np.zeros(grey.shape, dtype=np.int64)
+    low = np.maximum(first, offset)
+    high = np.minimum(first + np.array(grey.shape[::-1]), offset + labels.size)
+    source = tuple(
+        slice(int(a), int(b)) for a, b in zip((low - offset)[::-1], (high - offset)[::-1], strict=True)
+    )
+    target = tuple(
+        slice(int(a), int(b)) for a, b in zip((low - first)[::-1], (high - first)[::-1], strict=True)
+    )
+    local[target] = labels.array[source]
+    stapes, plate = local == options.stapes_label, local == options.plate_label
+    rest = (local != 0) & ~stapes & ~plate
+    guess = _guess(grey, stapes, local, volume.spacing_mm)
+    ends = _cut_by_labels(volume, labels, offset, options, 0.5 * (guess.air + guess.bone))
+    cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
+    measured = measure(volume, cut, guess)
+    moments = measured.moments
+    if options.voxel_size_sd is not None:
+        moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
+    surface, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
+    coarse, blur = frame_surface(measured.share, cut.scan_from_box(volume), measured.sigma_mm)
+    every = np.asarray(labels.array)
+    plate_all = np.asarray(every == options.plate_label)
+    plate_mesh = None
+    placed = replace(
+        labels, spacing_mm=volume.spacing_mm, origin_mm=volume.scan_points(offset), direction=volume.direction
+    )
+    if np.count_nonzero(plate_all) >= _LEAST_VOXELS:
+        plate_mesh = label_surface(plate_all, placed, None)
+    mask = every == options.stapes_label
+    labelled = _labelled(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
+    evidence: dict[str, Any] = {
+        "separation": cut.method,
+        "iso_level_share": float(level),
+        "psf_sigma_mm": measured.sigma_mm,
+        "psf_from": measured.sigma_from,
+    }
+    return Bodies(
+        volume=volume,
+        labels=LabelledVolume.of_array(labelled.labels, labelled.first_index + offset, volume),
+        stapes=surface,
+        frame_surface=coarse,
+        frame_blur_mm=blur,
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(volume)),
+        plate=plate_mesh,
+        moments=moments,
+        mesh_moments=surface.moments(),
+        levels=measured.levels,
+        psf_sigma_mm=measured.sigma_mm,
+        plate_face=measured.plate_face,
+        evidence=evidence,
+        notices=(*volume.notices, *measured.notices, *border_notices(volume, cut), *ends),
+    )
+
+
+def _guess(
+    grey: NDArray[np.float32], stapes: NDArray[np.bool_], local: NDArray[np.int64], spacing_mm: Array
+) -> Guess:
+    """Guess the levels: air away from every label, bone deep inside the stapes."""
+    step = float(spacing_mm.max())
+    far = capped_distance(local != 0, spacing_mm, 6.0 * step) > 5.0 * step
+    depth = capped_distance(~stapes, spacing_mm, 6.0 * step)
+    deep = depth >= 0.9 * float(depth.max())
+    outside = grey[far] if np.any(far) else grey
+    air = float(np.percentile(outside, 30.0))
+    spread = air - float(np.percentile(outside, 5.0))
+    bone = float(np.median(grey[deep]))
+    if not bone - air > 4.0 * spread:
+        raise CtInertiaError(
+            sentence(
+                "the stapes of the label volume",
+                "brighter than the air around it",
+                f"grey values about {bone:.6g} inside and {air:.6g} outside",
+                next_step="Check that the labels belong to this scan and lie on it",
+            )
+        )
+    return Guess(air, bone)
+
+
+def _cut(drawn: Cut, guess: Guess, spacing_mm: Array) -> Cut:
+    """Let the grey values place the surfaces where a label was drawn a voxel or two off them.
+
+    Bone more than three voxels away from the drawn stapes is other bone, labelled or not; what lies between
+    goes to the body whose flood of grey values reaches it first.
+    """
+    bone = drawn.grey > 0.5 * (guess.air + guess.bone)
+    step = float(spacing_mm.max())
+    near = capped_distance(drawn.stapes, spacing_mm, 4.0 * step) <= 3.0 * step
+    other = bone & ~drawn.stapes & (~near | drawn.others) & ~drawn.plate
+    markers = (drawn.stapes & bone).astype(np.int32) + 2 * other.astype(np.int32)
+    parts = flooded(drawn.grey, markers, bone & ~drawn.plate)
+    return replace(drawn, stapes=parts == 1, others=parts == 2)
+
+
+def _reach(labels: Volume, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    index = np.nonzero(labels.array == number)[::-1]
+    low = np.array([int(k.min()) for k in index], dtype=np.int64)
+    return low, np.array([int(k.max()) + 1 for k in index], dtype=np.int64)

@@ -1,0 +1,171 @@
+"""From a scan to the bodies in it: the stapes with its moments, the plate, the other bone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.bodies import Bodies
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
+from ct_inertia.grey.border import border_notices
+from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
+from ct_inertia.grey.levels import Guess
+from ct_inertia.grey.measure import Measured, measure
+from ct_inertia.grey.partial_volume import with_voxel_size
+from ct_inertia.grey.thresholded import is_thresholded, with_threshold
+from ct_inertia.labelling.label_box import label_box
+from ct_inertia.segment.cutting import Cut, cut_out
+from ct_inertia.segment.plate_region import PlateRegion, find_plate
+from ct_inertia.segment.search import look
+from ct_inertia.segment.sight import SearchOptions, Sight
+from ct_inertia.surface.isosurface import volume_matched
+from ct_inertia.volume.coarse import Glance, calmed, take_glance
+from ct_inertia.volume.progress import Tell, untold
+from ct_inertia.volume.volume import Volume
+from stapeskit.background import Later
+from stapeskit.warnings import unique
+
+Array = NDArray[np.float64]
+
+# Imported while the stapes is cut out, not when it is waited for.
+_NEEDED_LATER = ("numpy.ma", "numpy.random", "ct_inertia.frames.plane_faces", "ct_inertia.frames.plate_frame")
+
+
+def find_bodies(
+    volume: Volume | None,
+    options: SearchOptions | None = None,
+    progress: Tell = untold,
+    glance: Later[Glance] | None = None,
+) -> Bodies:
+    """Find stapes, plate and other bone in a scan, and measure the stapes.
+
+    Parameters
+    ----------
+    volume : Volume or None
+        Grey values; None to take the bodies from ``options.labels`` alone.
+    options : SearchOptions, optional
+    progress : callable
+        Called with a few words at the beginning of each stage.
+    glance : Later of Glance, optional
+        The coarse view of the whole volume, when it is being taken already.
+
+    Returns
+    -------
+    Bodies
+
+    Raises
+    ------
+    CtInertiaError
+        No body that can be a stapes, or several; labels that are missing or lie elsewhere; nothing given.
+    """
+    options = options or SearchOptions()
+    if options.labels is not None:
+        from ct_inertia.labelling.from_labels import bodies_from_labels
+
+        return bodies_from_labels(volume, options)
+    if volume is None:
+        raise CtInertiaError("the scan must be given; got none. Give a volume or labels.")
+    if options.box_mm is not None:
+        volume, glance = volume.cropped(options.box_mm), None
+    glance = glance or Later(take_glance, volume)
+    sight = look(volume, options, glance.taken())
+    imports = Later(_import, _NEEDED_LATER)
+    progress("cutting the stapes out")
+    finding = Later(find_plate, sight)
+    cut = cut_out(volume, sight, finding.result)
+    plate = finding.result()
+    if plate is not None and plate.immersing:
+        plate = None
+    plate_mesh = None if plate is None else Later(surface_with_planes, volume, sight, plate)
+    # The coarse grey values have done their work: the working copy takes their place in memory.
+    sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
+    progress("measuring the stapes")
+    bodies = _assembled(volume, sight, plate, plate_mesh, cut, options)
+    imports.result()
+    return bodies
+
+
+def _import(names: Sequence[str]) -> None:
+    for name in names:
+        import_module(name)
+
+
+def _assembled(
+    volume: Volume,
+    sight: Sight,
+    plate: PlateRegion | None,
+    plate_mesh: Later[PlateSurface | None] | None,
+    cut: Cut,
+    options: SearchOptions,
+) -> Bodies:
+    """Measure what was cut out and build surfaces and labels."""
+    grid = volume if cut.working is None else cut.working.volume
+    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between))
+    moments = measured.moments
+    if options.voxel_size_sd is not None:
+        moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
+    share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
+    mesh = Later(volume_matched, share, moments.volume_mm3, cut.scan_from_box(grid))
+    coarse, blur = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
+    notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
+    notices += border_notices(volume, cut)
+    stapes, level = mesh.result()
+    if is_thresholded(_as_stored(cut)):
+        moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))
+        notices.append(notice)
+    levels = replace(measured.levels, plastic=None if plate is None else sight.plastic)
+    return Bodies(
+        volume=volume,
+        labels=label_box(volume, sight, plate, cut, replace(measured, share=share), level),
+        stapes=stapes,
+        frame_surface=coarse,
+        frame_blur_mm=blur,
+        frame_noise_mm4=height_noise_of(
+            measured.levels.noise / measured.levels.contrast,
+            measured.correlation,
+            cut.scan_from_box(grid),
+            blur,
+        ),
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(grid)),
+        plate=None if plate_mesh is None else plate_mesh.result(),
+        moments=moments,
+        mesh_moments=stapes.moments(),
+        levels=levels,
+        psf_sigma_mm=measured.sigma_mm,
+        plate_face=measured.plate_face,
+        evidence=_evidence(sight, cut, measured, level),
+        notices=unique(notices),
+    )
+
+
+def _as_stored(cut: Cut) -> NDArray[Any]:
+    """Return grey values of the box that are no means of several voxels."""
+    single = None if cut.working is None else cut.working.single
+    return cut.grey if single is None else single
+
+
+def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[str, Any]:
+    def listed(values: Sequence[float] | Array) -> list[float]:
+        return [float(v) for v in values]
+
+    return {
+        "stapes": sight.stapes.as_json(),
+        "other_bone": [piece.as_json() for piece in sight.others[:5]],
+        "coarse_spacing_mm": listed(sight.scan.spacing_mm),
+        "material_levels": listed(
+            [sight.air, *([] if sight.plastic is None else [sight.plastic]), sight.bone]
+        ),
+        "bone_above": float(sight.between),
+        "separation": cut.method,
+        "iso_level_share": float(level),
+        "psf_sigma_mm": float(measured.sigma_mm),
+        "psf_from": measured.sigma_from,
+        "noise_correlation": float(measured.correlation),
+        "air_clipped_share": float(measured.air_clipped),
+    }

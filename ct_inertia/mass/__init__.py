@@ -1,0 +1,1 @@
+"""Density, calibration and point masses: from moments to the mass matrix and its budget."""

@@ -1,0 +1,85 @@
+"""The uncertainty of the mass matrix in a form that a person can read: one row per source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.spatial import parameter_basis
+
+Array = NDArray[np.float64]
+
+SOURCES = {
+    "levels": "grey levels of air and bone",
+    "noise": "voxel noise",
+    "psf": "blur of the scan",
+    "separation": "cut between stapes and what touches it",
+    "plate": "face of the plate",
+    "inhomogeneity": "uneven bone",
+    "cupping": "cupping of bone",
+    "threshold": "threshold that made the scan",
+    "voxel_size": "voxel size",
+    "density": "density",
+    "mass": "measured mass",
+    "calibration": "grey-to-density calibration",
+    "added_mass": "added masses",
+    "frame": "footplate frame",
+}
+
+
+def budget(matrix: MassMatrix) -> dict[str, dict[str, Any]]:
+    """Return the standard deviations that each source adds, and the total.
+
+    Returns
+    -------
+    dict
+        By source and for ``total``: ``mass_kg``, ``center_of_mass_m`` (3, axes of the matrix),
+        ``mass_matrix_diagonal_si`` (6; kg and kg m2).
+    """
+    parts: dict[str, Array] = {name: np.asarray(part) for name, part in matrix.contributions.items()}
+    rows = {name: _row(matrix, part) for name, part in parts.items()}
+    rows["total"] = _row(matrix, matrix.covariance)
+    return rows
+
+
+def _row(matrix: MassMatrix, covariance: Array) -> dict[str, Any]:
+    mass, first = matrix.parameters[0], matrix.parameters[1:4]
+    linear = np.zeros((3, 10))
+    linear[:, 0] = -first / mass**2
+    linear[:, 1:4] = np.eye(3) / mass
+    basis = parameter_basis()[:, range(6), range(6)]
+    variance = np.einsum("ai,ab,bi->i", basis, covariance, basis)
+    return {
+        "mass_kg": float(np.sqrt(max(covariance[0, 0], 0.0))),
+        "center_of_mass_m": _root(np.diag(linear @ covariance @ linear.T)),
+        "mass_matrix_diagonal_si": _root(variance),
+    }
+
+
+def _root(values: Array) -> list[float]:
+    return [float(value) for value in np.sqrt(np.maximum(values, 0.0))]
+
+
+def described(source: str) -> str:
+    """Return the words for a source."""
+    return SOURCES.get(source, source.replace("_", " "))
+
+
+def not_included(contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False) -> list[str]:
+    """Say what the budget does not hold: what nobody gave an uncertainty of, and what a border cut off."""
+    missing = []
+    if mass_known_by == "density" and "density" not in contributions:
+        missing.append("density not included")
+    if mass_known_by == "mass" and "mass" not in contributions:
+        missing.append("measured mass not included")
+    if mass_known_by == "calibration" and "calibration" not in contributions:
+        missing.append("calibration not included")
+    if "voxel_size" not in contributions:
+        missing.append("voxel size not included")
+    if cut:
+        missing.append("cut part not included")
+    return missing

@@ -1,0 +1,166 @@
+"""Three ways to a mass (balance, calibrated grey values, density): which leads, what the others say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
+from ct_inertia.surface.moments import Moments
+from stapeskit.faults import sentence
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.warnings import Notice
+
+if TYPE_CHECKING:
+    from ct_inertia.bodies import Bodies
+    from ct_inertia.mass.calibration import Calibration
+    from ct_inertia.mass.mass_options import MassOptions
+
+Array = NDArray[np.float64]
+
+WAYS = ("mass", "calibration", "density")
+WORDS = {
+    "mass": "the balance",
+    "calibration": "calibrated grey values",
+    "density": "the density given",
+}
+_LIKELY_SDS = 3.0
+_UNSTATED = 0.05
+
+
+@dataclass(frozen=True)
+class MassByWay:
+    """The mass matrix by one of the ways to a mass.
+
+    Attributes
+    ----------
+    way : str
+        ``mass``, ``calibration`` or ``density``.
+    body : MassProperties
+        Added masses included.
+    matrix : MassMatrix
+        About the footplate centre in footplate axes.
+    """
+
+    way: str
+    body: MassProperties
+    matrix: MassMatrix
+
+    def as_json(self, leading: MassMatrix) -> dict[str, Any]:
+        """Return mass, implied density and the change of the mass matrix against the leading one."""
+        centre = self.matrix.parameters[1:4] / self.matrix.parameters[0]
+        usual = leading.parameters[1:4] / leading.parameters[0]
+        root = np.sqrt(np.diag(leading.matrix))
+        change = (self.matrix.matrix - leading.matrix) / np.outer(root, root)
+        return {
+            "by": self.way,
+            "mass_kg": self.body.mass_kg,
+            "mass_sd_kg": float(self.matrix.standard_deviation[0, 0]),
+            "density_kg_m3": self.body.density_kg_m3,
+            "mass_change_percent": 100.0 * (self.body.mass_kg / float(leading.parameters[0]) - 1.0),
+            "center_of_mass_change_m": (centre - usual).tolist(),
+            "matrix_si": self.matrix.matrix.tolist(),
+            "matrix_change_percent": (100.0 * change).tolist(),
+            "matrix_change_of": "sqrt(Mii Mjj) of the leading matrix",
+        }
+
+
+def masses_by_way(
+    options: MassOptions,
+    calibration: Calibration | None,
+    bodies: Bodies | None,
+    moments: Moments,
+) -> dict[str, MassProperties]:
+    """Return the mass properties of the bone by every way that was given, the leading one first.
+
+    A measured mass leads, then a calibration, then a density: the balance sees the bone itself, the
+    calibration its grey values, and a density is mostly another bone's.
+
+    Parameters
+    ----------
+    options : MassOptions
+    calibration : Calibration or None
+    bodies : Bodies or None
+        None for a mesh.
+    moments : Moments
+        Of the grey values, or of the closed surface where there are none.
+
+    Raises
+    ------
+    CtInertiaError
+        A density that no bone has, or a calibration without grey values.
+    """
+    found: dict[str, MassProperties] = {}
+    if options.mass_mg is not None:
+        value, sd = options.mass_mg
+        found["mass"] = from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
+    if options.calibration is not None:
+        from ct_inertia.mass.calibration import from_calibration
+
+        if bodies is None or bodies.levels is None or calibration is None:
+            raise CtInertiaError(
+                sentence(
+                    "--calibration",
+                    "used with grey values",
+                    "labels alone",
+                    next_step="Give the scan as well, or --density",
+                )
+            )
+        from ct_inertia.grey.bone_shape import shape_moments
+
+        air, bone = bodies.levels.air, bodies.levels.bone
+        shape = shape_moments(bodies, air, bone)
+        found["calibration"] = from_calibration(moments, shape, air, bone, calibration)
+    if options.density is not None:
+        found["density"] = from_density(moments, *options.density)
+    return found
+
+
+def at_uniform_density(body: MassProperties, moments: Moments) -> MassProperties:
+    """Return the properties of another set of moments at the density of a body: a cross-check."""
+    return from_density(replace(moments, contributions={}), body.density_kg_m3, None)
+
+
+def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
+    """Warn where two ways give masses further apart than their standard deviations explain.
+
+    Where one of them has none, 5 % of the mass stand in for it.
+    """
+    if not ways:
+        return []
+    lead, *others = ways
+    found = []
+    for other in others:
+        stated = all(entry.way in entry.matrix.contributions for entry in (lead, other))
+        sd = float(np.hypot(lead.matrix.standard_deviation[0, 0], other.matrix.standard_deviation[0, 0]))
+        limit = _LIKELY_SDS * sd if stated else max(_LIKELY_SDS * sd, _UNSTATED * lead.body.mass_kg)
+        apart = other.body.mass_kg - lead.body.mass_kg
+        if abs(apart) > limit:
+            percent = 100.0 * apart / lead.body.mass_kg
+            found.append(
+                Notice(
+                    "masses_disagree",
+                    f"The mass by {WORDS[other.way]} is {apart * 1e6:+.3f} mg ({percent:+.1f} %) off that "
+                    f"by {WORDS[lead.way]}, which is used; their standard deviations explain "
+                    f"{limit * 1e6:.2g} mg. Check voxel size, density and balance.",
+                )
+            )
+    return found
+
+
+def not_stated(contributions: Mapping[str, Any], way: str) -> list[Notice]:
+    """Say that the leading way to the mass has no standard deviation."""
+    if way in contributions:
+        return []
+    code, thing, option = {
+        "density": ("density_sd_not_given", "the density", "--density RHO+-SD"),
+        "mass": ("mass_sd_not_given", "the mass", "--mass-mg M+-SD"),
+        "calibration": ("calibration_sd_not_given", "the calibration", "sd_kg_m3 in its file"),
+    }[way]
+    text = f"No standard deviation of {thing} was given ({option}): {way} not included in the budget."
+    return [Notice(code, text)]

@@ -1,0 +1,350 @@
+"""The report of a mass matrix: sections that other reports reuse, and a page of its own.
+
+The sections are made from what stands on disk (mass.json, the surfaces, the labels, the scan), so that a
+result read back gives the same report as a fresh one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.mass.budget import described
+from ct_inertia.report.report_evidence import evidence_rows
+from ct_inertia.report.report_masses import cross_check_section, files_blocks, masses_section
+from ct_inertia.surface.surface import Surface
+from stapeskit.frames import RigidTransform
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
+from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import Notice, from_json
+
+if TYPE_CHECKING:
+    from ct_inertia.bodies import LabelledVolume
+    from ct_inertia.ct2mass import MassResult
+
+Array = NDArray[np.float64]
+
+# Published human stapes: mean (range). Sim et al. 2013, JARO 14:159, micro-CT of 53 stapes.
+_ANATOMY = {
+    "height_mm": "3.43 (3.20 to 3.80)",
+    "footplate_length_mm": "2.71 (2.52 to 2.97)",
+    "footplate_width_mm": "1.23 (1.12 to 1.46)",
+    "mass_mg": "about 3",
+    "holes": "1",
+}
+_UNITS = {("t", "t"): "kg", ("t", "r"): "kg m", ("r", "t"): "kg m", ("r", "r"): "kg m²"}
+
+
+@dataclass(frozen=True)
+class Pictured:
+    """What the pictures need beside mass.json.
+
+    Attributes
+    ----------
+    stapes : Surface
+    plate : Surface or None
+    labelled : LabelledVolume or None
+        With the scan as its grid; None: no pictures of slices.
+    """
+
+    stapes: Surface
+    plate: Surface | None = None
+    labelled: LabelledVolume | None = None
+
+
+def mass_sections(
+    content: Mapping[str, Any], pictured: Pictured
+) -> tuple[list[page.Section], tuple[Notice, ...]]:
+    """Return the sections on bodies, frames and mass matrix.
+
+    Parameters
+    ----------
+    content : mapping
+        The content of mass.json.
+    pictured : Pictured
+
+    Returns
+    -------
+    sections : list of page.Section
+        Result; how the stapes was cut out; the bodies in their frames; the mass matrix; its uncertainty;
+        the ways to the mass; the cross-check.
+    notices : tuple of Notice
+        What went wrong with the pictures.
+    """
+    picture, notices = _bodies_section(content, pictured)
+    sections = [_found_section(content)]
+    if pictured.labelled is not None:
+        sections.append(_cut_section(content, pictured))
+    sections += [picture, _matrix_section(content), _budget_section(content)]
+    ways = masses_section(content)
+    sections += [cross_check_section(content)] if ways is None else [ways, cross_check_section(content)]
+    return sections, notices
+
+
+def write_report(
+    path: Path, result: MassResult, content: Mapping[str, Any], shown: Surface | None = None
+) -> dict[str, Any]:
+    """Write report.html; return ``content`` with the notices that drawing added.
+
+    Parameters
+    ----------
+    path : Path
+    result : MassResult
+    content : mapping
+        Of mass.json.
+    shown : Surface, optional
+        A lighter surface for the pictures.
+    """
+    labelled = None if result.bodies is None else result.bodies.labels
+    sections, notices = mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
+    full = dict(content)
+    full["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
+    source = result.options.scan or result.options.labels
+    made = page.Page(
+        f"Mass matrix of {Path(str(source)).name}",
+        "A stapes from micro-CT: its volume, frames and generalized mass matrix about the footplate centre.",
+        [
+            sections[0],
+            page.Section("Warnings", [page.notices(from_json(full["warnings"]))]),
+            *sections[1:],
+            inputs_section(full),
+        ],
+    )
+    made.write(path)
+    return full
+
+
+def inputs_section(content: Mapping[str, Any]) -> page.Section:
+    """Return inputs with hashes, options and versions."""
+    provenance = content["provenance"]
+    options = [(key.replace("_", " "), _given(key, value)) for key, value in provenance["parameters"].items()]
+    versions = ", ".join(f"{name} {number}" for name, number in provenance["versions"].items())
+    return page.Section(
+        "Inputs",
+        [
+            page.inputs_table(provenance),
+            page.table(("option", "value"), options, words=True),
+            page.text(f"{provenance['command']} — {provenance['date']}. {versions}."),
+            *files_blocks(content),
+        ],
+    )
+
+
+def _given(key: str, value: Any) -> str:
+    """Return the words for the value of an option."""
+    if key in ("density", "mass_mg") and isinstance(value, list | tuple):
+        return f"{value[0]:g}" if value[1] is None else f"{value[0]:g} ± {value[1]:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_given("", entry) for entry in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _found_section(content: Mapping[str, Any]) -> page.Section:
+    found = content["found"]
+    com = np.array(content["inertial_parameters"]["values_si"])
+    com = com[1:4] / com[0] * 1e3
+    deviation = content["uncertainty"]["total"]
+    com_sd = ", ".join(f"{value * 1e6:.2g}" for value in deviation["center_of_mass_m"])
+    rows = [
+        (
+            "mass with what was added" if found["added_masses"] else "mass",
+            f"{plus_minus(content['mass_kg'] * 1e6, deviation['mass_kg'] * 1e6)} mg",
+            _ANATOMY["mass_mg"] + " mg",
+        ),
+        ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³", ""),
+        ("volume of the bone", f"{content['volume_m3'] * 1e9:.4f} mm³", ""),
+        (
+            "centre of mass, footplate axes",
+            f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
+            "",
+        ),
+        ("height of the stapes", f"{found['height_mm']:.2f} mm", _ANATOMY["height_mm"] + " mm"),
+        (
+            "length of the footplate",
+            f"{found['footplate_length_mm']:.2f} mm",
+            _ANATOMY["footplate_length_mm"] + " mm",
+        ),
+        (
+            "width of the footplate",
+            f"{found['footplate_width_mm']:.2f} mm",
+            _ANATOMY["footplate_width_mm"] + " mm",
+        ),
+        (
+            "medial face of the footplate",
+            f"{found['footplate_area_mm2']:.3f} mm², "
+            f"{found['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
+            "",
+        ),
+        ("holes through the body", str(found["holes"]), _ANATOMY["holes"]),
+    ]
+    for mass in found["added_masses"]:
+        place = ", ".join(f"{value:g}" for value in mass["position_mm"])
+        sd = f" ± {mass['sd_kg'] * 1e6:g}" if mass["sd_kg"] else ""
+        rows.append(("added mass", f"{mass['mass_kg'] * 1e6:g}{sd} mg at {place} (scan, mm)", ""))
+    blocks = [page.table(("", "found", "published human stapes"), rows)]
+    blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
+    return page.Section("What was found", blocks)
+
+
+def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
+    matrix = content["frames"][f"scan_from_{key}"]
+    return None if matrix is None else RigidTransform(np.array(matrix, dtype=float), "scan", key)
+
+
+def _bodies_section(
+    content: Mapping[str, Any], pictured: Pictured
+) -> tuple[page.Section, tuple[Notice, ...]]:
+    from ct_inertia.report.drawn_body import Body
+    from ct_inertia.report.pictures import Scene, render_scenes
+
+    footplate = _frame(content, "footplate")
+    if footplate is None:
+        return page.Section("Bodies and frames"), ()
+    plate = _frame(content, "plate")
+    codes = {warning["code"] for warning in content["warnings"]}
+    known = "anterior_not_given" not in codes
+    side = content["frames"].get("side")
+    stapes = Body(pictured.stapes.vertices_mm, pictured.stapes.faces)
+    scenes = [Scene([stapes], footplate, None, side, known)]
+    if pictured.plate is not None:
+        body = Body(pictured.plate.vertices_mm, pictured.plate.faces, "#9fb8c8", 0.45, "plate", smooth=False)
+        scenes.append(Scene([stapes, body], footplate, plate, side, known))
+    pictures, notices = render_scenes(scenes)
+    captions = (
+        "The stapes in the footplate frame: x along the footplate, y the piston direction, z = x × y.",
+        "Stapes and plate with both frames, seen along the footplate axes.",
+    )
+    blocks = [
+        page.image(picture, caption, caption) for picture, caption in zip(pictures, captions, strict=False)
+    ]
+    blocks.append(_frames_table(content))
+    return page.Section("Bodies and frames", blocks), notices
+
+
+def _frames_table(content: Mapping[str, Any]) -> Any:
+    poses = content["frames"]["pose_covariance"]
+    columns: dict[str, list[str]] = {}
+    for key in ("footplate", "plate"):
+        frame = _frame(content, key)
+        if frame is None:
+            continue
+        sd = np.sqrt(np.diag(np.array(poses[f"scan_from_{key}"]["matrix_si"], dtype=float)))
+        columns[f"{key} frame"] = [
+            _listed(frame.translation_mm, 4),
+            *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
+            ", ".join(f"{value * 1e6:.2g}" for value in sd[:3]),
+            ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
+        ]
+    labels = (
+        "origin (scan, mm)",
+        "x axis (scan)",
+        "y axis (scan)",
+        "z axis (scan)",
+        "sd of origin along x, y, z (µm)",
+        "sd of rotation about x, y, z (°)",
+    )
+    rows = [(label, *(column[place] for column in columns.values())) for place, label in enumerate(labels)]
+    return page.table(("", *columns), rows)
+
+
+def _listed(values: Array, digits: int) -> str:
+    return ", ".join(f"{value:+.{digits}f}" for value in values)
+
+
+def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
+    from ct_inertia.report.slices_figure import slices_figure
+
+    footplate = _frame(content, "footplate")
+    section = page.Section("Segmentation")
+    if footplate is None or pictured.labelled is None:
+        return section
+    drawing = slices_figure(pictured.labelled, footplate)
+    section.add(
+        page.figure(
+            drawing,
+            "Grey values with the outlines of the labels. Top: planes of the footplate frame, through the "
+            "arch (z = 0), across it (x = 0), and along the footplate. Bottom: slices of the scan itself "
+            "through the middle of the stapes, or of its largest cut (red) where it was parted from bone.",
+            "Six slices with the outlines of stapes, plate and other bone.",
+            vector=False,
+        )
+    )
+    rows = evidence_rows(content.get("segmentation") or {})
+    if rows:
+        section.add(page.subheading("Evidence"), page.table(("", "found"), rows, words=True))
+    section.add(
+        page.text(
+            "Where the cut looks wrong: --seed, --threshold and --box correct it, and --labels takes a label "
+            "volume corrected in 3D Slicer or ITK-SNAP: labels.nrrd, edited where it lies, or a copy of it. "
+            "It is never written over."
+        )
+    )
+    return section
+
+
+def _matrix_section(content: Mapping[str, Any]) -> page.Section:
+    section = page.Section("Mass matrix")
+    section.add(
+        page.text(
+            "Order of the degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, "
+            "gamma (small rotations about x, y, z). SI units; ± one standard deviation with all sources."
+        )
+    )
+    for key, words in (
+        ("mass_matrix_reduced", "Reduced mass matrix about the footplate centre in footplate axes"),
+        ("mass_matrix", "Mass matrix about the footplate centre in footplate axes"),
+        ("mass_matrix_plate_axes", "Mass matrix about the footplate centre in plate axes"),
+    ):
+        block = content[key]
+        if block is not None:
+            section.add(
+                page.matrix(
+                    np.array(block["matrix_si"], dtype=float) + 0.0,
+                    block["dof"],
+                    words,
+                    block["standard_deviation_si"],
+                    _entry_units(block["dof"]),
+                )
+            )
+    return section
+
+
+def _entry_units(dof: Sequence[str]) -> list[list[str]]:
+    kinds = ["t" if name in DOF_NAMES[:3] else "r" for name in dof]
+    return [[_UNITS[row, column] for column in kinds] for row in kinds]
+
+
+def _budget_section(content: Mapping[str, Any]) -> page.Section:
+    matrix = np.array(content["mass_matrix"]["matrix_si"], dtype=float)
+    diagonal = np.diag(matrix)
+    rows = []
+    for source, row in content["uncertainty"].items():
+        if not isinstance(row, Mapping):
+            continue
+        shares = [
+            f"{100.0 * sd / value:.3f}"
+            for sd, value in zip(row["mass_matrix_diagonal_si"][2:], diagonal[2:], strict=True)
+        ]
+        com = ", ".join(f"{value * 1e6:.2f}" for value in row["center_of_mass_m"])
+        rows.append((described(source), com, *shares))
+    header = ("source", "centre of mass (µm)", "mass (%)", "M(α, α) (%)", "M(β, β) (%)", "M(γ, γ) (%)")
+    section = page.Section(
+        "Uncertainty budget",
+        [
+            page.text(
+                "One standard deviation that each source adds, carried linearly to every number; the total "
+                "takes the sources as independent. Centre of mass along x, y, z of the footplate."
+            ),
+            page.table(header, rows),
+        ],
+    )
+    missing = content["uncertainty"].get("not_included", [])
+    if missing:
+        section.add(page.text("Not in the budget: " + "; ".join(missing) + "."))
+    return section

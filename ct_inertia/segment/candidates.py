@@ -1,0 +1,204 @@
+"""Which piece of bone is the stapes: by volume, size, its one hole, and whether the scan cuts it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.volume.graphs import in_hull
+from ct_inertia.volume.grids import boxes_and_sizes, labelled, majority, used_box
+from ct_inertia.volume.masked import every_nth
+
+Array = NDArray[np.float64]
+
+TYPICAL_MM3 = (0.8, 2.6)
+TYPICAL_MM = ((2.9, 4.4), (1.9, 3.3), (0.85, 1.9))
+POSSIBLE_MM3 = (0.3, 6.0)
+POSSIBLE_MM = (2.2, 5.8)
+# A stapes has next to no other bone within its hull; the bone around a window has the footplate there.
+MOST_SURROUNDED = 0.06
+_LEAST_MM3 = 0.02
+_HULL_POINTS = 4000
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A connected piece of bone.
+
+    Attributes
+    ----------
+    label : int
+        Its number in the labelled array.
+    low, high : ndarray of int, (3,)
+        Its box in indices x, y, z: first, and one past the last.
+    volume_mm3 : float
+        Of its voxels.
+    extents_mm : ndarray, (3,)
+        Extents along its principal axes, longest first.
+    centre : ndarray, (3,)
+        Mean index x, y, z.
+    at_border : bool
+        It reaches the first or last voxel of the scan.
+    holes : int or None
+        Tunnels through it (1 in a stapes), when counted.
+    surrounds : float
+        Volume of other bone within its convex hull, as a share of its own: the bone around the oval window
+        surrounds the footplate, a stapes nothing.
+    """
+
+    label: int
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    volume_mm3: float
+    extents_mm: Array
+    centre: Array
+    at_border: bool
+    holes: int | None = None
+    surrounds: float = 0.0
+
+    @property
+    def possible(self) -> bool:
+        """It has a volume and a length that a stapes can have."""
+        return (
+            POSSIBLE_MM3[0] <= self.volume_mm3 <= POSSIBLE_MM3[1]
+            and POSSIBLE_MM[0] <= self.length_mm <= POSSIBLE_MM[1]
+        )
+
+    @property
+    def length_mm(self) -> float:
+        """Longest extent."""
+        return float(self.extents_mm[0])
+
+    @property
+    def oddness(self) -> float:
+        """How far volume and extents lie outside what stapedes have: 0 inside, else a sum of logarithms."""
+        away = _outside(self.volume_mm3, TYPICAL_MM3)
+        return away + 3.0 * sum(
+            _outside(v, span) for v, span in zip(self.extents_mm, TYPICAL_MM, strict=True)
+        )
+
+    @property
+    def score(self) -> float:
+        """Rank among possible pieces: one empty hole counts most, then being whole, then size and shape."""
+        hole = 3.0 * (self.holes == 1) * (self.surrounds < MOST_SURROUNDED)
+        return hole - 2.0 * self.at_border - 2.0 * self.oddness
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the report shows of it."""
+        return {
+            "volume_mm3": round(self.volume_mm3, 4),
+            "extents_mm": [round(float(v), 3) for v in self.extents_mm],
+            "holes": self.holes,
+            "at_border": self.at_border,
+        }
+
+
+def labelled_pieces(mask: NDArray[np.bool_], spacing_mm: Array) -> tuple[NDArray[np.int32], list[Piece]]:
+    """Label the connected pieces (faces touching) of a mask [z, y, x] and describe those worth a look.
+
+    Returns
+    -------
+    labels : ndarray of int32, [z, y, x]
+    pieces : list of Piece
+        From the largest to the smallest, nothing below 0.02 mm3.
+    """
+    labels = np.zeros(mask.shape, dtype=np.int32)
+    box = used_box(mask)
+    if box is None:
+        return labels, []
+    part = labels[box]
+    _, count = labelled(mask[box], out=part)
+    boxes, sizes = boxes_and_sizes(part, count)
+    voxel = float(np.prod(spacing_mm))
+    pieces = []
+    for k in np.argsort(-sizes[1:]) + 1:
+        if sizes[k] * voxel < _LEAST_MM3:
+            break
+        found = zip(boxes[k - 1] or (), box, strict=True)
+        place = tuple(slice(inner.start + outer.start, inner.stop + outer.start) for inner, outer in found)
+        pieces.append(describe(labels, int(k), place, spacing_mm))
+    return labels, pieces
+
+
+def describe(labels: NDArray[np.integer], label: int, box: tuple[slice, ...], spacing_mm: Array) -> Piece:
+    """Measure one piece of a labelled array inside its box of slices (z, y, x)."""
+    inside = labels[box] == label
+    low = np.array([s.start for s in reversed(box)], dtype=np.int64)
+    high = np.array([s.stop for s in reversed(box)], dtype=np.int64)
+    count = int(np.count_nonzero(inside))
+    some = every_nth(inside, count // 100_000 if count > 200_000 else 1)
+    index = np.stack(np.unravel_index(some, inside.shape)[::-1], axis=1)
+    points = index * spacing_mm
+    centre = points.mean(axis=0)
+    _, vectors = np.linalg.eigh(np.cov((points - centre).T) if len(points) > 3 else np.eye(3))
+    extents = np.sort(np.ptp(points @ vectors, axis=0) + spacing_mm.mean())[::-1]
+    size = np.array(labels.shape[::-1])
+    return Piece(
+        label=label,
+        low=low,
+        high=high,
+        volume_mm3=count * float(np.prod(spacing_mm)),
+        extents_mm=extents,
+        centre=centre / spacing_mm + low,
+        at_border=bool(np.any(low == 0) or np.any(high == size)),
+    )
+
+
+def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
+    """Return the volume of other pieces within the convex hull of one, as a share of its own.
+
+    Parameters
+    ----------
+    labels : ndarray of int, [z, y, x]
+        Pieces by number; 0 elsewhere.
+    piece : Piece
+    """
+    box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    part = labels[box][::2, ::2, ::2]
+    own = np.argwhere(part == piece.label)
+    other = np.argwhere((part > 0) & (part != piece.label))
+    if len(other) == 0 or len(own) < 50 or np.any(np.ptp(own, axis=0) == 0):
+        return 0.0
+    every = max(1, len(other) // _HULL_POINTS)
+    inside = in_hull(own[:: max(1, len(own) // (4 * _HULL_POINTS))], other[::every])
+    return float(np.count_nonzero(inside) * every / len(own))
+
+
+def _outside(value: float, span: tuple[float, float]) -> float:
+    return float(max(0.0, np.log(span[0] / value), np.log(value / span[1])))
+
+
+def count_holes(inside: NDArray[np.bool_]) -> int:
+    """Return how many tunnels go through the largest piece of a solid [z, y, x].
+
+    Notes
+    -----
+    Euler characteristic = 1 - tunnels + cavities. A pinhole of noise must not count as a tunnel, so the
+    solid is smoothed by a majority vote first. Voxels that touch in a corner hang together.
+    """
+    smooth = majority(np.pad(inside, 2))
+    labels, count = labelled(smooth, corners=True)
+    if count == 0:
+        return 0
+    if count > 1:
+        smooth = labels == int(np.argmax(np.bincount(labels[smooth])))
+    _, outside = labelled(~smooth)
+    return 1 + (int(outside) - 1) - euler_number(smooth)
+
+
+def euler_number(solid: NDArray[np.bool_]) -> int:
+    """Return corners - edges + faces - voxels of the union of closed voxels; the rim must be empty."""
+    total = 0
+    for which in range(8):
+        cells = solid
+        for axis in range(3):
+            if which >> axis & 1:
+                ahead, back = [slice(None)] * 3, [slice(None)] * 3
+                ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+                cells = cells[tuple(ahead)] | cells[tuple(back)]
+        # Joined along k axes: the cells between voxels have 3 - k dimensions.
+        total += (-1) ** (3 - which.bit_count()) * int(np.count_nonzero(cells))
+    return total

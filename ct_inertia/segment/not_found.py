@@ -1,0 +1,76 @@
+"""Why no stapes was found: a wrong voxel size, inverted grey values, or nothing like one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.segment.candidates import Piece, labelled_pieces
+from ct_inertia.segment.sight import Sight, between_levels, readings, with_holes
+from ct_inertia.volume.coarse import CoarseScan, material_levels
+from stapeskit.faults import sentence
+
+_SHOWN = 4
+
+
+def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> str:
+    """Say why no stapes was found, naming a wrong voxel size or inverted grey values when it is that."""
+    wrong_size = _by_size(tried)
+    if wrong_size:
+        return wrong_size
+    if not seeded and _inverted(scan):
+        return sentence(
+            "the grey values",
+            "brighter in bone than in air",
+            "a stapes that is darker than what surrounds it: they are inverted",
+            next_step="Invert the image where it was exported",
+        )
+    seen: list[Piece] = sorted(
+        (p for sight in tried for p in (sight.stapes, *sight.others)), key=lambda p: -p.volume_mm3
+    )[:_SHOWN]
+    listed = "; ".join(f"{p.volume_mm3:.2f} mm3, {p.length_mm:.1f} mm long" for p in seen) or "no bone"
+    return sentence(
+        "the scan",
+        "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
+        listed,
+        next_step="Name it with --seed X,Y,Z (scan mm), give --threshold, or correct it with --labels",
+    )
+
+
+def _by_size(tried: Sequence[Sight]) -> str:
+    """Recognise a body of the right shape and the wrong size."""
+    for sight in tried:
+        for piece in (sight.stapes, *sight.others)[:6]:
+            scale = piece.length_mm / 3.5
+            if 0.6 < scale < 1.7 or piece.at_border:
+                continue
+            shrunk = replace(
+                piece, volume_mm3=piece.volume_mm3 / scale**3, extents_mm=piece.extents_mm / scale
+            )
+            if shrunk.oddness < 0.2 and with_holes(sight, piece).holes == 1:
+                return sentence(
+                    "the voxel spacing",
+                    "right: a stapes is 3 to 4 mm high",
+                    f"a body of its shape {piece.length_mm:.3g} mm high",
+                    next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
+                )
+    return ""
+
+
+def _inverted(scan: CoarseScan) -> bool:
+    turned = replace(scan, grey=-scan.grey)
+    try:
+        levels = material_levels(turned)
+    except CtInertiaError:
+        return False
+    for air, plastic, bone in readings(levels, None):
+        pieces, found = labelled_pieces(turned.grey > between_levels(air, plastic, bone), scan.spacing_mm)
+        for piece in found:
+            if piece.possible and piece.oddness < 0.3 and not np.any(piece.low == 0):
+                sight = Sight(turned, pieces, piece, (), air, bone, plastic, 0.0)
+                if with_holes(sight, piece).holes == 1:
+                    return True
+    return False

@@ -1,0 +1,296 @@
+"""Part bones that touch, near one piece of the coarse view, and hand the parts back to that view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
+from ct_inertia.segment.doubts import USUAL
+from ct_inertia.segment.necks import MOST_POINTS, necks
+from ct_inertia.segment.separate import Separation, renamed, separations
+from ct_inertia.volume.coarse import calmed
+from ct_inertia.volume.grids import boxes_and_sizes, labelled
+from ct_inertia.volume.masked import every_nth, looked_up
+from ct_inertia.volume.volume import Volume
+from ct_inertia.volume.working import Working, working_box
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_FINER_MM = 0.025
+_MARGIN_MM = 0.1
+_MARGIN_VOXELS = 3
+_MOST_VOXELS = 60_000_000
+_LEAST_PART_MM3 = 0.02
+_LEAST_UNITED_MM3 = 0.05
+_MOST_UNITED = 7
+_WHOLE = 0.99
+_NECK_ODDNESS = 1.0
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Voxels that surely belong to one part or another, on a grid of their own.
+
+    Attributes
+    ----------
+    labels : ndarray of int32, [z, y, x]
+        Numbered as the pieces are; 0 where grey values decide.
+    first : ndarray of int, (3,)
+        Index x, y, z in the scan of the first voxel of the first block.
+    step : ndarray of int, (3,)
+        Voxels of the scan per block.
+    """
+
+    labels: NDArray[np.int32]
+    first: Index
+    step: Index
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The parts of one piece of the coarse view.
+
+    Attributes
+    ----------
+    pieces : ndarray of int32, [z, y, x]
+        The coarse view's pieces, with the parts in place of the whole.
+    parts : tuple of Piece
+        Numbered as in ``pieces``, in coarse voxels, measured on the finer grid, holes counted.
+    markers : Markers
+    depth_mm : float
+        How far from the narrow gaps the parts still hang together by themselves.
+    neck_mm2 : float or None
+        Area of the plane cut at a neck, where that is how they were parted.
+    """
+
+    pieces: NDArray[np.int32]
+    parts: tuple[Piece, ...]
+    markers: Markers
+    depth_mm: float
+    neck_mm2: float | None = None
+
+    @property
+    def method(self) -> str:
+        """How the parts were told from each other, in words."""
+        if self.neck_mm2 is not None:
+            return f"parted at the neck of least cross-section ({self.neck_mm2:.2f} mm2) near an end"
+        return f"parted at necks: along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
+
+
+@dataclass(frozen=True)
+class CoarseGrid:
+    """The coarse view's pieces, the voxels of the scan per coarse voxel, and the grey levels.
+
+    ``between`` is the grey value above which a voxel counts as bone.
+    """
+
+    pieces: NDArray[np.int32]
+    step: Index
+    air: float
+    bone: float
+    between: float
+    noise: float
+
+
+def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parting]:
+    """Part one piece of the coarse view, on a finer grid, in every way that narrow gaps suggest.
+
+    Parameters
+    ----------
+    volume : Volume
+    coarse : CoarseGrid
+    whole : Piece
+        In coarse voxels.
+    """
+    step = coarse.step
+    low, high = whole.low * step, np.minimum(whole.high * step, volume.size)
+    finer = _FINER_MM
+    while float(np.prod((high - low) * volume.spacing_mm + 2.0 * _MARGIN_MM)) / finer**3 > _MOST_VOXELS:
+        finer *= 1.25
+    working = working_box(volume, low, high, _MARGIN_MM, _MARGIN_VOXELS, finer)
+    noise = coarse.noise if working.noise is None else working.noise
+    contrast = coarse.bone - coarse.air
+    grey = calmed(working.grey, noise / contrast)
+    held = [(grey - np.float32(coarse.air)) / np.float32(contrast)]
+    spacing = working.volume.spacing_mm
+    free = int(coarse.pieces.max())
+    bone = _of_the_whole(grey > coarse.between, coarse, whole, working)
+    # What follows looks at shares and masks: grey values on this grid have done their work.
+    del grey
+    empty = np.broadcast_to(np.float32(0.0), working.shape)
+    working = replace(working, volume=replace(working.volume, array=empty), single=None)
+    for way in _every_way(held, bone, spacing, whole):
+        large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
+        holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
+        parts = tuple(
+            replace(_in_coarse(p, working, volume, step), label=p.label + free, holes=holes.get(p.label))
+            for p in large
+        )
+        new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
+        new[[p.label for p in large]] = [p.label + free for p in large]
+        labels = renamed(way.labels, new)
+        pieces = _on_coarse(coarse, whole, labels, working)
+        labels *= way.sure
+        markers = Markers(labels, working.first, working.block)
+        yield Parting(pieces, parts, markers, way.depth_mm, way.neck_mm2)
+        del way, labels, markers  # before the next way is looked for
+
+
+def _of_the_whole(
+    bone: NDArray[np.bool_], coarse: CoarseGrid, whole: Piece, working: Working
+) -> NDArray[np.bool_]:
+    """Leave out bone of other pieces that reaches into the box: its cut ends are nobody's shape."""
+    own = working.from_coarse(coarse.pieces == whole.label, coarse.step) & bone
+    other = working.from_coarse((coarse.pieces != 0) & (coarse.pieces != whole.label), coarse.step) & bone
+    labels, count = labelled(bone)
+    mine = np.bincount(labels[own], minlength=count + 1)
+    kept = mine > np.bincount(labels[other], minlength=count + 1)
+    kept[0] = False
+    return looked_up(labels, kept)
+
+
+def _every_way(
+    held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
+) -> Iterator[Separation]:
+    """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
+    if whole.holes == 1 and whole.surrounds < MOST_SURROUNDED:
+        yield from neck_separations(bone, spacing_mm)
+    yield from _refined(separations(held, bone, spacing_mm), spacing_mm)
+
+
+def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
+    """Cut the parts that have one hole, the likeliest stapes first, at their necks."""
+    for piece in sorted((p for p in way.pieces if p.possible), key=lambda p: p.oddness):
+        if piece.oddness > _NECK_ODDNESS or _holes(way.labels, piece) != 1:
+            continue
+        name = int(way.labels.max()) + 1
+        for cut in neck_separations(way.labels == piece.label, spacing_mm):
+            stapes, beyond = (
+                replace(p, label=k) for p, k in zip(cut.pieces, (piece.label, name), strict=True)
+            )
+            labels = np.where(cut.labels == 2, np.int32(name), way.labels)
+            rest = [p for p in way.pieces if p.label != piece.label]
+            yield Separation(way.depth_mm, labels, way.sure, [stapes, beyond, *rest], cut.neck_mm2)
+
+
+def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
+    """Cut bone by a plane at each of its necks, where what is left can be a stapes."""
+    places = every_nth(bone, 1)
+    count, some = len(places), places
+    if count > MOST_POINTS:
+        some = np.random.default_rng(0).choice(places, MOST_POINTS, replace=False)
+    points = np.stack(np.unravel_index(some, bone.shape)[::-1], axis=1) * spacing_mm
+    del places, some
+    z, y, x = (np.arange(n) * h for n, h in zip(bone.shape, spacing_mm[::-1], strict=True))
+    least, most = TYPICAL_MM3[0] * np.exp(-USUAL), TYPICAL_MM3[1] * np.exp(USUAL)
+    for neck in necks(points, spacing_mm, count):
+        labels = bone.astype(np.int32)
+        across = neck.normal[0] * x + (neck.normal[1] * y)[:, None]
+        left = count
+        for layer, inside, height in zip(labels, bone, neck.normal[2] * z, strict=True):
+            beyond = inside & (across > neck.height_mm - height)
+            layer[beyond] = 2
+            left -= int(np.count_nonzero(beyond))
+        # Its volume alone makes a piece unusual: the rest need not be known.
+        if not least <= left * float(np.prod(spacing_mm)) <= most:
+            continue
+        boxes, _ = boxes_and_sizes(labels, 2)
+        pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
+        if pieces[0].possible and pieces[0].oddness < USUAL:
+            yield Separation(0.0, labels, bone, pieces, neck.area_mm2)
+
+
+def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:
+    """Cut a part at its neck, or put two or three together, where none is a stapes by itself and that is.
+
+    A distance from the gaps that parts wide bridges may part the footplate from the crura too.
+    """
+    for way in ways:
+        yield way
+        if any(p.possible and p.oddness < USUAL and _holes(way.labels, p) == 1 for p in way.pieces):
+            continue
+        yield from _cut_at_necks(way, spacing_mm)
+        parts = [p for p in way.pieces if p.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]
+        best: tuple[Piece, NDArray[np.int32]] | None = None
+        for count in (2, 3):
+            for some in combinations(parts, count):
+                united = _united(way.labels, some, spacing_mm)
+                if united is not None and (best is None or united[0].score > best[0].score):
+                    best = united
+        if best is not None:
+            whole, labels = best
+            rest = [p for p in way.pieces if np.any(labels == p.label) and p.label != whole.label]
+            yield Separation(way.depth_mm, labels, way.sure, [whole, *rest])
+
+
+def _united(
+    labels: NDArray[np.int32], some: tuple[Piece, ...], spacing_mm: Array
+) -> tuple[Piece, NDArray[np.int32]] | None:
+    """Return the union of parts when it hangs together and can be a stapes, and the labels with it."""
+    if not TYPICAL_MM3[0] <= sum(p.volume_mm3 for p in some) <= TYPICAL_MM3[1]:
+        return None
+    low = np.min([p.low for p in some], axis=0)
+    high = np.max([p.high for p in some], axis=0)
+    box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+    mask = np.isin(labels[box], [p.label for p in some])
+    if labelled(mask)[1] > 1 and _largest_share(mask) < _WHOLE:
+        return None
+    name = some[0].label
+    joined = labels.copy()
+    joined[box][mask] = name
+    piece = describe(joined, name, box, spacing_mm)
+    if not piece.possible or piece.oddness > USUAL:
+        return None
+    piece = replace(piece, holes=_holes(joined, piece))
+    return (piece, joined) if piece.holes == 1 else None
+
+
+def _largest_share(mask: NDArray[np.bool_]) -> float:
+    sizes = boxes_and_sizes(*labelled(mask))[1][1:]
+    return float(sizes.max() / sizes.sum())
+
+
+def _holes(labels: NDArray[np.int32], piece: Piece) -> int:
+    box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    return count_holes(labels[box] == piece.label)
+
+
+def _in_coarse(piece: Piece, working: Working, volume: Volume, step: Index) -> Piece:
+    """Return the piece with its place in coarse voxels; whether the scan cuts it is found anew."""
+    low = working.first + piece.low * working.block
+    high = working.first + piece.high * working.block
+    centre = working.first + (piece.centre + 0.5) * working.block - 0.5
+    cut = np.any(low < working.block) or np.any(high > volume.size - working.block)
+    return replace(
+        piece,
+        low=low // step,
+        high=-(-high // step),
+        centre=(centre - step // 2) / step,
+        at_border=bool(cut),
+    )
+
+
+def _on_coarse(
+    coarse: CoarseGrid, whole: Piece, labels: NDArray[np.int32], working: Working
+) -> NDArray[np.int32]:
+    """Return the coarse pieces with the parts' numbers where the whole was."""
+    pieces = coarse.pieces.copy()
+    size = np.array(labels.shape[::-1])
+    x, y, z = (
+        np.clip((np.arange(a, b) * n + n // 2 - first) // block, 0, most - 1)
+        for a, b, n, first, block, most in zip(
+            whole.low, whole.high, coarse.step, working.first, working.block, size, strict=True
+        )
+    )
+    low, high = whole.low, whole.high
+    part = pieces[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    for layer, at in zip(part, z, strict=True):
+        own = layer == whole.label
+        layer[own] = labels[at][np.ix_(y, x)][own]
+    return pieces

@@ -1,0 +1,219 @@
+"""Find the stapes and the plate in a coarse view of the scan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, labelled_pieces
+from ct_inertia.segment.doubts import USUAL, doubts, refuse_rivals
+from ct_inertia.segment.not_found import nothing_found
+from ct_inertia.segment.parting import CoarseGrid, partings
+from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings, with_holes
+from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
+from ct_inertia.volume.grids import dilated
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import sentence
+
+Array = NDArray[np.float64]
+_ODD = 0.3
+_MOST_WHOLES = 4
+_HALO_MM, _LEAST_BEYOND = 0.1, 0.05
+
+
+def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -> Sight:
+    """Find the piece of bone that can be a stapes.
+
+    Parameters
+    ----------
+    volume : Volume
+    options : SearchOptions
+    glance : Glance, optional
+        The coarse view, when it was taken before.
+
+    Raises
+    ------
+    CtInertiaError
+        None can be one, or several can equally, or the seed lies in no bone; a wrong voxel size and
+        inverted grey values are named as such.
+    """
+    glance = glance or take_glance(volume)
+    scan, levels = glance.scan, glance.levels
+    tried: list[Sight] = []
+    doubtful: tuple[Sight, Sight] | None = None
+    for air, plastic, bone in readings(levels, options.threshold):
+        between = options.threshold if options.threshold is not None else between_levels(air, plastic, bone)
+        pieces, found = labelled_pieces(
+            calmed(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
+        )
+        found = _whole(found, scan, volume)
+        if not found:
+            continue
+        sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
+        tried.append(sight)
+        chosen = _picked(volume, sight, options, alone=False)
+        usual = chosen is not None and _usual(chosen.stapes)
+        if not usual:
+            parted = _parted(volume, sight, options)
+            better = parted is not None and (chosen is None or parted.stapes.score > chosen.stapes.score)
+            if parted is not None and better and _takes_in(parted, doubtful):
+                return parted
+        if chosen is None:
+            continue
+        if usual and chosen.stapes.holes == 1 and _takes_in(chosen, doubtful):
+            return _picked(volume, sight, options) or chosen
+        # Bone whose density changes along it can look like two materials: the next reading takes both.
+        doubtful = doubtful or (sight, chosen)
+    if doubtful is not None:
+        return _picked(volume, doubtful[0], options) or doubtful[1]
+    raise CtInertiaError(nothing_found(scan, tried, options.seed_mm is not None))
+
+
+def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:
+    """Say whether a later reading of the levels shows more of the bone that an earlier one found.
+
+    A body of the usual size and shape that is whole but for the number of its holes stands, unless it is part
+    of a larger one: what lies around it is no more than its own blur, and what shows elsewhere is plastic.
+    """
+    if doubtful is None or not _usual(doubtful[1].stapes):
+        return True
+    first = doubtful[1]
+    before, after = first.pieces == first.stapes.label, later.pieces == later.stapes.label
+    if np.count_nonzero(before & ~after) > _LEAST_BEYOND * np.count_nonzero(before):
+        return False
+    halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
+    beyond = np.count_nonzero(after & ~dilated(before, halo))
+    return bool(beyond > _LEAST_BEYOND * np.count_nonzero(after))
+
+
+def _usual(piece: Piece) -> bool:
+    return piece.possible and piece.oddness < USUAL and piece.surrounds < MOST_SURROUNDED
+
+
+def _picked(volume: Volume, sight: Sight, options: SearchOptions, alone: bool = True) -> Sight | None:
+    if options.seed_mm is None:
+        return _chosen(volume, sight, alone)
+    return _seeded(sight, _coarse_index(volume, sight.scan, options.seed_mm))
+
+
+def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+    """Part the larger pieces where they touch, and choose the likeliest stapes among the parts."""
+    scan, every = sight.scan, (sight.stapes, *sight.others)
+    large = [judged(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
+    large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
+    if options.seed_mm is not None and large:
+        seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm)).stapes
+        large = [piece for piece in large if piece.label == seeded.label]
+    grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
+    found: list[Sight] = []
+    for whole in large[:_MOST_WHOLES]:
+        if found and whole.surrounds >= MOST_SURROUNDED:
+            break
+        rest = [piece for piece in every if piece.label != whole.label]
+        ways = []
+        for way in partings(volume, grid, whole):
+            trial = replace(
+                sight,
+                pieces=way.pieces,
+                stapes=way.parts[0],
+                others=(*way.parts[1:], *rest),
+                markers=way.markers,
+                method=way.method,
+                at_neck=way.neck_mm2 is not None,
+            )
+            chosen = _picked(volume, trial, options, alone=False)
+            if chosen is None or chosen.stapes.at_border > whole.at_border:
+                continue
+            if chosen.stapes.holes != 1 or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
+                continue
+            ways.append(chosen)
+            if chosen.stapes.holes == 1 and _usual(chosen.stapes):
+                break
+        if ways:
+            found.append(max(ways, key=lambda way: way.stapes.score))
+    if not found:
+        return None
+    found.sort(key=lambda way: -way.stapes.score)
+    best = found[0]
+    if options.seed_mm is None:
+        parts = [judged(best, piece) for piece in best.others if piece.possible]
+        rivals = [best.stapes, *[way.stapes for way in found[1:]], *parts]
+        refuse_rivals(rivals, _places_mm(volume, scan, rivals))
+    return best
+
+
+def _whole(found: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
+    """Correct the border flag: the coarse grid may miss the last voxels of the scan."""
+    size = volume.size
+    kept = []
+    for piece in found:
+        low, high = piece.low * scan.step + scan.step // 2, (piece.high - 1) * scan.step + scan.step // 2
+        cut = np.any(low <= scan.step) or np.any(high >= size - 1 - scan.step)
+        kept.append(replace(piece, at_border=bool(cut)))
+    return kept
+
+
+def _chosen(volume: Volume, sight: Sight, alone: bool = True) -> Sight | None:
+    """Choose among the pieces that can be a stapes; None when there is none.
+
+    With ``alone`` a second one that can be it as well is refused.
+    """
+    every = [sight.stapes, *sight.others]
+    possible = [judged(sight, piece) for piece in every if piece.possible]
+    if not possible:
+        return None
+    possible.sort(key=lambda piece: -piece.score)
+    best = possible[0]
+    if alone:
+        refuse_rivals(possible, _places_mm(volume, sight.scan, possible))
+    others = tuple(p for p in every if p.label != best.label)
+    return replace(sight, stapes=best, others=others, notices=doubts(best))
+
+
+def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
+    """Take the piece at the seed, or the nearest within a few coarse voxels."""
+    reach = 3
+    low = np.maximum(seed - reach, 0)
+    box = tuple(slice(int(a), int(b) + reach + 1) for a, b in zip(low[::-1], seed[::-1], strict=True))
+    near = sight.pieces[box]
+    known = {p.label: p for p in (sight.stapes, *sight.others)}
+    index = np.stack(np.nonzero(np.isin(near, list(known))), axis=1)
+    if len(index) == 0:
+        raise CtInertiaError(
+            sentence(
+                "--seed",
+                "a point inside the stapes, scan coordinates in mm",
+                "a point without bone around it",
+                next_step="Read the coordinates off the viewer (LPS, mm)",
+            )
+        )
+    away = np.linalg.norm(index[:, ::-1] + low - seed, axis=1)
+    label = int(near[tuple(index[int(np.argmin(away))])])
+    piece = with_holes(sight, known[label])
+    others = tuple(p for p in known.values() if p.label != label)
+    return replace(sight, stapes=piece, others=others, notices=doubts(piece))
+
+
+def _places_mm(volume: Volume, scan: CoarseScan, pieces: list[Piece]) -> list[Array]:
+    """Return the middle of each piece, scan coordinates, mm."""
+    return [volume.scan_points(piece.centre * scan.step + scan.step // 2) for piece in pieces]
+
+
+def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[np.int64]:
+    index = volume.index_points(point_mm)
+    if np.any(index < -0.5) or np.any(index > volume.size - 0.5):
+        corners = volume.scan_points(np.array([np.zeros(3), volume.size - 1.0]))
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        reach = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
+        raise CtInertiaError(
+            sentence(
+                "--seed",
+                f"inside the scan ({reach} mm)",
+                ", ".join(f"{v:g}" for v in np.asarray(point_mm)),
+                next_step="Give it in scan coordinates, mm",
+            )
+        )
+    return np.clip(np.round((index - scan.step // 2) / scan.step), 0, None).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Triangle surfaces: extraction, exact moments, fields on them, display meshes."""

@@ -1,0 +1,79 @@
+"""One fit as a whole: observation, mass, damping law and estimator, and its estimating equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import Estimate, EstimatorOptions, estimator, ml
+from fitting.model.damping import DampingLaw
+from fitting.model.inertia import Inertia
+from fitting.model.lines import Lines, Scale, assemble
+from fitting.model.observation import Observation
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that the estimate is a function of.
+
+    Attributes
+    ----------
+    observation : Observation
+    inertia : Inertia
+    scale : Scale
+    law : DampingLaw
+        In SI; the scaled law has the same name and exponent.
+    name : str
+        Of the estimator.
+    options : EstimatorOptions
+    base_mass : ndarray, (n, n), optional
+        Mass coupled to the base motion, SI.
+    """
+
+    observation: Observation
+    inertia: Inertia
+    scale: Scale
+    law: DampingLaw
+    name: str
+    options: EstimatorOptions
+    base_mass: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.observation.dof)
+
+    @property
+    def mass(self) -> Array:
+        """Mass matrix of the chosen degrees of freedom, (n, n), SI."""
+        return self.inertia.rows(self.observation.dof, ())
+
+    @property
+    def units(self) -> Array:
+        """What scaled parameters are multiplied by to become SI, (p,)."""
+        return self.scale.parameter_units(self.law)
+
+    def lines(self, change: ComplexArray | None = None, mass_change: Array | None = None) -> Lines:
+        """Return the scaled equations, with q (lines, m) or the inertial parameters (10,) changed."""
+        observation = self.observation if change is None else self.observation.shifted(change)
+        rows = self.inertia.rows(observation.dof, observation.load_dof, mass_change)
+        return assemble(observation, rows, self.scale, self.law, self.base_mass)
+
+    def solve(self, start: Array | None = None) -> Estimate:
+        """Estimate the scaled parameters."""
+        return estimator(self.name).estimate(self.lines(), self.options, start)
+
+    def gradient(self, parameters: Array, lines: Lines) -> Array:
+        """Return the sum of the estimating equations (p,) at scaled parameters."""
+        if self.name == "ml":
+            return ml.gradient(parameters, lines, self.options)
+        return np.asarray(estimator(self.name).scores(parameters, lines, self.options).sum(axis=0))
+
+    def with_law(self, law: DampingLaw) -> Problem:
+        """Return the same problem under another damping law."""
+        return replace(self, law=law)

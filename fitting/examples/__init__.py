@@ -1,0 +1,1 @@
+"""The paper and its beam experiment, recomputed with the library."""

@@ -1,0 +1,275 @@
+"""The paper, recomputed: every printed number of the procedure next to what this software finds.
+
+Run as ``python -m fitting.examples.paper_page OUT.html [--force]``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fitting.examples import paper
+from fitting.examples.beam import Beam, deviations_percent
+from fitting.examples.paper_figures import shape_figure, simulated_figure
+from fitting.model.model import NORMALISATION, Modes, modes, passive
+from fitting.model.principal_axes import principal_axes
+from fitting.model.symmetric import entry_units
+from fitting.report.figures import principal_figure
+from stapeskit.faults import StapeskitError
+from stapeskit.own_files import OutputSet
+from stapeskit.page import page
+from stapeskit.page.page import Page, Section
+
+_HEADER = ("quantity", "printed", "recomputed", "finding")
+_AGREES = "agrees"
+
+
+def paper_page() -> Page:
+    """Return the page."""
+    made = Page(
+        "The paper, recomputed",
+        "Numbers printed in the paper (CURAC 2019, p. 98 ff.) beside what stapeskit computes from them.",
+    )
+    made.sections.extend([_beam(), _matrices(), _printed_damping(), _modal(), _axes(), _simulated()])
+    return made
+
+
+def _row(quantity: str, printed: str, recomputed: str, finding: str = _AGREES) -> tuple[str, ...]:
+    return quantity, printed, recomputed, finding
+
+
+def _beam() -> Section:
+    beam = Beam()
+    found = beam.coefficients
+    names = ("c1 (N/mm)", "c2 (N)", "c3 (N mm)")
+    rows = [_row("I = b h³/12 (mm⁴)", "0.44287", f"{beam.second_moment_mm4:.7f}")]
+    for name, printed, value in zip(names, paper.TABLE_1_THEORY, found, strict=True):
+        percent = 100.0 * abs(value / printed - 1.0)
+        finding = f"agrees within {percent:.0e} %; the rest is the rounding of I"
+        rows.append(_row(f"{name}, Eq. 6", f"{printed:g}", f"{value:.6g}", finding))
+    for name, printed, theory in zip(names, paper.TABLE_1_DEVIATION_PERCENT, found, strict=True):
+        estimate = theory * (1.0 + printed / 100.0)
+        again = deviations_percent(estimate, theory)
+        rows.append(
+            _row(
+                f"deviation of {name}, Eq. 9 (%)",
+                f"{printed:g}",
+                f"{again:.2f} for {estimate:.5g} or {theory * (1.0 - printed / 100.0):.5g}",
+                "the estimates themselves are not printed",
+            )
+        )
+    share = beam.mass_kg * 1e3
+    rows.append(
+        _row(
+            "mass of the free beam (g)",
+            "neglected",
+            f"{share:.2f}",
+            "not negligible: 36 % of a 10 mm steel cube with its beam piece (8.49 g); the model must carry "
+            "the condensed mass and its coupling to the base",
+        )
+    )
+    return Section("The beam experiment: Eqs. 6, 7, 9 and Table 1").add(page.table(_HEADER, rows, words=True))
+
+
+def _matrices() -> Section:
+    mass = paper.PAPER_MASS
+    units = entry_units(paper.PAPER_DOF)
+    radii = [1e3 * float(np.sqrt(mass[place, place] / mass[0, 0])) for place in (1, 2)]
+    smallest = [float(np.linalg.eigvalsh(_unit(part))[0]) for part in (mass, paper.PAPER_STIFFNESS)]
+    rows = [
+        _row(
+            "centre of mass x, z (mm)",
+            "not printed",
+            f"{1e3 * mass[0, 2] / mass[0, 0]:+.4f}, {-1e3 * mass[0, 1] / mass[0, 0]:+.4f}",
+            "from M12 = -m z, M13 = +m x",
+        ),
+        _row(
+            "radii of gyration about x, z (mm)",
+            "not printed",
+            f"{radii[0]:.3f}, {radii[1]:.3f}",
+            "fit a stapes of 3.4 mm height and 2.7 mm length about its footplate",
+        ),
+        _row("M positive definite", "implied", "yes" if smallest[0] > 0.0 else "no"),
+        _row("K positive definite", "implied", "yes" if smallest[1] > 0.0 else "no"),
+    ]
+    mass_units = [["kg", "kg m", "kg m"], ["kg m", "kg m²", "kg m²"], ["kg m", "kg m²", "kg m²"]]
+    return Section("The stapes: M and K").add(
+        page.matrix(mass, paper.PAPER_DOF, "M, SI, about the footplate centre.", units=mass_units),
+        page.matrix(paper.PAPER_STIFFNESS, paper.PAPER_DOF, "K, SI.", units=units),
+        page.table(_HEADER, rows, words=True),
+    )
+
+
+def _unit(matrix: np.ndarray) -> np.ndarray:
+    root = np.sqrt(np.diag(matrix))
+    return np.asarray(matrix / np.outer(root, root))
+
+
+def _printed_damping() -> Section:
+    printed, corrected = paper.PAPER_DAMPING_PRINTED, paper.PAPER_DAMPING_CORRECTED
+    bad = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, printed)
+    good = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, corrected)
+    rows = [
+        _row(
+            "largest real part of the eigenvalues with D as printed (1/s)",
+            "negative (its own constraint)",
+            f"{bad.max_real_1_s:+.4g}",
+            "UNSTABLE" if not bad.stable else _AGREES,
+        ),
+        _row(
+            "D as printed positive semidefinite",
+            "implied",
+            "yes" if passive(printed) else "no",
+            f"NOT PASSIVE: D12² = {printed[0, 1] ** 2:.3g} > D11 D22 = {printed[0, 0] * printed[1, 1]:.3g}",
+        ),
+        _row(
+            "largest real part with D12 = 61.42e-7, D13 = -36.79e-7 (1/s)",
+            "negative",
+            f"{good.max_real_1_s:+.4g}",
+            "stable" if good.stable else "unstable",
+        ),
+        _row("that D positive semidefinite", "implied", "yes" if passive(corrected) else "no", "passive"),
+    ]
+    units = [[_damping_unit(unit) for unit in row] for row in entry_units(paper.PAPER_DOF)]
+    return Section("The printed D is a misprint").add(
+        page.matrix(printed, paper.PAPER_DOF, "D as printed, SI.", units=units),
+        page.matrix(
+            corrected,
+            paper.PAPER_DOF,
+            "D with both exponents -5 of the couplings read as -7, SI.",
+            units=units,
+        ),
+        page.table(_HEADER, rows, words=True),
+    )
+
+
+def _damping_unit(unit: str) -> str:
+    return {"N/m": "N s/m", "N": "N s", "N m": "N m s"}[unit]
+
+
+def _modal() -> Section:
+    found = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, paper.PAPER_DAMPING_CORRECTED)
+    rows = []
+    for place, mode in enumerate(found.pairs):
+        printed_ratio = paper.TABLE_2_DAMPING_RATIO[place]
+        fits = abs(mode.damping_ratio - printed_ratio) < 0.005
+        number = place + 1
+        rows.append(
+            _row(
+                f"mode {number}: damped frequency (Hz)",
+                f"{paper.TABLE_2_FREQUENCY_HZ[place]:g}",
+                f"{mode.frequency_hz:.1f}",
+                "agrees; Table 2 lists damped frequencies",
+            )
+        )
+        rows.append(
+            _row(
+                f"mode {number}: undamped frequency (Hz)",
+                "-",
+                f"{mode.undamped_frequency_hz:.1f}",
+                "|lambda|/2 pi",
+            )
+        )
+        rows.append(
+            _row(
+                f"mode {number}: damping ratio",
+                f"{printed_ratio:g}",
+                f"{mode.damping_ratio:.3f}",
+                _AGREES if fits else "the printed value does not follow from the matrices",
+            )
+        )
+        shape = np.abs(mode.shape) * paper.TABLE_2_SHAPE_SCALE
+        rows.append(
+            _row(
+                f"mode {number}: |phi| y, alpha, gamma",
+                " ".join(f"{value:g}" for value in paper.TABLE_2_SHAPE[place]),
+                " ".join(f"{value:.4g}" for value in shape),
+                "agrees; not nm and microradian, but a scaled eigenvector",
+            )
+        )
+    return Section("Modes: Table 2").add(
+        page.table(_HEADER, rows, words=True),
+        page.text(f"Shapes: {NORMALISATION}; times 1e9 for y and 1e6 for the rotations."),
+        page.figure(shape_figure(found), _shape_caption(found), "mode shapes over the footplate"),
+    )
+
+
+def _shape_caption(found: Modes) -> str:
+    parts = []
+    for place, mode in enumerate(found.pairs):
+        phases = np.degrees(np.angle(mode.shape))
+        parts.append(f"mode {place + 1}: {', '.join(f'{value:+.0f}°' for value in phases)}")
+    return (
+        "Piston motion y - z alpha + x gamma of the footplate plane at the instant of largest motion, each "
+        f"scaled to its own maximum. Phases of y, alpha, gamma: {'; '.join(parts)}."
+    )
+
+
+def _axes() -> Section:
+    found = principal_axes(paper.PAPER_STIFFNESS)
+    mass = paper.PAPER_MASS
+    values = (found.origin_x_m * 1e3, found.origin_z_m * 1e3)
+    printed = paper.PAPER_PRINCIPAL_ORIGIN_MM
+    rows = [
+        _row("origin x0 = K13/K11 (mm)", f"{printed[0]:g} from the centre", f"{values[0]:+.4f}"),
+        _row("origin z0 = -K12/K11 (mm)", f"{printed[1]:g} from the centre", f"{values[1]:+.4f}"),
+        _row(
+            "rotation about y (degrees)",
+            f"{paper.PAPER_PRINCIPAL_ANGLE_DEG:g}",
+            f"{np.degrees(found.angle_rad):.3f}",
+        ),
+    ]
+    names = ("stiffness y (N/m)", "about x' (N m/rad)", "about z' (N m/rad)")
+    for name, was, now in zip(names, paper.PAPER_PRINCIPAL_STIFFNESS, found.stiffness, strict=True):
+        rows.append(_row(name, f"{was:g}", f"{now:.5g}"))
+    centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
+    return Section("Principal axes: Fig. 6").add(
+        page.table(_HEADER, rows, words=True),
+        page.text(
+            "This is a shift to the stiffness centre and a rotation about y, not the eigenvectors of K, "
+            "which depend on the units. The piston stiffness lies within the literature mean of "
+            f"{paper.LITERATURE_PISTON_STIFFNESS[0]:g} ± {paper.LITERATURE_PISTON_STIFFNESS[1]:g} N/m."
+        ),
+        page.figure(
+            principal_figure(found.as_vector(), None, None, centre),
+            "Principal axes of the paper's K, seen from lateral. Its footplate outline is not published.",
+            "principal axes",
+        ),
+    )
+
+
+def _simulated() -> Section:
+    return Section("Simulated responses: Eq. 8, Figs. 4 and 5").add(
+        page.figure(
+            simulated_figure(),
+            "Motion of the stapes by Eq. 8 with the corrected D for a base that moves along y with constant "
+            f"velocity, scaled so that the largest |y| is the printed "
+            f"{paper.PAPER_LARGEST_PISTON_M * 1e9:g} nm. The paper's measured base motion is not published.",
+            "simulated responses",
+        )
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the page to the path given; return the exit code."""
+    words = [word for word in arguments if word != "--force"]
+    if len(words) != 1:
+        sys.stderr.write("usage: python -m fitting.examples.paper_page OUT.html [--force]\n")
+        return 2
+    out = Path(words[0])
+    outputs = OutputSet("paper_page", out.parent, (out.name,), force="--force" in arguments)
+    try:
+        outputs.check()
+        with outputs.staged() as folder:
+            paper_page().write(folder / out.name)
+    except StapeskitError as fault:
+        sys.stderr.write(f"{fault}\n")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,1 @@
+"""The model: mass matrix, damping law, dynamic stiffness, lines and their equations."""

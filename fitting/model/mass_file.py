@@ -1,0 +1,109 @@
+"""The mass matrix from a file: mass.json, or a plain square CSV in SI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.model.inertia import check_mass
+from stapeskit.faults import raise_all, sentence
+from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
+
+Array = NDArray[np.float64]
+
+
+def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, MassRecord | None]:
+    """Read a mass matrix about the footplate centre in footplate axes.
+
+    Parameters
+    ----------
+    path : Path
+        ``*.json``: a mass.json. Anything else: comma separated, square, no header, SI, in the
+        order of ``dof``.
+    dof : tuple of str
+        Chosen degrees of freedom.
+
+    Returns
+    -------
+    mass : MassMatrix or ndarray, (n, n)
+    record : MassRecord or None
+        The whole mass.json.
+
+    Raises
+    ------
+    FittingError
+        The CSV is missing, is not square, holds text, has another size than ``dof``, or is no mass matrix.
+    KinematicsError
+        The mass.json is at fault.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        record = read_mass_record(path)
+        return record.mass_matrix, record
+    matrix = _read_csv(path, dof)
+    check_mass(matrix, path.name)
+    return matrix, None
+
+
+def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
+    if not path.is_file():
+        raise FittingError(
+            sentence(
+                "--mass", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
+            )
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as fault:
+        raise FittingError(
+            sentence(
+                "--mass",
+                "a text file of numbers or a mass.json",
+                "a binary file",
+                path.name,
+                "Give the mass.json of ct2mass, or write M as comma separated text",
+            )
+        ) from fault
+    values, faults = [], []
+    for line, words in enumerate(text.splitlines(), 1):
+        if words.strip():
+            numbers, wrong = _row(words, line, path.name)
+            values.append(numbers)
+            faults += wrong
+    raise_all(FittingError, faults, most=5)
+    n = len(dof)
+    if len(values) != n or any(len(row) != n for row in values):
+        widths = sorted({len(row) for row in values}) or [0]
+        raise FittingError(
+            sentence(
+                "M.csv",
+                f"{n} x {n} for --dof {','.join(dof)}",
+                f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
+                path.name,
+                "Give M in the order of --dof, or change --dof",
+            )
+        )
+    return np.array(values)
+
+
+def _row(words: str, line: int, name: str) -> tuple[list[float], list[str]]:
+    """Return the numbers of a row and the faults of its cells."""
+    numbers, faults = [], []
+    for column, cell in enumerate(words.split(","), 1):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            shown = cell.strip() if len(cell) <= 40 else f"{cell.strip()[:37]}..."
+            faults.append(
+                sentence(
+                    "M.csv",
+                    "numbers separated by commas, without a header",
+                    f'"{shown}"' if shown else "an empty cell",
+                    f"{name}, row {line}, column {column}",
+                    "Write SI numbers with decimal points and commas between them",
+                )
+            )
+    return numbers, faults

@@ -1,0 +1,1 @@
+"""Before a measurement: the standard deviations to expect."""

@@ -1,0 +1,201 @@
+"""The content of kd.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.kd_fit import KDFit
+from fitting.model.model import NORMALISATION
+
+SCHEMA = "stapeskit.kd/1"
+
+
+def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a result as JSON-able data, SI; what cannot be given is null.
+
+    Parameters
+    ----------
+    fit : KDFit
+    provenance : mapping
+        From stapeskit.provenance.record.
+    """
+    stiffness_sd, damping_sd = fit.standard_deviation
+    noise = fit.noise_standard_deviation
+    stiffness_passive, damping_passive = fit.passive
+    return {
+        "schema": SCHEMA,
+        "dof": list(fit.dof),
+        "about": "footplate_centre",
+        "axes": "footplate",
+        "model": _model(fit),
+        "estimator": fit.options.estimator,
+        "mass_matrix_si": _numbers(fit.mass),
+        "stiffness_si": _numbers(fit.stiffness),
+        "stiffness_sd_si": _numbers(stiffness_sd),
+        "damping_si": _numbers(fit.damping),
+        "damping_sd_si": _numbers(damping_sd),
+        "noise_only_sd_si": {"stiffness": _numbers(noise[0]), "damping": _numbers(noise[1])},
+        "parameters": list(fit.parameters),
+        "covariance_si": _numbers(fit.covariance),
+        "intervals_95_si": dict(zip(fit.parameters, _numbers(fit.intervals), strict=True)),
+        "intervals_method": "profile likelihood" if fit.profile is not None else "standard deviation",
+        "budget": fit.budget.deviations(),
+        "budget_share_of_variance": fit.budget.shares(),
+        "stable": fit.modes.stable,
+        "max_real_eigenvalue_1_s": _number(fit.modes.max_real_1_s),
+        "passive": {"stiffness": stiffness_passive, "damping": damping_passive},
+        "modes": _modes(fit),
+        "overdamped_roots_1_s": list(fit.modes.overdamped_roots_1_s),
+        "principal_axes": principal_axes_json(fit),
+        "fit": _fit(fit),
+        "frequency_dependence": _frequency(fit),
+        "identifiability": _identifiability(fit),
+        "warnings": [notice.as_json() for notice in fit.notices],
+        "provenance": dict(provenance),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers(values: NDArray[np.float64]) -> Any:
+    """Return nested lists with null in place of what is not finite."""
+    if values.ndim == 0:
+        return _number(float(values))
+    return [_numbers(row) for row in values]
+
+
+def _model(fit: KDFit) -> dict[str, Any]:
+    choice = fit.inplane
+    return {
+        "equation": "w^2 (M_rr q_r + M_rc q_c) = Z(w) (q_s - q_b)_r"
+        if choice.used
+        else "w^2 M q_s = Z(w) (q_s - q_b)",
+        "damping_law": fit.law.name,
+        "dynamic_stiffness": fit.law.formula,
+        "damping_exponent": fit.law.exponent,
+        "damping_exponent_sd": fit.laws[0].exponent_sd if len(fit.laws) == 1 else _exponent_sd(fit),
+        "damping_unit_of_D11": fit.law.unit("N/m" if fit.dof[0] in "xyz" else "N m"),
+        "damping_laws_compared": [
+            {"law": one.law.name, "exponent": one.law.exponent, "chi2": one.chi2, "bic": one.bic}
+            for one in fit.laws
+        ],
+        "inplane": {
+            "option": fit.options.inplane,
+            "used_as_load": choice.used,
+            "dof": list(choice.dof),
+            "reason": choice.reason,
+            "statistic": choice.statistic,
+            "threshold": choice.threshold,
+            "largest_effect_relative": choice.largest_effect,
+            "entry": choice.entry or None,
+        },
+        "robust": fit.options.robust,
+        "structure": fit.options.structure,
+        "base": fit.options.base,
+        "runs": list(fit.observation.runs),
+        "lines": len(fit.observation.freq_hz),
+        "lines_dropped": fit.observation.dropped,
+        "band_hz": [float(fit.observation.freq_hz.min()), float(fit.observation.freq_hz.max())],
+        "excluded_hz": [list(one) for one in fit.options.exclude_hz],
+    }
+
+
+def _exponent_sd(fit: KDFit) -> float | None:
+    return next((one.exponent_sd for one in fit.laws if one.law == fit.law), None)
+
+
+def _modes(fit: KDFit) -> list[dict[str, Any]]:
+    found = []
+    for place, mode in enumerate(fit.modes.pairs):
+        found.append(
+            {
+                "frequency_hz": mode.frequency_hz,
+                "frequency_sd_hz": _number(fit.derived.frequency_sd_hz[place]),
+                "undamped_frequency_hz": mode.undamped_frequency_hz,
+                "undamped_frequency_sd_hz": _number(fit.derived.undamped_frequency_sd_hz[place]),
+                "damping_ratio": mode.damping_ratio,
+                "damping_ratio_sd": _number(fit.derived.damping_ratio_sd[place]),
+                "shape_re": mode.shape.real.tolist(),
+                "shape_im": mode.shape.imag.tolist(),
+                "shape_magnitude_sd": _numbers(fit.derived.shape_sd[place]),
+                "normalisation": NORMALISATION,
+            }
+        )
+    return found
+
+
+def principal_axes_json(fit: KDFit) -> dict[str, Any] | None:
+    """Return the principal axes in mm and degrees with their sd, or None for other degrees of freedom."""
+    values, sd = fit.derived.principal, fit.derived.principal_sd
+    if values is None or sd is None:
+        return None
+    return {
+        "origin_x_mm": values[0] * 1e3,
+        "origin_x_sd_mm": _number(sd[0] * 1e3),
+        "origin_z_mm": values[1] * 1e3,
+        "origin_z_sd_mm": _number(sd[1] * 1e3),
+        "angle_deg": float(np.degrees(values[2])),
+        "angle_sd_deg": _number(float(np.degrees(sd[2]))),
+        "stiffness_si": values[3:].tolist(),
+        "stiffness_sd_si": _numbers(sd[3:]),
+    }
+
+
+def _fit(fit: KDFit) -> dict[str, Any]:
+    return {
+        "chi2": fit.chi2,
+        "n_dof": fit.n_dof,
+        "chi2_per_dof": fit.chi2 / fit.n_dof if fit.n_dof > 0 else None,
+        "iterations": fit.estimate.iterations,
+        "converged": fit.estimate.converged,
+        "active_constraints": list(fit.estimate.active),
+        "optimality_certificate": fit.estimate.certificate,
+        "noise_covariance_method": fit.budget.method,
+        "noise_covariance_scaled_by": fit.budget.widened,
+        "estimated_bias_si": dict(zip(fit.parameters, fit.budget.bias.tolist(), strict=True)),
+    }
+
+
+def _frequency(fit: KDFit) -> dict[str, Any] | None:
+    found = fit.frequency
+    if found is None:
+        return None
+    return {
+        "bands_hz": [
+            [float(low), float(high)] for low, high in zip(found.low_hz, found.high_hz, strict=True)
+        ],
+        "lines": [int(count) for count in found.lines],
+        "stiffness_factor": _numbers(found.stiffness),
+        "stiffness_factor_sd": _numbers(found.stiffness_sd),
+        "damping_factor": _numbers(found.damping),
+        "damping_factor_sd": _numbers(found.damping_sd),
+        "relative_to": "K and D of the whole band; the factors' means over the bands are 1",
+        "chi2": _number(found.chi2),
+        "n_dof": found.n_dof,
+        "p_value": _number(found.p_value),
+    }
+
+
+def _identifiability(fit: KDFit) -> dict[str, Any]:
+    known = fit.identifiability
+    return {
+        "condition_number_column_scaled": _number(known.condition),
+        "fisher_eigenvalues_relative": _numbers(known.eigenvalues),
+        "worst_combinations": [
+            {"relative_sd": _number(sd), "combination": known.describe(place), "entries": dict(parts)}
+            for place, (sd, parts) in enumerate(known.combinations)
+        ],
+        "cramer_rao_bound_si": dict(zip(known.names, _numbers(known.bound_si), strict=True)),
+        "cramer_rao_bound_relative": dict(zip(known.names, _numbers(known.relative), strict=True)),
+        "entries_over_10_percent": [
+            name for name, value in zip(known.names, known.relative, strict=True) if value > 0.1
+        ],
+        "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D",
+        "weak": known.weak,
+    }

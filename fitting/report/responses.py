@@ -1,0 +1,82 @@
+"""Measured and simulated responses of a fit, line by line, for figures and tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import ml
+from fitting.kd_fit import KDFit
+from fitting.model.model import dynamic_stiffness, simulate
+from fitting.model.symmetric import basis
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Motion of the stapes, measured and simulated from the measured base motion by Eq. 8.
+
+    Attributes
+    ----------
+    dof : tuple of str, (n,)
+    freq_hz : ndarray, (lines,)
+    run : ndarray, (lines,), int
+    measured, base, simulated : ndarray, (lines, n), complex
+        m and rad.
+    measured_sd : ndarray, (lines, n)
+        Of the real (= imaginary) part.
+    amplitude_sd : ndarray, (lines, n)
+        Of the simulated amplitude, from the covariance of K and D.
+    normalised : ndarray, (lines, n), complex
+        Residuals of the equations over their noise; real and imaginary parts have unit variance.
+    """
+
+    dof: tuple[str, ...]
+    freq_hz: Array
+    run: NDArray[np.intp]
+    measured: ComplexArray
+    base: ComplexArray
+    simulated: ComplexArray
+    measured_sd: Array
+    amplitude_sd: Array
+    normalised: ComplexArray
+
+
+def responses(fit: KDFit) -> Responses:
+    """Simulate a fit's lines from their measured base motion and, when used, the measured inertial load."""
+    observation, law = fit.observation, fit.law
+    n = len(fit.dof)
+    omega = 2.0 * np.pi * observation.freq_hz
+    force = np.zeros_like(observation.base)
+    rows = fit.problem.inertia.rows(observation.dof, observation.load_dof)
+    if observation.load_dof:
+        force = omega[:, None] ** 2 * (observation.load @ rows[:, n:].T)
+    if fit.problem.base_mass is not None:
+        force = force + omega[:, None] ** 2 * (observation.base @ fit.problem.base_mass.T)
+    simulated = simulate(
+        fit.mass, fit.stiffness, fit.damping, observation.freq_hz, observation.base, force, law
+    )
+    stiffness = dynamic_stiffness(fit.stiffness, fit.damping, omega, law)
+    dynamic = stiffness - omega[:, None, None] ** 2 * fit.mass
+    pull = np.einsum("kij,lj->lik", basis(n), observation.base - simulated)
+    slopes = np.linalg.solve(dynamic, np.concatenate([pull, law.factor(omega)[:, None, None] * pull], axis=2))
+    unit = simulated / np.maximum(np.abs(simulated), 1e-300)
+    along = (slopes * unit.conj()[:, :, None]).real
+    variance = np.einsum("lip,pq,liq->li", along, fit.covariance, along)
+    noise = np.einsum("lii->li", observation.covariance).real[:, :n]
+    residual = ml.whiten(fit.estimate.parameters, fit.lines).residual.T * np.sqrt(2.0)
+    return Responses(
+        fit.dof,
+        observation.freq_hz,
+        observation.run,
+        observation.structure,
+        observation.base,
+        simulated,
+        np.sqrt(np.maximum(noise, 0.0) / 2.0),
+        np.sqrt(np.maximum(variance, 0.0)),
+        residual,
+    )

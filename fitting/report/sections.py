@@ -1,0 +1,349 @@
+"""The page of a fit, as sections that other reports can take over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.kd_fit import KDFit
+from fitting.model.model import NORMALISATION
+from fitting.model.symmetric import entry_units, join
+from fitting.report.figures import frequency_figure, principal_figure, residual_figure, response_figure
+from fitting.report.kd_json import principal_axes_json
+from fitting.report.responses import responses
+from fitting.uncertainty.bands import FrequencyDependence
+from fitting.uncertainty.covariance import ATTENUATION, NOISE
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.page import Page, Section
+from stapeskit.spatial import DOF_UNITS
+
+Array = NDArray[np.float64]
+_MOST_RUNS = 4
+_MOST_VECTOR_POINTS = 1000
+SOURCE_WORDS = {
+    NOISE: "channel noise",
+    ATTENUATION: "attenuation bias",
+    "registration": "registration of the vibrometer",
+    "plate_frame": "plate frame in the scan",
+    "footplate_frame": "footplate frame (motion and mass together)",
+    "position": "point positions",
+    "damping_exponent": "exponent of the damping law",
+}
+
+
+def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
+    """Return the sections of a fit: warnings excepted, which the page puts first.
+
+    Parameters
+    ----------
+    fit : KDFit
+    outline_mm : ndarray, (points, 3), optional
+        Outline of the footplate in footplate axes, mm.
+    """
+    sections = [_responses(fit), _matrices(fit), _modal(fit)]
+    axes = _axes(fit, outline_mm)
+    if axes is not None:
+        sections.append(axes)
+    if fit.frequency is not None:
+        sections.append(_frequency(fit.frequency))
+    return [*sections, _budget(fit), _residuals(fit), _identifiability(fit)]
+
+
+def kd_page(fit: KDFit, provenance: Mapping[str, Any], outline_mm: Array | None = None) -> Page:
+    """Return kd.html: summary, warnings, the sections of the fit, inputs."""
+    made = Page(
+        "Stiffness and damping of the annular ligament",
+        f"{', '.join(fit.dof)} about the footplate centre in footplate axes; "
+        f"estimator {fit.options.estimator}, "
+        f"{fit.law.name} damping ({fit.law.formula}), {len(fit.observation.freq_hz)} lines.",
+    )
+    made.section(
+        "At a glance", page.table(("", ""), summary_rows(fit), words=True), page.notices(fit.notices)
+    )
+    made.sections.extend(kd_sections(fit, outline_mm))
+    made.section("Inputs", page.inputs_table(dict(provenance)))
+    return made
+
+
+def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
+    """Return the table that a command prints."""
+    stiffness_sd, damping_sd = fit.standard_deviation
+    units = entry_units(fit.dof)
+    rows = []
+    for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
+        parts = []
+        for place, name in enumerate(fit.dof):
+            unit = units[place][place] if letter == "K" else fit.law.unit(units[place][place])
+            parts.append(f"{name} {plus_minus(values[place, place], sds[place, place])} {unit}")
+        rows.append((f"{letter} diagonal", ", ".join(parts)))
+    listed = [
+        f"{plus_minus(mode.frequency_hz, sd)} Hz (zeta {plus_minus(mode.damping_ratio, ratio)})"
+        for mode, sd, ratio in zip(
+            fit.modes.pairs, fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd, strict=True
+        )
+    ]
+    rows.append(("modes, damped", ", ".join(listed) if listed else "none oscillates"))
+    axes = principal_axes_json(fit)
+    if axes is not None:
+        rows.append(
+            (
+                "principal axes",
+                f"origin x {axes['origin_x_mm']:.3f} ± {_sd(axes['origin_x_sd_mm'])}, "
+                f"z {axes['origin_z_mm']:.3f} ± {_sd(axes['origin_z_sd_mm'])} mm, "
+                f"turned {axes['angle_deg']:.2f} ± {_sd(axes['angle_sd_deg'])} degrees about y",
+            )
+        )
+    rows.append(("stable, passive", f"{_yes(fit.modes.stable)}, {_yes(all(fit.passive))}"))
+    ratio = f"{fit.chi2 / fit.n_dof:.3f}" if fit.n_dof > 0 else "none left"
+    rows.append(("chi2 per degree of freedom", f"{ratio} ({fit.n_dof})"))
+    rows.append(("in-plane motion", f"{'load' if fit.inplane.used else 'not used'}: {fit.inplane.reason}"))
+    worst = fit.identifiability
+    rows.append(("worst combination", f"{worst.describe(0)}: relative sd {worst.percent(0)}"))
+    return rows
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "NO"
+
+
+def _sd(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2g}"
+
+
+def _responses(fit: KDFit) -> Section:
+    section = Section("Measured and simulated responses")
+    found = responses(fit)
+    load = " and to the measured in-plane load" if fit.inplane.used else ""
+    section.add(
+        page.text(
+            "The stapes' motion at the footplate centre (dots) against the response of the fitted model "
+            f"(line) to the measured base motion, transported to the same point{load}: paper Eq. 8, "
+            "Figs. 4 and 5. The band "
+            "is what the uncertainty of K and D leaves open (95 %); ripples of the line are noise "
+            "of the measured base motion."
+        )
+    )
+    vector = found.measured.size <= _MOST_VECTOR_POINTS
+    for run in np.unique(found.run)[:_MOST_RUNS]:
+        caption = (
+            f"Run {fit.observation.runs[run]}." if len(fit.observation.runs) > 1 else "Amplitude and phase."
+        )
+        section.add(
+            page.figure(
+                response_figure(found, int(run)), caption, "measured and simulated responses", vector=vector
+            )
+        )
+    return section
+
+
+def _residuals(fit: KDFit) -> Section:
+    ratio = f"{fit.chi2 / fit.n_dof:.3f}" if fit.n_dof > 0 else "not defined"
+    return Section("Residuals").add(
+        page.figure(
+            residual_figure(responses(fit)),
+            "Residuals of the equations of motion over their noise. Left: no pattern means that the model "
+            "holds. "
+            f"Right: against the normal distribution. chi2 = {fit.chi2:.1f} for "
+            f"{fit.n_dof} degrees of freedom "
+            f"(ratio {ratio}).",
+            "normalised residuals",
+        )
+    )
+
+
+def _frequency(found: FrequencyDependence) -> Section:
+    verdict = "holds" if not found.notices() else "does NOT hold"
+    return Section("K and D over the band").add(
+        page.figure(
+            frequency_figure(found),
+            "Stiffness and damping of parts of the band over those of the whole, to first order, with 95 % "
+            f"intervals of all sources. One pair of matrices {verdict}: chi2 = {found.chi2:.1f} for "
+            f"{found.n_dof} degrees of freedom, p = {found.p_value:.2g}.",
+            "local factors of stiffness and damping",
+        )
+    )
+
+
+def _matrices(fit: KDFit) -> Section:
+    stiffness_sd, damping_sd = fit.standard_deviation
+    units = entry_units(fit.dof)
+    section = Section("Stiffness and damping")
+    place = "about the footplate centre, footplate axes"
+    section.add(
+        page.matrix(fit.stiffness, fit.dof, f"K, {place}, ± sd of all sources.", stiffness_sd, units),
+        page.matrix(
+            fit.damping,
+            fit.dof,
+            f"D, {place}, ± sd of all sources; dynamic stiffness {fit.law.formula}.",
+            damping_sd,
+            [[fit.law.unit(unit) for unit in row] for row in units],
+        ),
+        page.matrix(
+            fit.mass,
+            fit.dof,
+            f"M as used, {place}.",
+            units=[[_mass_unit(a, b) for b in fit.dof] for a in fit.dof],
+        ),
+    )
+    if len(fit.laws) > 1:
+        rows = [
+            (
+                one.law.name,
+                one.law.formula,
+                f"{one.chi2:.1f}",
+                f"{one.bic:.1f}",
+                "chosen" if one.law == fit.law else "",
+            )
+            for one in fit.laws
+        ]
+        section.add(
+            page.subheading("Damping laws compared"),
+            page.table(("law", "dynamic stiffness", "chi2", "BIC", ""), rows),
+        )
+    return section
+
+
+def _mass_unit(row: str, column: str) -> str:
+    return {2: "kg", 1: "kg m", 0: "kg m²"}[[DOF_UNITS[row], DOF_UNITS[column]].count("m")]
+
+
+def _modal(fit: KDFit) -> Section:
+    header = ["mode", "damped (Hz)", "undamped (Hz)", "damping ratio"]
+    scales = [("nm", 1e9) if DOF_UNITS[name] == "m" else ("µrad", 1e6) for name in fit.dof]
+    header += [f"|φ| {name} ({unit})" for name, (unit, _) in zip(fit.dof, scales, strict=True)]
+    rows = []
+    for place, mode in enumerate(fit.modes.pairs):
+        derived = fit.derived
+        cells = [
+            str(place + 1),
+            plus_minus(mode.frequency_hz, derived.frequency_sd_hz[place]),
+            plus_minus(mode.undamped_frequency_hz, derived.undamped_frequency_sd_hz[place]),
+            plus_minus(mode.damping_ratio, derived.damping_ratio_sd[place]),
+        ]
+        for index, (_, scale) in enumerate(scales):
+            value, sd = abs(mode.shape[index]) * scale, derived.shape_sd[place, index] * scale
+            cells.append(plus_minus(value, sd))
+        rows.append(cells)
+    section = Section("Modes").add(
+        page.table(header, rows),
+        page.text(f"Shapes have {NORMALISATION}; the units only name the scaling (paper Table 2)."),
+    )
+    if fit.modes.overdamped_roots_1_s:
+        roots = ", ".join(f"{value:.4g}" for value in fit.modes.overdamped_roots_1_s)
+        section.add(page.text(f"Overdamped motions, real eigenvalues (1/s): {roots}."))
+    return section
+
+
+def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
+    axes = principal_axes_json(fit)
+    values, sd = fit.derived.principal, fit.derived.principal_sd
+    if axes is None or values is None:
+        return None
+    mass = fit.mass
+    centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
+    stiffness = zip(
+        ("y′ (N/m)", "about x′ (N m)", "about z′ (N m)"),
+        axes["stiffness_si"],
+        axes["stiffness_sd_si"],
+        strict=True,
+    )
+    rows = [
+        ("origin x (mm)", f"{axes['origin_x_mm']:.4f}", _sd(axes["origin_x_sd_mm"])),
+        ("origin z (mm)", f"{axes['origin_z_mm']:.4f}", _sd(axes["origin_z_sd_mm"])),
+        ("rotation about +y (degrees)", f"{axes['angle_deg']:.3f}", _sd(axes["angle_sd_deg"])),
+        *((f"stiffness {name}", f"{value:.5g}", _sd(spread)) for name, value, spread in stiffness),
+    ]
+    drawn = "over the footplate's outline " if outline_mm is not None else ""
+    return Section("Principal axes").add(
+        page.figure(
+            principal_figure(values, sd, outline_mm, centre),
+            f"Principal axes of K {drawn}seen along y from lateral (y towards the reader): a shift to "
+            "the point where "
+            "piston and rocking uncouple, then a rotation about y. Paper Fig. 6.",
+            "principal axes of the stiffness",
+        ),
+        page.table(("", "value", "sd"), rows),
+    )
+
+
+def _budget(fit: KDFit) -> Section:
+    shares = fit.budget.shares()
+    sd = np.sqrt(np.diag(fit.covariance))
+    rows: list[list[str]] = []
+    for source, entries in shares.items():
+        rows.append([source_words(source), *(f"{100.0 * entries[name]:.0f} %" for name in fit.parameters)])
+    rows.append(["sd, all sources (SI)", *(f"{value:.2g}" for value in sd)])
+    half = len(fit.parameters) // 2
+    section = Section("Where the uncertainty comes from")
+    for part in (slice(0, half), slice(half, None)):
+        names = fit.parameters[part]
+        section.add(page.table(["share of the variance", *names], [[row[0], *row[1:][part]] for row in rows]))
+    numbered = ", ".join(f"{place + 1} {name}" for place, name in enumerate(fit.dof))
+    section.add(page.text(f"{' '.join(_leading(fit, shares))} Rows and columns of K and D: {numbered}."))
+    if fit.budget.widened > 1.0:
+        section.add(
+            page.text(
+                f"Channel noise was widened by the factor {np.sqrt(fit.budget.widened):.3f} because "
+                "chi2 exceeds its "
+                "degrees of freedom."
+            )
+        )
+    return section
+
+
+def _leading(fit: KDFit, shares: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Say for each diagonal entry which source leads."""
+    if len(shares) == 1:
+        return [f"All of it is {source_words(next(iter(shares)))}: no other source was stated."]
+    led: dict[str, list[str]] = {}
+    for letter in "KD":
+        for place in range(1, len(fit.dof) + 1):
+            name = f"{letter}{place}{place}"
+            source = max(shares, key=lambda key, entry=name: shares[key][entry])  # type: ignore[misc]
+            led.setdefault(source, []).append(f"{name} ({100.0 * shares[source][name]:.0f} %)")
+    parts = [f"{source_words(source)} of {', '.join(names)}" for source, names in led.items()]
+    return [f"The largest part of the variance is {'; '.join(parts)}."]
+
+
+def source_words(source: str) -> str:
+    """Return a source of error in words."""
+    if source.startswith("mass."):
+        return f"mass matrix: {source.removeprefix('mass.').replace('_', ' ')}"
+    return SOURCE_WORDS.get(source, source.replace("_", " "))
+
+
+def _identifiability(fit: KDFit) -> Section:
+    known = fit.identifiability
+    combinations = [(known.describe(place), known.percent(place)) for place in range(len(known.combinations))]
+    bounds = [
+        (name, f"{value:.2g}", f"{100.0 * relative:.2g} %")
+        for name, value, relative in zip(known.names, known.bound_si, known.relative, strict=True)
+    ]
+    section = Section("What the data can tell").add(
+        page.text(
+            f"Column-scaled condition number of the equations: {known.condition:.3g}. Relative means "
+            "relative to "
+            "sqrt(Xii Xjj). The worst determined combinations of relative entries:"
+        ),
+        page.table(("combination", "relative sd"), combinations),
+        page.text("Smallest sd that any unbiased estimator can reach (Cramér-Rao, channel noise only):"),
+        page.table(("entry", "sd (SI)", "relative"), bounds),
+    )
+    if fit.profile is not None:
+        values = join(fit.stiffness, fit.damping)
+        rows = [
+            (name, f"{value:.4g}", f"{low:.4g}", f"{high:.4g}")
+            for name, value, (low, high) in zip(fit.parameters, values, fit.intervals, strict=True)
+        ]
+        section.add(
+            page.text(
+                "The data are weak, so that standard deviations mislead; 95 % intervals by profile "
+                "likelihood, with all sources:"
+            ),
+            page.table(("entry", "value (SI)", "from", "to"), rows),
+        )
+    return section

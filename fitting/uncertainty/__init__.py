@@ -1,0 +1,1 @@
+"""Where the uncertainty of K and D comes from: covariance, profiles, identifiability."""

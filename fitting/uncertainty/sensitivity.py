@@ -1,0 +1,93 @@
+"""How the estimating equations move with the measured motion: exact derivatives, all parameters at once.
+
+The score of parameter k is g_k = sum over lines of w Re(a_k^H c), with the multiplier c = V e (V = Ce^-1, or
+the fixed weights of an equation-error estimate), a_k = s_k E_k y', and y' = dq - G c (ml) or dq (the others).
+With the residual e = Z dq - f a change of the motion at fixed noise gives
+
+    dg_k = Re[ v_k^H (Z ddq - df) + r_k^H ddq ],  r_k = conj(s_k) E_k c,  v_k = V (a_k - G^H r_k).
+
+So the effect of any number of common errors is one contraction of this slope with their derivatives of q.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators import ml
+from fitting.estimators.problem import Problem
+from fitting.model.lines import Lines, evaluate, motion_rows, regressor
+from fitting.model.symmetric import split
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def slope_by_motion(problem: Problem, lines: Lines, parameters: Array) -> ComplexArray:
+    """Return the derivative C of the estimating equations by the measured motion.
+
+    Parameters
+    ----------
+    problem : Problem
+    lines : Lines
+        Its scaled equations.
+    parameters : ndarray, (p,)
+        Scaled.
+
+    Returns
+    -------
+    ndarray, (lines, m, p), complex
+        dg_k = Re sum over lines and motions of conj(C) dq, with dq in m and rad, noise left as it is.
+    """
+    by_difference, by_force = _slopes(problem, lines, parameters)
+    difference, inertia = motion_rows(
+        problem.observation, _mass_rows(problem), problem.scale, problem.base_mass
+    )
+    square = (lines.omega**2)[:, None, None]
+    return np.asarray(difference.T @ by_difference + square * (inertia.T @ by_force))
+
+
+def contract(slope: ComplexArray, changes: ComplexArray) -> Array:
+    """Return the changes of the estimating equations (p, k) for changes of q (k, lines, m)."""
+    flat = slope.reshape(-1, slope.shape[2])
+    moved = changes.reshape(len(changes), -1)
+    return np.asarray(flat.real.T @ moved.real.T + flat.imag.T @ moved.imag.T)
+
+
+def _mass_rows(problem: Problem) -> Array:
+    observation = problem.observation
+    return problem.inertia.rows(observation.dof, observation.load_dof)
+
+
+def _slopes(problem: Problem, lines: Lines, parameters: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return the slopes by dq and by f, (lines, n, p) each."""
+    state = evaluate(parameters, lines)
+    stiffness, damping = split(parameters, lines.n)
+    dynamic = stiffness + lines.factor[:, None, None] * damping
+    if problem.name in ("ml", "irls"):
+        inverse = np.linalg.inv(np.moveaxis(state.noise, 2, 0))
+    else:
+        weights = lines.row_weights**2 if problem.name == "pinv" else np.ones(lines.n)
+        inverse = np.broadcast_to(np.diag(weights).astype(complex), dynamic.shape)
+    multiplier = np.einsum("lij,jl->il", inverse, state.residual)
+    pulled = _by_line(regressor(multiplier, lines.factor.conj()))
+    motion = lines.dq
+    if problem.name == "ml":
+        motion = motion - np.einsum("ijl,jl->il", state.gain, multiplier)
+    columns = _by_line(regressor(motion, lines.factor))
+    inner = columns
+    if problem.name == "ml":
+        inner = columns - np.moveaxis(state.gain, 2, 0).conj().transpose(0, 2, 1) @ pulled
+    through = inverse @ inner
+    if problem.name == "ml" and problem.options.robust == "t4":
+        distance = np.sum((state.residual.conj() * multiplier).real, axis=0)
+        terms = np.einsum("lip,il->lp", columns.conj(), multiplier).real
+        weights, added = ml.robust_slope(distance, terms, lines)
+        through = weights[:, None, None] * through
+        pulled = weights[:, None, None] * pulled
+        through = through + 2.0 * multiplier.T[:, :, None] * added[:, None, :]
+    return dynamic.conj().transpose(0, 2, 1) @ through + pulled, -through
+
+
+def _by_line(array: ComplexArray) -> ComplexArray:
+    return np.ascontiguousarray(np.moveaxis(array, 1, 0))

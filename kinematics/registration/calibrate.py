@@ -1,0 +1,364 @@
+"""Motion and geometry together: the most probable axes, lasers, gains and positions from all lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.measurement import Measurement
+from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
+from stapeskit.faults import sentence
+from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Weights = Mapping[tuple[int, int], Array]
+_ROUNDS = 12
+_SEPARABLE = 1e-6
+_MOST_WORK = 4e10
+_SEEN = 0.9
+_UNLIKELY = 1e-3
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The geometry that motion and priors agree on.
+
+    Attributes
+    ----------
+    model : GeometryModel
+    values : ndarray, (k,)
+        Most probable parameters, rad, 1 and m; zero is the geometry as given.
+    covariance : ndarray, (k, k)
+        Of the parameters after the data, the motion at every line left free.
+    measurement : Measurement
+        With the new geometry.
+    chi2, n_dof, p_value : float, int, float
+        How far the data pull the geometry beyond what the priors let expect.
+    fall : float
+        By how much the sum of squared normalised residuals fell.
+    notices : tuple of Notice
+    """
+
+    model: GeometryModel
+    values: Array
+    covariance: Array
+    measurement: Measurement
+    chi2: float
+    n_dof: int
+    p_value: float
+    fall: float
+    notices: tuple[Notice, ...] = ()
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation (k,) of the parameters after the data."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which parameters (k,) the data tell something about: their sd fell below 0.9 of the prior's."""
+        return np.asarray(self.sd < _SEEN * self.model.prior_sd)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters as shared errors: one source, as the data tie them together."""
+        return tuple(f"calibration.{name}" for name in self.model.names)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One body in one run: readings (channel, line) as given, m, and s = 1 / (sd sqrt 2), alike."""
+
+    body: int
+    y: ComplexArray
+    s: Array
+    lines: float
+
+
+def calibrate(
+    placed: Measurement, dof: Sequence[Sequence[str]], priors: GeometryPriors, weights: Weights
+) -> Calibration:
+    """Estimate the geometry of a measurement together with the motion of all bodies at all lines.
+
+    Parameters
+    ----------
+    placed : Measurement
+        In the footplate frame.
+    dof : sequence of sequence of str
+        By body: the degrees of freedom that are left free at every line.
+    priors : GeometryPriors
+    weights : mapping of (run, body) to ndarray, (channel, freq)
+        1 / (2 sd^2), zero where a value is not used.
+
+    Raises
+    ------
+    KinematicsError
+        There is nothing to estimate: all priors are zero and no position has an sd.
+
+    Notes
+    -----
+    Maximum a posteriori by Gauss-Newton with the motion projected out (variable projection: Golub and Pereyra
+    1973, doi:10.1137/0710036). The covariance is the inverse of information plus prior; in the information
+    the part of the estimated motion that is noise is subtracted. Shifts of all points of a body together,
+    and turns of all positions together with all beams, change no residual whatever the motion is.
+    """
+    model = GeometryModel.of(placed, priors)
+    if not model.names:
+        raise KinematicsError(
+            sentence(
+                "--calibrate",
+                "used with something to estimate",
+                "--axes-sd 0, --beam-sd 0, --gain-sd 0 and no sd_mm of any point",
+                next_step="Give at least one of them",
+            )
+        )
+    values = np.zeros(len(model.names))
+    prior = 1.0 / model.prior_sd**2
+    blocks = [
+        block
+        for run in range(len(placed.runs))
+        for body in range(len(placed.bodies))
+        if (block := _block(placed, run, body, weights[run, body], len(model.names))) is not None
+    ]
+    energy = _energy(model, blocks, dof, values)
+    start, target = energy, energy
+    for _ in range(_ROUNDS):
+        information, score = _information(model, blocks, dof, values, noise=False)
+        gradient = score - prior * values
+        step = _solved(information + np.diag(prior), gradient)
+        size = 1.0
+        while size > 1e-3:
+            trial = values + size * step
+            energy = _energy(model, blocks, dof, trial)
+            goal = energy + 0.5 * float(np.sum(prior * trial**2))
+            if goal <= target + 0.5 * float(np.sum(prior * values**2)) + 1e-9 * abs(target):
+                break
+            size *= 0.5
+        values, target = values + size * step, energy
+        if np.max(np.abs(step) * np.sqrt(prior + np.diag(information))) < 1e-3:
+            break
+    information, _ = _information(model, blocks, dof, values, noise=True)
+    covariance = _inverse(information + np.diag(prior))
+    chi2, n_dof, p = _against_prior(values, covariance, model.prior_sd)
+    made = Calibration(model, values, covariance, model.moved(values), chi2, n_dof, p, 2.0 * (start - target))
+    return replace(made, notices=_notices(made))
+
+
+def _block(placed: Measurement, run: int, body: int, weights: Array, size: int) -> _Block | None:
+    """Collect one body in one run, without loss in fewer lines where the noise allows it.
+
+    Notes
+    -----
+    Where s is a product of one factor per channel and one per line, the whitened readings matter only
+    through their products over lines: an orthogonal factorisation leaves as many lines as channels.
+    """
+    value = placed.bodies[body].displacement[run]
+    live = np.any(weights > 0.0, axis=0)
+    if not np.any(live):
+        return None
+    s = np.sqrt(weights[:, live])
+    y = np.where(s > 0.0, np.nan_to_num(value[:, live]), 0.0)
+    across = np.sqrt(np.mean(s**2, axis=1))
+    along = np.sqrt(np.mean(s**2, axis=0))
+    product = np.outer(across, along) / np.sqrt(np.mean(s**2))
+    lines = float(y.shape[1])
+    if np.max(np.abs(s - product)) <= _SEPARABLE * np.max(product):
+        factor = along / np.sqrt(np.mean(along**2))
+        whole = y * factor
+        if whole.shape[1] > whole.shape[0]:
+            whole = np.asarray(np.linalg.qr(whole.T)[1]).T
+        return _Block(body, whole, np.repeat(across[:, None], whole.shape[1], axis=1), lines)
+    work = y.shape[1] * len(y) * float(size) ** 2
+    thin = max(1, int(np.ceil(work / _MOST_WORK)))
+    return _Block(body, y[:, ::thin], s[:, ::thin], float(len(y[0, ::thin])))
+
+
+def _rows(model: GeometryModel, body: int, values: Array, dof: Sequence[str]) -> Array:
+    moved = model.body(body, values)
+    gain = 1.0 + model.gains(body, values)
+    rows = point_rows(moved.positions_mm * 1e-3, moved.directions)
+    return np.asarray(gain[:, None] * rows[:, dof_indices(tuple(dof))])
+
+
+def _fitted(block: _Block, rows: Array) -> tuple[Array, ComplexArray, ComplexArray]:
+    """Return orthonormal whitened columns (line, channel, m) or (channel, m), the residual, and coefficients.
+
+    The coefficients (m, line) belong to the columns of ``rows`` divided by their lengths.
+    """
+    scale = np.linalg.norm(rows, axis=0)
+    if np.array_equal(block.s[:, :1].repeat(block.s.shape[1], 1), block.s):
+        q, r = np.linalg.qr(block.s[:, :1] * rows / scale)
+        whole = block.s * block.y
+        z = q.T @ whole
+        return q, np.asarray(whole - q @ z), np.asarray(np.linalg.solve(r, z), dtype=complex)
+    q, r = np.linalg.qr(block.s.T[:, :, None] * (rows / scale))
+    whole = block.s * block.y
+    z = np.einsum("fcm,cf->fm", q, whole)
+    residual = np.asarray(whole - np.einsum("fcm,fm->cf", q, z))
+    return np.asarray(q.real), residual, np.asarray(np.linalg.solve(r, z[:, :, None])[:, :, 0].T)
+
+
+def _energy(
+    model: GeometryModel, blocks: Sequence[_Block], dof: Sequence[Sequence[str]], values: Array
+) -> float:
+    total = 0.0
+    for block in blocks:
+        rows = _rows(model, block.body, values, dof[block.body])
+        total += float(np.sum(np.abs(_fitted(block, rows)[1]) ** 2))
+    return total
+
+
+def _information(
+    model: GeometryModel, blocks: Sequence[_Block], dof: Sequence[Sequence[str]], values: Array, noise: bool
+) -> tuple[Array, Array]:
+    """Return twice the projected Gram matrix (k, k) and the score (k,); without the noise of the motion."""
+    size = len(values)
+    information, score = np.zeros((size, size)), np.zeros(size)
+    for block in blocks:
+        rows = _rows(model, block.body, values, dof[block.body])
+        scale = np.linalg.norm(rows, axis=0)
+        q, residual, z = _fitted(block, rows)
+        places = dof_indices(tuple(dof[block.body]))
+        gain = 1.0 + model.gains(block.body, values)
+        slopes = np.zeros((size, len(rows), len(places)))
+        for change in model.changes(block.body, values):
+            factor = gain[change.channels][:, None]
+            slopes[change.parameter, change.channels] += factor * change.rows[:, places] / scale
+        if q.ndim == 2:
+            part, pull = _alike(block, slopes, q, rows / scale, residual, z, noise)
+        else:
+            part, pull = _each(block, slopes, q, rows / scale, residual, z, noise)
+        information += part
+        score += pull
+    return 2.0 * information, 2.0 * score
+
+
+def _alike(
+    block: _Block, slopes: Array, q: Array, rows: Array, residual: ComplexArray, z: ComplexArray, noise: bool
+) -> tuple[Array, Array]:
+    """Return Gram matrix and score where all lines share their weights."""
+    s = block.s[:, 0]
+    white = s[None, :, None] * slopes
+    score = np.real(np.einsum("kcm,cf,mf->k", white, residual.conj(), z, optimize=True))
+    second = np.real(z @ z.conj().T)
+    if noise:
+        weighted = s[:, None] * rows
+        second = second - block.lines * np.linalg.inv(weighted.T @ weighted)
+    values, vectors = np.linalg.eigh(second)
+    half = vectors * np.sqrt(np.maximum(values, 0.0))
+    seen = white @ half
+    seen = seen - np.einsum("cm,km...->kc...", q, np.einsum("cm,kc...->km...", q, seen))
+    flat = seen.reshape(len(slopes), -1)
+    return flat @ flat.T, score
+
+
+def _each(
+    block: _Block, slopes: Array, q: Array, rows: Array, residual: ComplexArray, z: ComplexArray, noise: bool
+) -> tuple[Array, Array]:
+    """Return Gram matrix and score, line by line in pieces."""
+    size = len(slopes)
+    information, score = np.zeros((size, size)), np.zeros(size)
+    step = max(1, 2_000_000 // (size * slopes.shape[1]))
+    for start in range(0, block.s.shape[1], step):
+        part = slice(start, start + step)
+        s = block.s[:, part].T
+        made = np.einsum("fc,kcm,mf->fck", s, slopes, z[:, part], optimize=True)
+        score += np.real(np.einsum("fck,cf->k", made.conj(), residual[:, part], optimize=True))
+        information += _gram(made, q[part])
+        if noise:
+            weighted = s[:, :, None] * rows
+            gram = np.einsum("fcm,fcn->fmn", weighted, weighted)
+            half = np.linalg.cholesky(np.linalg.inv(gram))
+            for column in range(half.shape[2]):
+                less = np.einsum("fc,kcm,fm->fck", s, slopes, half[:, :, column], optimize=True)
+                information -= _gram(less, q[part])
+    if noise:
+        values, vectors = np.linalg.eigh(information)
+        information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return information, score
+
+
+def _gram(made: ComplexArray | Array, q: Array) -> Array:
+    """Return the real Gram matrix of columns (line, channel, k) off the columns q (line, channel, m)."""
+    seen = q.transpose(0, 2, 1) @ made
+    flat, inside = made.reshape(-1, made.shape[2]), seen.reshape(-1, made.shape[2])
+    return np.real(flat.conj().T @ flat) - np.real(inside.conj().T @ inside)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return np.asarray(scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right))
+
+
+def _inverse(matrix: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+    return np.asarray(0.5 * (inverse + inverse.T))
+
+
+def _against_prior(values: Array, covariance: Array, prior_sd: Array) -> tuple[float, int, float]:
+    """Return chi2 of the estimate under the priors, in the directions that the data show.
+
+    Notes
+    -----
+    If the priors hold, the estimate has the covariance prior - posterior.
+    """
+    from scipy.special import chdtrc
+
+    gained, vectors = np.linalg.eigh(np.eye(len(values)) - covariance / np.outer(prior_sd, prior_sd))
+    seen = gained > 0.05
+    along = vectors.T @ (values / prior_sd)
+    chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
+    count = int(np.sum(seen))
+    return chi2, count, float(chdtrc(count, chi2)) if count else 1.0
+
+
+def _notices(made: Calibration) -> tuple[Notice, ...]:
+    notices = []
+    unseen = [name for name, seen in zip(made.model.names, made.seen, strict=True) if not seen]
+    said = _grouped(unseen)
+    text = (
+        f"calibration: the data tell {int(np.sum(made.seen))} of {len(made.seen)} parameters of the geometry"
+        + (f"; as uncertain as before: {said}" if said else "")
+        + ". No residual shows a shift of all points of a body together, nor a turn of positions and beams "
+        "together, nor one gain common to all lasers: those rest on fiducials and references alone."
+    )
+    notices.append(Notice("calibrated", text))
+    if made.p_value < _UNLIKELY:
+        worst = int(np.argmax(np.abs(made.values) / made.model.prior_sd))
+        name = made.model.names[worst]
+        size = _shown(name, made.values[worst], made.sd[worst], made.model.prior_sd[worst])
+        text = (
+            "calibration: the data pull the geometry beyond what the stated errors allow "
+            f"(chi2 {made.chi2:.3g} for {made.n_dof}, p {made.p_value:.1g}), most {size}. Check --axes-sd, "
+            "--beam-sd and sd_mm, and the channels with a verdict."
+        )
+        notices.append(Notice("calibration_beyond_priors", text))
+    return tuple(notices)
+
+
+def _grouped(names: Sequence[str]) -> str:
+    """Name parameters by group, a long list of points by their number."""
+    places = [name.split(".")[1:-1] for name in names if name.startswith("position.")]
+    points = list(dict.fromkeys(" ".join(place) for place in places))
+    others = [name for name in names if not name.startswith("position.")]
+    if len(points) > 4:
+        others.append(f"components of the positions of {len(points)} points")
+    elif points:
+        others.append("positions of " + ", ".join(points))
+    return ", ".join(others)
+
+
+def _shown(name: str, value: float, sd: float, prior: float) -> str:
+    factor, unit = 180.0 / np.pi, "°"
+    if name.startswith("position."):
+        factor, unit = 1e6, " um"
+    elif name.startswith("gain."):
+        factor, unit = 100.0, " %"
+    return f"{name} by {value * factor:+.3g} ± {sd * factor:.2g}{unit} (stated {prior * factor:.2g})"

@@ -1,0 +1,138 @@
+"""Read fiducials: points seen by the vibrometer that are known on the plate, the scan or the footplate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.measurement import mirror_sign
+from kinematics.tidy.points_csv import finite_faults, require, sd_faults
+from stapeskit.faults import raise_all, sentence
+from stapeskit.tables.csv_table import Table, read_table
+
+Array = NDArray[np.float64]
+FRAMES = ("plate", "scan", "footplate")
+_SEEN = ("x_mm", "y_mm", "z_mm")
+_KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
+_SD_AXES = ("sd_x_mm", "sd_y_mm", "sd_z_mm")
+_SD = ("sd_mm", *_SD_AXES, "sd_ref_mm")
+
+
+@dataclass(frozen=True)
+class Fiducials:
+    """Paired points.
+
+    Attributes
+    ----------
+    names : tuple of str, (n,)
+    vibrometer_mm : ndarray, (n, 3)
+        In vibrometer coordinates.
+    reference_mm : ndarray, (n, 3)
+        In the frame of the same row of ``frames``.
+    frames : tuple of str, (n,)
+        ``plate``, ``scan`` or ``footplate``.
+    sd_mm : ndarray, (n,) or (n, 3), or None
+        Standard deviation per coordinate, or along each vibrometer axis; None when not stated.
+    path : Path or None
+    sd_ref_mm : ndarray, (n,), or None
+        Standard deviation per coordinate of the reference; None: it is part of ``sd_mm``.
+    """
+
+    names: tuple[str, ...]
+    vibrometer_mm: Array
+    reference_mm: Array
+    frames: tuple[str, ...]
+    sd_mm: Array | None = None
+    path: Path | None = None
+    sd_ref_mm: Array | None = None
+
+    def mirrored(self, axis: str) -> Fiducials:
+        """Return the fiducials with one axis of the left-handed vibrometer coordinates turned round.
+
+        Raises
+        ------
+        KinematicsError
+            The axis is not x, y or z.
+        """
+        return replace(self, vibrometer_mm=self.vibrometer_mm * np.array(mirror_sign(axis)))
+
+
+def read_fiducials(path: Path) -> Fiducials:
+    """Read a fiducials file: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm [, frame] [, sd_mm].
+
+    Instead of ``sd_mm`` there may be sd_x_mm, sd_y_mm, sd_z_mm along the vibrometer's axes (depth is often
+    known less well), and beside either sd_ref_mm of the reference coordinates.
+
+    Raises
+    ------
+    KinematicsError
+        A column is missing, a cell is no finite number, a name stands there twice, a frame is unknown, or
+        an sd is not positive, stated for some fiducials or some axes only, or stated both for all axes and
+        for each; all faults are listed.
+    """
+
+    def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
+        require(header, ("name", *_SEEN, *_KNOWN), file)
+        return {*_SEEN, *_KNOWN, *(set(_SD) & set(header))}, {"name", *({"frame"} & set(header))}
+
+    table = read_table(path, choose)
+    faults = [*table.faults, *finite_faults(table, (*_SEEN, *_KNOWN))]
+    names, frames = _words(table, faults)
+    spread = _spread(table, faults)
+    raise_all(KinematicsError, faults)
+    seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
+    sd = spread.get("sd_mm")
+    if _SD_AXES[0] in spread:
+        sd = np.column_stack([spread[name] for name in _SD_AXES])
+    return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
+
+
+def _spread(table: Table, faults: list[str]) -> dict[str, Array]:
+    """Return the columns of standard deviations that hold something, and add their faults."""
+    found = {name: table.numbers[name] for name in _SD if name in table.numbers}
+    found = {name: values for name, values in found.items() if not np.all(np.isnan(values))}
+    for name, values in found.items():
+        faults += sd_faults(table, values, name)
+        faults += [
+            sentence(
+                name,
+                "stated for all fiducials or for none",
+                "an empty cell",
+                table.where(int(row)),
+                "Fill it in, or leave the column out",
+            )
+            for row in np.flatnonzero(np.isnan(values))
+        ]
+    axes = [name for name in _SD_AXES if name in found]
+    if axes and (len(axes) < 3 or "sd_mm" in found):
+        got = ", ".join(name for name in (*axes, "sd_mm") if name in found)
+        step = "Give one sd_mm, or one column for each axis"
+        faults.append(sentence("the sd of the fiducials", "sd_mm, or all three of " + ", ".join(_SD_AXES),
+                               got, table.file, step))  # fmt: skip
+    return found
+
+
+def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    column = table.texts["name"]
+    names = tuple(column.names[code] if code >= 0 else "" for code in column.codes)
+    for row, name in enumerate(names):
+        if not name or name in names[:row]:
+            got = f"{name} again" if name else "an empty cell"
+            faults.append(
+                sentence("name", "given, and different for each fiducial", got, table.where(row), "Name it")
+            )
+    if "frame" not in table.texts:
+        return names, ("plate",) * len(names)
+    column = table.texts["frame"]
+    frames = tuple(column.names[code].lower() if code >= 0 else "plate" for code in column.codes)
+    for row, frame in enumerate(frames):
+        if frame not in FRAMES:
+            faults.append(
+                sentence("frame", "plate, scan or footplate", frame, table.where(row, "frame"), "Correct it")
+            )
+    return names, frames

@@ -1,0 +1,123 @@
+"""Are positions and beams in the same axes? Rigid motion shows an axis that only one of them has mirrored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import MIRRORS, Measurement
+from stapeskit.faults import sentence
+from stapeskit.frames import RigidTransform
+from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+_MISFIT = 4.0
+_CURED = 0.1
+_CURED_UNKNOWN = 0.02
+_MOST_LINES = 60
+
+
+def check_axes(
+    placed: Measurement,
+    footplate_from_source: RigidTransform,
+    fits: Mapping[tuple[int, int], LineFit],
+    kept: Mapping[tuple[int, int], float] | None = None,
+) -> list[Notice]:
+    """Refuse positions that agree with the beams only when one of their axes is turned round.
+
+    Parameters
+    ----------
+    placed : Measurement
+        In the footplate frame.
+    footplate_from_source : RigidTransform
+        Whose source axes are those of the files.
+    fits : mapping of (run, body) to LineFit
+    kept : mapping of (run, body) to float, optional
+        Share of the misfit of each fit that a single fault of a channel, point or laser leaves; 1 where
+        none explains it.
+
+    Returns
+    -------
+    list of Notice
+        ``mirrored_axes`` when an axis turned round explains the readings no better than a single fault.
+
+    Raises
+    ------
+    KinematicsError
+        Turning one axis of all positions round leaves less than a tenth of a misfit that is more than 4 times
+        the noise, and a misfit like noise; or, where the noise is not stated, less than a fiftieth. What a
+        single fault explains without turning an axis round does not count.
+
+    Notes
+    -----
+    When positions and beams are both mirrored, v = v0 + omega x r keeps its form with -omega, and no residual
+    shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
+    """
+    whole = float(sum(np.nansum(fit.chi2) for fit in fits.values()))
+    loud = whole > _MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
+    if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
+        return []
+    given, freedom = _misfits(placed, fits, np.eye(3))
+    if freedom < 20:
+        return []
+    turn = footplate_from_source.rotation
+    mirrored = {
+        axis: _misfits(placed, fits, turn @ np.diag(signs) @ turn.T)[0] for axis, signs in MIRRORS.items()
+    }
+    best = min(mirrored, key=lambda axis: sum(mirrored[axis].values()))
+    after = sum(mirrored[best].values())
+    rival = sum(
+        mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
+    )
+    share = _CURED if loud else _CURED_UNKNOWN
+    if after > share * sum(given.values()) or after > _MISFIT * freedom:
+        return []
+    if after > share * rival:
+        text = (
+            f"positions whose {best} is turned round would explain the readings as well as the fault "
+            f"that was found; give --mirror-points {best} if their coordinates are left-handed."
+        )
+        return [Notice("mirrored_axes", text)]
+    before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
+    raise KinematicsError(
+        sentence(
+            "the positions of the points",
+            "in the same axes as the beam directions",
+            f"positions that agree with the beams only when their {best} is turned round (residuals "
+            f"{before:.2g} times the noise as given, {after:.2g} so)",
+            next_step=f"One of the two is left-handed: give --mirror-points {best} when it is the "
+            f"positions, and with --mirror {best} too when it is the directions",
+        )
+    )
+
+
+def _misfits(
+    placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change: Array
+) -> tuple[dict[tuple[int, int], float], int]:
+    """Return each fit's sum of squared residuals over noise with changed positions, and all freedom."""
+    totals: dict[tuple[int, int], float] = {}
+    freedom = 0
+    for (run, number), fit in fits.items():
+        body = placed.bodies[number]
+        centre = body.positions_mm.mean(axis=0)
+        arms = (body.positions_mm - centre) @ change.T * 1e-3
+        lines = slice(None, None, max(1, len(placed.freq_hz) // _MOST_LINES))
+        _, sd, _ = fit.at(lines)
+        used = np.isfinite(sd)
+        if len(fit.beams.dof) < 6 or not np.any(used):
+            continue
+        rows = point_rows(arms, body.directions)[:, dof_indices(fit.beams.dof)]
+        rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+        weight = np.where(used, 1.0 / np.where(used, sd, 1.0), 0.0).T
+        value = np.where(used, np.nan_to_num(fit.value[:, lines]), 0.0).T
+        white = weight[:, :, None] * rows
+        q, _ = np.linalg.qr(white)
+        inside = np.einsum("fcm,fc->fm", q, weight * value)
+        totals[run, number] = float(np.sum(np.abs(weight * value) ** 2) - np.sum(np.abs(inside) ** 2))
+        freedom += 2 * (int(np.sum(used)) - rows.shape[1] * len(weight))
+    return totals, freedom

@@ -1,0 +1,222 @@
+"""The surfaces that ct2mass leaves beside mass.json: stapes, plate, and other bone from the label volume."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.registration.mesh_distance import TriangleSurface
+from stapeskit.faults import StapeskitError, sentence
+
+if TYPE_CHECKING:
+    from stapeskit.records.mass_record import MassRecord
+
+Array = NDArray[np.float64]
+STAPES, PLATE, OTHER_BONE = 1, 2, 3
+_MARGIN_MM = 1.0
+_MOST_VOXELS = 60_000_000
+_TYPES = {"unsigned char": "u1", "uchar": "u1", "uint8": "u1", "uint8_t": "u1", "signed char": "i1",
+          "int8": "i1", "short": "i2", "int16": "i2", "unsigned short": "u2", "uint16": "u2",
+          "int": "i4", "int32": "i4", "unsigned int": "u4", "uint32": "u4"}  # fmt: skip
+_SIGNS = {"left-posterior-superior": (1.0, 1.0, 1.0), "lps": (1.0, 1.0, 1.0),
+          "right-anterior-superior": (-1.0, -1.0, 1.0), "ras": (-1.0, -1.0, 1.0),
+          "left-anterior-superior": (1.0, -1.0, 1.0), "las": (1.0, -1.0, 1.0)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ScanSurfaces:
+    """Where the surfaces of a scan stand, all in scan coordinates, mm; read when asked for.
+
+    Attributes
+    ----------
+    find : callable
+        From a file's name to its path, which need not exist.
+    labels_file : str or None
+        Name of the label volume.
+    """
+
+    find: Callable[[str], Path]
+    labels_file: str | None = "labels.nrrd"
+    _read: dict[str, TriangleSurface | None] = field(default_factory=dict, repr=False, compare=False)
+    _labels: dict[str, Labels] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def beside(cls, mass_file: Path, mass: MassRecord | None = None) -> ScanSurfaces:
+        """Return the surfaces in the folder of a mass.json, the labels by the name that it gives them."""
+        labels = "labels.nrrd" if mass is None else mass.raw.get("labels_file", "labels.nrrd")
+        named = labels if isinstance(labels, str) and Path(labels).name == labels else None
+        return cls(lambda name: Path(mass_file).parent / name, named)
+
+    def mesh(self, name: str) -> TriangleSurface | None:
+        """Return ``stapes`` or ``plate``, or None when there is no such file.
+
+        Raises
+        ------
+        KinematicsError
+            The file holds no triangles.
+        """
+        if name not in self._read:
+            path = self.find(f"{name}.ply")
+            self._read[name] = read_mesh(path, name) if path.is_file() else None
+        return self._read[name]
+
+    def bone_near(self, points_mm: Array) -> TriangleSurface | None:
+        """Return the boundary of the other bone around points (n, 3), or None when there is none there."""
+        path = None if self.labels_file is None else self.find(self.labels_file)
+        if path is None or not path.is_file():
+            return None
+        if "labels" not in self._labels:
+            self._labels["labels"] = read_labels(path)
+        return label_surface(self._labels["labels"], OTHER_BONE, points_mm)
+
+
+def read_mesh(path: Path, name: str) -> TriangleSurface:
+    """Read a triangle mesh, mm.
+
+    Raises
+    ------
+    KinematicsError
+        The file is missing, cannot be read, or holds no triangles.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise KinematicsError(
+            sentence(f"the surface of the {name}", "an existing mesh", path, "", "Run ct2mass first")
+        )
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        return TriangleSurface(np.asarray(mesh.vertices), np.asarray(mesh.faces), f"surface of the {name}")
+    except StapeskitError:
+        raise
+    except Exception as fault:
+        raise KinematicsError(
+            sentence(
+                f"the surface of the {name}",
+                "a triangle mesh",
+                str(fault)[:80],
+                path.name,
+                "Run ct2mass anew",
+            )
+        ) from fault
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A label volume.
+
+    Attributes
+    ----------
+    array : ndarray, [z, y, x], int
+    scan_from_index : ndarray, (3, 4)
+        Maps index (x, y, z) to scan coordinates, mm.
+    """
+
+    array: NDArray[np.integer]
+    scan_from_index: Array
+
+    @property
+    def spacing_mm(self) -> Array:
+        """Voxel size (3,), x, y, z."""
+        return np.asarray(np.linalg.norm(self.scan_from_index[:, :3], axis=0))
+
+
+def read_labels(path: Path) -> Labels:
+    """Read an attached NRRD label volume as ct2mass and 3D Slicer write it.
+
+    Raises
+    ------
+    KinematicsError
+        It is no NRRD, its header lacks a field, or its data are cut short.
+    """
+    raw = Path(path).read_bytes()
+    head, _, data = raw.partition(b"\n\n")
+    lines = head.decode("latin-1").splitlines()
+    fields = {
+        key.strip().lower(): value.strip(" =")
+        for key, _, value in (line.partition(":") for line in lines[1:] if not line.startswith("#"))
+    }
+    try:
+        if not lines or not lines[0].startswith("NRRD"):
+            raise ValueError("no NRRD header")
+        size = [int(part) for part in fields["sizes"].split()]
+        axes = [_vector(part) for part in fields["space directions"].replace(")", ") ").split()]
+        sign = np.array(_SIGNS[fields["space"].lower()])
+        kind = np.dtype(_TYPES[fields["type"].lower()])
+        if fields.get("endian", "little") == "big":
+            kind = kind.newbyteorder(">")
+        if fields["encoding"].lower() in ("gzip", "gz"):
+            data = gzip.decompress(data)
+        elif fields["encoding"].lower() != "raw":
+            raise ValueError(f"encoding {fields['encoding']}")
+        array = np.frombuffer(data, kind, int(np.prod(size))).reshape(size[::-1])
+        origin = _vector(fields["space origin"])
+        matrix = np.column_stack([*axes, origin]) * sign[:, None]
+        if array.ndim != 3 or matrix.shape != (3, 4):
+            raise ValueError(f"{array.ndim} dimensions")
+    except (KeyError, ValueError, OSError, EOFError, zlib.error) as fault:
+        got = f"no field {fault}" if isinstance(fault, KeyError) else str(fault)[:80]
+        raise KinematicsError(
+            sentence(
+                "the label volume", "an NRRD as ct2mass writes it", got, Path(path).name, "Run ct2mass anew"
+            )
+        ) from fault
+    return Labels(array, matrix)
+
+
+def _vector(text: str) -> Array:
+    return np.array([float(part) for part in text.strip("() ").split(",")])
+
+
+def label_surface(labels: Labels, label: int, points_mm: Array) -> TriangleSurface | None:
+    """Return the boundary of one label around points (n, 3), scan mm; None when there is none nearby.
+
+    Notes
+    -----
+    The mask is blurred by one voxel before its half level is taken, which takes the steps out: a plane is
+    met within about 0.1 voxels (sd), edges are rounded within a voxel.
+    """
+    from scipy.ndimage import gaussian_filter
+    from skimage.measure import marching_cubes
+
+    matrix = labels.scan_from_index
+    index = np.linalg.solve(matrix[:, :3], (np.asarray(points_mm) - matrix[:, 3]).T).T
+    reach = np.ceil(_MARGIN_MM / labels.spacing_mm)
+    size = np.array(labels.array.shape[::-1])
+    low = np.clip(np.floor(index.min(axis=0) - reach), 0, size).astype(int)
+    high = np.clip(np.ceil(index.max(axis=0) + reach) + 1, 0, size).astype(int)
+    if np.any(high - low < 4) or np.prod((high - low).astype(float)) > _MOST_VOXELS:
+        return None
+    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    mask = labels.array[box] == label
+    if not 0 < np.count_nonzero(mask) < mask.size:
+        return None
+    blurred = gaussian_filter(mask.astype(np.float32), 1.0, mode="nearest")
+    if not blurred.min() < 0.5 < blurred.max():
+        return None
+    vertices, faces, _, _ = marching_cubes(blurred, 0.5, gradient_direction="ascent")
+    places = (vertices[:, ::-1] + low) @ matrix[:, :3].T + matrix[:, 3]
+    surface = np.asarray(faces, dtype=np.int64)
+    if _points_inward(blurred, vertices, surface, labels):
+        surface = surface[:, ::-1]
+    return TriangleSurface(places, surface, "surface of the bone")
+
+
+def _points_inward(blurred: Array, vertices: Array, faces: NDArray[np.int64], labels: Labels) -> bool:
+    """Tell whether most triangles point towards larger values, in index space seen in scan axes."""
+    some = faces[:: max(1, len(faces) // 500)]
+    corners = vertices[some][:, :, ::-1] @ labels.scan_from_index[:, :3].T
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slopes = np.stack([np.gradient(blurred, axis=axis) for axis in range(3)], axis=-1)
+    where = np.clip(np.rint(vertices[some].mean(axis=1)).astype(int), 0, np.array(blurred.shape) - 1)
+    uphill = slopes[tuple(where.T)][:, ::-1] @ np.linalg.inv(labels.scan_from_index[:, :3])
+    return float(np.sum(normal * uphill)) > 0.0

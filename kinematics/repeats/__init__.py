@@ -1,0 +1,1 @@
+"""Repeats and levels of one excitation: compared, tested, pooled."""

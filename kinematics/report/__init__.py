@@ -1,0 +1,1 @@
+"""The report on points and degrees of freedom: sections and figures."""

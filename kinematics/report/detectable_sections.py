@@ -1,0 +1,151 @@
+"""Report: how large a fault would have to be to be found, and what never shows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.detectable import detectable
+from kinematics.faults.detectable_joint import SHIFT_UM, TURN_DEG, Joint, invisible, joint
+from kinematics.faults.diagnose import FALSE_ALARM
+from kinematics.report.draw_motion import full_motion
+from stapeskit.page import page
+from stapeskit.page.drawings import shortened
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+    from kinematics.measurement import BodyChannels
+    from kinematics.points2dof import Points2Dof
+
+Array = NDArray[np.float64]
+_MOST_POINTS = 400
+_MOST_DEG = 60.0
+
+
+def detectable_blocks(result: Points2Dof) -> list[Markup]:
+    """Return how large a fault would have to be to be found, per body and point, and what never shows."""
+    return [*_found(result), *_never(result)]
+
+
+def _found(result: Points2Dof) -> list[Markup]:
+    if result.options.robust != "none" or result.motion.reference:
+        return []
+    q = full_motion(result.motion)
+    rows: list[tuple[str, ...]] = []
+    points: list[tuple[str, ...]] = []
+    for number, body in enumerate(result.measurement.bodies):
+        fit = result.fits[0, number]
+        if not fit.solution.good.any() or fit.is_rounding():
+            continue
+        alarm = FALSE_ALARM / max(1, len(result.fits)) / (4.0 * len(body.points))
+        least = detectable(fit, body, q[0, number], alarm)
+        kinds = (
+            ("gain of a channel", "%", 100.0 * least.gain),
+            ("direction of a beam", "°", np.rad2deg(least.angle_rad)),
+            ("position of a point", "µm", 1e6 * least.shift_m),
+        )
+        for what, unit, values in kinds:
+            rows.append((body.body, what, *_typical_and_worst(values, unit, body)))
+        rows += _joint_rows(joint(fit, body, q[0, number], alarm), body)
+        points += _point_rows(body, [(unit, values) for _, unit, values in kinds])
+    if not rows:
+        return []
+    run = f" in run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
+    blind = any(cell == "-" for row in (*rows, *points) for cell in row)
+    dash = " A dash: it would never show." if blind else ""
+    return [
+        page.subheading("What would have been found"),
+        page.table(("body", "error of", "typical", "largest", "at"), rows, words=True),
+        page.text(
+            f"The smallest error{run} that is found with 95 % probability, along the direction in which it "
+            f"shows least; smaller ones can hide behind a clean verdict.{dash}"
+        ),
+        page.folded(
+            "Every point",
+            page.table(("body", "point", "gain", "direction", "position"), points[:_MOST_POINTS]),
+            page.text("The largest of the beams of each point."),
+        ),
+    ]
+
+
+def _joint_rows(found: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
+    """Return the rows of turned axes and exchanged points."""
+    turn = "-" if np.isnan(found.axes_rad) else size_of(float(np.rad2deg(found.axes_rad)), "°")
+    rows: list[tuple[str, ...]] = [(body.body, "axes of all beams together", turn, turn, "all points")]
+    for one, two, distance, chance in found.pairs:
+        said = "found in > 99.9 %" if chance > 0.999 else f"found in {100.0 * chance:.3g} %"
+        where = f"{one} and {two}, {distance:.2g} mm apart"
+        rows.append((body.body, "names of two points exchanged", said, said, where))
+    return rows
+
+
+def _point_rows(body: BodyChannels, kinds: list[tuple[str, Array]]) -> list[tuple[str, ...]]:
+    rows = []
+    for point in dict.fromkeys(body.points):
+        own = [c for c, name in enumerate(body.points) if name == point]
+        cells = []
+        for unit, values in kinds:
+            value = float(np.max(values[own]))
+            cells.append("-" if np.isnan(value) else size_of(value, unit))
+        rows.append((body.body, point, *cells))
+    return rows
+
+
+def _never(result: Points2Dof) -> list[Markup]:
+    """Return what errors that leave no residual at all would do to the motion."""
+    q, rows = full_motion(result.motion), []
+    dof = result.motion.dof
+    for number, body in enumerate(result.measurement.bodies):
+        if not np.any(np.isfinite(q[0, number]).all(axis=1)):
+            continue
+        errors = invisible(q[0, number], dof, body.directions)
+        rows.append((body.body, f"points and beams turned together by {TURN_DEG:g}°", *_shares(errors.turn)))
+        rows.append((body.body, f"all points shifted together by {SHIFT_UM:g} µm", *_shares(errors.shift)))
+        if np.any(np.isfinite(errors.tilt)):
+            what = f"the one beam direction tilted by {TURN_DEG:g}°, as much motion across as along"
+            rows.append((body.body, what, *_shares(errors.tilt)))
+    if not rows:
+        return []
+    single = any("tilted" in row[1] for row in rows)
+    tilt = "" if single else " A tilt of the beams against the points would show, as their directions differ."
+    return [
+        page.subheading("What never shows"),
+        page.table(("body", "error", *dof), rows, words=True),
+        page.text(
+            "Such errors move beams and points alike and leave residuals of exactly zero: only markers and "
+            "the alignment of the vibrometer guard against them. Change (rms over frequency) of each degree "
+            f"of freedom relative to itself, about the worst axis; proportional to the error.{tilt}"
+        ),
+    ]
+
+
+def _shares(values: Array) -> list[str]:
+    return ["-" if np.isnan(v) else ("0" if v < 1e-9 else f"{100.0 * v:.2g} %") for v in values]
+
+
+def size_of(value: float, unit: str) -> str:
+    """Write the size of a fault to three digits.
+
+    Notes
+    -----
+    An angle is that of a small tilt, sin(angle) = angle; what follows for large ones is told as a bound.
+    """
+    if unit == "°" and value > _MOST_DEG:
+        return f"> {_MOST_DEG:g} °"
+    if unit == "µm" and value >= 999.5:
+        value, unit = 1e-3 * value, "mm"
+    return f"{float(f'{value:.3g}'):g} {unit}"
+
+
+def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[str, str, str]:
+    known = np.isfinite(values)
+    if not np.any(known):
+        return "-", "-", "-"
+    worst = int(np.nanargmax(values))
+    blind = [body.points[c] for c in np.flatnonzero(~known)]
+    at = body.points[worst] + (f"; none at {', '.join(dict.fromkeys(blind))}" if blind else "")
+    typical, largest = float(np.nanmedian(values)), float(values[worst])
+    return size_of(typical, unit), size_of(largest, unit), shortened(at, 60)

@@ -1,0 +1,188 @@
+"""What is told of registration, surfaces and calibration: on the terminal, in JSON, on the page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from kinematics.points2dof import Points2Dof
+    from kinematics.registration.calibrate import Calibration
+    from kinematics.registration.surface_check import SurfaceCheck
+    from stapeskit.page.page import Section
+
+Array = NDArray[np.float64]
+_CENTRE = np.zeros((1, 3))
+
+
+def centre_error(result: Points2Dof) -> float | None:
+    """Return the root mean square error of the footplate centre by the registration, mm."""
+    fit = result.placement.registration
+    if fit is None:
+        return None
+    return float(fit.target_registration_error(result.placement.transform.inverse().points(_CENTRE))[0])
+
+
+def rows(result: Points2Dof) -> list[tuple[str, str]]:
+    """Return the rows of the command's table."""
+    made = []
+    fit = result.placement.registration
+    error = centre_error(result)
+    if fit is not None and error is not None:
+        text = f"{len(fit.residuals_mm)} {fit.kind}, residual {fit.rms_mm * 1e3:.3g} µm rms"
+        made.append(("registration", f"{text}, footplate centre ± {error * 1e3:.3g} µm"))
+    for check in result.placement.checks:
+        made.append((f"{check.body} on the {check.surface}", _check_words(check)))
+    if result.calibration is not None:
+        made.append(("calibration", _calibration_words(result.calibration)))
+    return made
+
+
+def _check_words(check: SurfaceCheck) -> str:
+    rms = float(np.sqrt(np.mean(check.distance_mm**2)))
+    said = [f"{len(check.points)} points {rms * 1e3:.3g} µm rms off it"]
+    if np.isfinite(check.chi2):
+        said.append(f"p {check.p_value:.2g}")
+    return ", ".join(said)
+
+
+def _calibration_words(made: Calibration) -> str:
+    text = f"{int(np.sum(made.seen))} of {len(made.seen)} parameters told by the data"
+    axes = [k for k, name in enumerate(made.model.names) if name.startswith("axes.")]
+    if axes:
+        turn = float(np.rad2deg(np.linalg.norm(made.values[axes])))
+        sd = float(np.rad2deg(np.max(made.sd[axes])))
+        text += f", axes turned {turn:.2g} ± {sd:.2g}°"
+    return f"{text}, p {made.p_value:.2g} against the priors"
+
+
+def as_json(result: Points2Dof) -> dict[str, Any]:
+    """Return the keys ``registration``, ``surface_checks`` and ``calibration`` of the JSON result."""
+    fit = result.placement.registration
+    made: dict[str, Any] = {"registration": None, "surface_checks": [], "calibration": None}
+    if fit is not None:
+        made["registration"] = {
+            "kind": fit.kind,
+            "points": len(fit.residuals_mm),
+            "residual_rms_mm": fit.rms_mm,
+            "chi2": None if np.isnan(fit.chi2) else fit.chi2,
+            "n_dof": fit.n_dof,
+            "error_at_footplate_centre_mm": centre_error(result),
+            f"{fit.transform.to}_from_{fit.transform.source}": fit.transform.matrix.tolist(),
+            "pose_covariance_si": fit.covariance_si.tolist(),
+        }
+    made["surface_checks"] = [
+        {
+            "body": check.body,
+            "surface": check.surface,
+            "points": list(check.points),
+            "distance_mm": check.distance_mm.tolist(),
+            "expected_sd_mm": check.expected_sd_mm.tolist(),
+            "chi2": None if np.isnan(check.chi2) else check.chi2,
+            "n_dof": check.n_dof,
+            "p_value": check.p_value,
+            "shift_mm": check.shift_mm.tolist(),
+            "shift_sd_mm": check.shift_sd_mm.tolist(),
+            "turn_deg": check.turn_deg.tolist(),
+            "turn_sd_deg": check.turn_sd_deg.tolist(),
+            "open_motions": list(check.open_motions),
+        }
+        for check in result.placement.checks
+    ]
+    if result.calibration is not None:
+        found = result.calibration
+        made["calibration"] = {
+            "names": list(found.model.names),
+            "values_si": found.values.tolist(),
+            "sd_si": found.sd.tolist(),
+            "prior_sd_si": found.model.prior_sd.tolist(),
+            "told_by_the_data": found.seen.tolist(),
+            "chi2": found.chi2,
+            "n_dof": found.n_dof,
+            "p_value": found.p_value,
+        }
+    return made
+
+
+def sections(result: Points2Dof) -> list[Section]:
+    """Return the sections on measured points against the scan's surfaces and on the calibration."""
+    made = []
+    if result.placement.checks:
+        made.append(_surfaces(result.placement.checks))
+    if result.calibration is not None:
+        made.append(_calibration(result.calibration))
+    return made
+
+
+def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
+    from kinematics.registration.surface_check import shift_words
+    from stapeskit.page import page
+    from stapeskit.page.page import Section
+
+    section = Section("Points on the surfaces of the scan")
+    section.add(
+        page.text(
+            "Distances of the measured points, as the registration places them, from the surface that they "
+            "must lie on. A shift of all points alike says that the sample moved between scan and "
+            "measurement, or that the registration is wrong; along the motions named last it would not show."
+        )
+    )
+    told = []
+    for check in checks:
+        rms = float(np.sqrt(np.mean(check.distance_mm**2)))
+        expected = float(np.sqrt(np.mean(check.expected_sd_mm**2)))
+        told.append(
+            (f"{check.body} on the {check.surface}", len(check.points), f"{rms * 1e3:.3g}",
+             f"{expected * 1e3:.3g}", f"{check.p_value:.2g}", shift_words(check),
+             "; ".join(check.open_motions) or "none")
+        )  # fmt: skip
+    head = (
+        "points",
+        "number",
+        "distance, rms (um)",
+        "expected",
+        "p",
+        "best rigid shift, footplate axes",
+        "motions not seen",
+    )
+    section.add(page.table(head, told, words=True))
+    return section
+
+
+def _calibration(made: Calibration) -> Section:
+    from stapeskit.page import page
+    from stapeskit.page.page import Section
+
+    section = Section("Geometry estimated with the motion")
+    section.add(
+        page.text(
+            "Most probable errors of the stated geometry, all lines together, the motion at every line left "
+            f"free. Against the stated errors: chi2 {made.chi2:.3g} for {made.n_dof} seen directions, "
+            f"p {made.p_value:.2g}. Rows without a mark are known from the statement alone. A shift of all "
+            "points of a body together, a turn of positions and beams together, and one gain common to all "
+            "lasers leave no residual: they rest on fiducials and references."
+        )
+    )
+    told = []
+    for place, name in enumerate(made.model.names):
+        factor, unit = _unit(name)
+        told.append(
+            (name, f"{made.values[place] * factor:+.3g}", f"{made.sd[place] * factor:.2g}",
+             f"{made.model.prior_sd[place] * factor:.2g}", unit, "seen" if made.seen[place] else "")
+        )  # fmt: skip
+    head = ("parameter", "estimate", "sd", "stated sd", "unit", "told by the data")
+    most = 60
+    section.add(page.table(head, told[:most]))
+    if len(told) > most:
+        section.add(page.text(f"... and {len(told) - most} more in the JSON result."))
+    return section
+
+
+def _unit(name: str) -> tuple[float, str]:
+    if name.startswith("position."):
+        return 1e6, "um"
+    if name.startswith("gain."):
+        return 100.0, "%"
+    return 180.0 / np.pi, "°"

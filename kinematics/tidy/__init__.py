@@ -1,0 +1,1 @@
+"""The tidy vibrometer table and the table of points."""

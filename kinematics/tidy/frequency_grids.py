@@ -1,0 +1,170 @@
+"""Which frequencies are one line: equal ones, and those of grids that differ by less than they could tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import sentence
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+SAME_LINE = 1e-6
+OF_SPACING = 0.01
+MOST = 1e-4
+_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The lines of a measurement.
+
+    Attributes
+    ----------
+    freq_hz : ndarray, (line,)
+        Ascending.
+    line : ndarray, (rows,)
+        Line of each row.
+    notices : tuple of Notice
+    """
+
+    freq_hz: Array
+    line: Index
+    notices: tuple[Notice, ...] = ()
+
+
+def join_lines(
+    freq_hz: Array, channel: Index, body: Index, names: Sequence[str], where: str = ""
+) -> tuple[Grid, list[str]]:
+    """Number the lines of rows whose frequencies may differ a little between channels.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (rows,)
+        Positive and finite.
+    channel, body : ndarray, (rows,)
+        Number of the channel (all of one sweep) and of the body of each row.
+    names : sequence of str
+        Names of the bodies.
+    where : str
+        File, for messages.
+
+    Returns
+    -------
+    Grid
+    list of str
+        Sentences on bodies whose grids do not fit, empty when all do.
+
+    Notes
+    -----
+    Frequencies within 1e-6 of each other are one line. So are those within 1 % of the spacing of the lines
+    of the channels they come from, but never more than 1e-4 apart: across a resonance with 10 % damping
+    that changes a response by 0.1 % at most. The line stands at the lowest of its frequencies.
+    """
+    import pandas as pd
+
+    codes, unique = pd.factorize(freq_hz)
+    order = np.argsort(unique)
+    ascending = np.asarray(unique[order], dtype=float)
+    gaps = np.diff(ascending)
+    new = np.concatenate([[True], gaps > SAME_LINE * ascending[1:]])
+    notices: list[Notice] = []
+    if np.any(gaps[new[1:]] < MOST * ascending[1:][new[1:]]):
+        spacing = _spacing(codes, channel, unique)[order]
+        wide = np.minimum(OF_SPACING * np.minimum(spacing[1:], spacing[:-1]), MOST * ascending[1:])
+        joined = new.copy()
+        joined[1:] = gaps > np.maximum(wide, SAME_LINE * ascending[1:])
+        joined = _without_chains(joined, ascending, wide, new)
+        widest = float(np.max(gaps[new[1:] & ~joined[1:]], initial=0.0))
+        if widest > 0.0:
+            text = (
+                f"frequencies that differ by up to {widest:.2g} Hz between channels were taken as one line "
+                "(within 1 % of the line spacing and 1e-4 of the frequency)."
+            )
+            notices.append(Notice("frequencies_matched", text))
+        new = joined
+    rank = np.empty(len(unique), dtype=np.intp)
+    rank[order] = np.cumsum(new) - 1
+    grid = Grid(ascending[new], rank[codes], tuple(notices))
+    return grid, grid_faults(grid.freq_hz, _presence(grid, body, len(names)), names, where)
+
+
+def _spacing(codes: Index, channel: Index, unique: Array) -> Array:
+    """Return the distance (unique,) of each frequency from its nearest neighbour in any one channel."""
+    freq = unique[codes]
+    order = np.lexsort((freq, channel))
+    same = np.diff(channel[order]) == 0
+    step = np.where(same, np.diff(freq[order]), np.inf)
+    step[step <= SAME_LINE * freq[order][1:]] = np.inf
+    spacing = np.full(len(unique), np.inf)
+    np.minimum.at(spacing, codes[order][1:], step)
+    np.minimum.at(spacing, codes[order][:-1], step)
+    return spacing
+
+
+def _without_chains(
+    new: NDArray[np.bool_], ascending: Array, wide: Array, strict: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Keep apart the frequencies of a group that is wider than two of its frequencies may be."""
+    starts = np.flatnonzero(new)
+    ends = np.append(starts[1:], len(new)) - 1
+    limit = np.append(wide, np.inf)
+    for start, end in zip(starts, ends, strict=True):
+        if end > start and ascending[end] - ascending[start] > float(np.min(limit[start:end])):
+            new[start : end + 1] |= strict[start : end + 1]
+    return new
+
+
+def _presence(grid: Grid, body: Index, count: int) -> NDArray[np.bool_]:
+    present = np.zeros((count, len(grid.freq_hz)), dtype=bool)
+    present[body, grid.line] = True
+    return present
+
+
+def grid_faults(
+    freq_hz: Array, present: NDArray[np.bool_], names: Sequence[str], where: str = ""
+) -> list[str]:
+    """List the bodies that share less than half of the lines that they could share with the first one.
+
+    Parameters
+    ----------
+    freq_hz : ndarray, (line,)
+        Ascending.
+    present : ndarray, (body, line), bool
+        Where each body was measured.
+    names : sequence of str
+    where : str
+        File, for messages.
+    """
+    faults = []
+    measured = [number for number in range(len(names)) if np.any(present[number])]
+    for number in measured[1:]:
+        first = measured[0]
+        one, two = np.flatnonzero(present[first]), np.flatnonzero(present[number])
+        low, high = max(one[0], two[0]), min(one[-1], two[-1])
+        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (one, two))
+        common = int(np.sum(present[first] & present[number]))
+        if common and common >= _SHARE * within:
+            continue
+        faults.append(
+            sentence(
+                f"the frequencies of bodies {names[first]} and {names[number]}",
+                "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured",
+                f"{_described(freq_hz[one])} and {_described(freq_hz[two])}, {common} of them in common",
+                where,
+                "Measure both bodies on one grid, or resample one of them",
+            )
+        )
+    return faults
+
+
+def _described(freq_hz: Array) -> str:
+    """Write a grid as its first lines, its last one, and their number."""
+    if len(freq_hz) < 4:
+        return ", ".join(f"{value:.8g}" for value in freq_hz) + " Hz"
+    first = ", ".join(f"{value:.8g}" for value in freq_hz[:2])
+    return f"{first}, ... {freq_hz[-1]:.8g} Hz ({len(freq_hz)} lines)"

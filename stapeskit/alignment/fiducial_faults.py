@@ -1,0 +1,293 @@
+"""What is wrong with a set of fiducials: one mistyped, two exchanged, mirrored, or in another unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.alignment.kabsch import kabsch
+from stapeskit.faults import StapeskitError, sentence
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+INCONSISTENT = 1e-3
+_NOTICEABLE_MM = 0.05
+_ALIKE = 6.0
+_SCALE_SDS = 4.0
+_ROUNDING = 1e-24
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One way to explain fiducials that do not fit.
+
+    Attributes
+    ----------
+    kind : str
+        ``wrong`` (one fiducial), ``swapped`` (two), ``mirrored`` or ``scaled``.
+    members : tuple of int
+        The fiducials concerned.
+    energy : float
+        Weighted sum of squared residuals that is left.
+    n_dof : int
+    cost : float
+        What the explanation must gain: for its parameters and for being one of many.
+    size_mm : float
+        How far the fiducial lies from where the others put it; the scale for ``scaled``.
+    offset_mm : ndarray, (3,)
+        The same as a vector, in target axes.
+    """
+
+    kind: str
+    members: tuple[int, ...]
+    energy: float
+    n_dof: int
+    cost: float
+    size_mm: float = 0.0
+    offset_mm: Array | None = None
+
+
+def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
+    """Return every explanation by one fault, with what it leaves unexplained.
+
+    Parameters
+    ----------
+    a, b : ndarray, (n, 3)
+        Paired points, mm; at least 4.
+    weights : ndarray, (n,)
+        1 / sd^2, or ones.
+    """
+    count = len(a)
+    free = 3 * count - 6
+    made = []
+    for out in range(count):
+        keep = np.arange(count) != out
+        rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
+        rest = a @ rotation.T + shift - b
+        energy = float(np.sum(weights[keep, None] * rest[keep] ** 2))
+        cost = 3.0 + 2.0 * np.log(count)
+        size = float(np.linalg.norm(rest[out]))
+        made.append(Explanation("wrong", (out,), energy, free - 3, cost, size, -rest[out]))
+    pairs = list(combinations(range(count), 2))
+    for i, j in pairs:
+        order = np.arange(count)
+        order[[i, j]] = j, i
+        energy = _energy(a, b[order], weights)
+        size = float(np.linalg.norm(b[i] - b[j]))
+        made.append(Explanation("swapped", (i, j), energy, free, 2.0 * np.log(len(pairs)), size))
+    made.append(Explanation("mirrored", (), _energy(a * [1.0, 1.0, -1.0], b, weights), free, 1.0))
+    scale, energy = _scaled(a, b, weights)
+    made.append(Explanation("scaled", (), energy, free - 1, 1.0, scale))
+    return made
+
+
+def best(found: Sequence[Explanation], stated: bool) -> tuple[Explanation, list[Explanation]]:
+    """Return the explanation of the greatest likelihood and those that the data cannot tell from it."""
+    freedom = float(max(one.n_dof for one in found))
+
+    def score(one: Explanation) -> float:
+        if stated:
+            return one.energy + one.cost
+        return float(freedom * np.log(max(one.energy, _ROUNDING) / one.n_dof) + one.cost)
+
+    ordered = sorted(found, key=score)
+    alike = [one for one in ordered if score(one) < score(ordered[0]) + _ALIKE]
+    return ordered[0], alike
+
+
+def _energy(a: Array, b: Array, weights: Array) -> float:
+    rotation, shift, _ = kabsch(a, b, weights)
+    return float(np.sum(weights[:, None] * (a @ rotation.T + shift - b) ** 2))
+
+
+def _scaled(a: Array, b: Array, weights: Array) -> tuple[float, float]:
+    """Return the scale that fits best (Umeyama 1991, doi:10.1109/34.88573, Eq. 42) and its energy."""
+    rotation, _, _ = kabsch(a, b, weights)
+    share = weights / np.sum(weights)
+    a0, b0 = a - share @ a, b - share @ b
+    turned = a0 @ rotation.T
+    scale = float(np.sum(weights[:, None] * turned * b0) / np.sum(weights[:, None] * turned**2))
+    return scale, float(np.sum(weights[:, None] * (scale * turned - b0) ** 2))
+
+
+def check_size(a: Array, b: Array, source: str, to: str) -> None:
+    """Refuse paired points whose distances differ by so much that the units must differ.
+
+    Raises
+    ------
+    StapeskitError
+        The median ratio of distances is beyond 1.5 or below 1 / 1.5; a factor of 1000 is told as such.
+    """
+    pairs = np.array(list(combinations(range(len(a)), 2)))
+    first = np.linalg.norm(a[pairs[:, 0]] - a[pairs[:, 1]], axis=1)
+    second = np.linalg.norm(b[pairs[:, 0]] - b[pairs[:, 1]], axis=1)
+    ratio = float(np.median(first / np.maximum(second, 1e-300)))
+    if 1.0 / 1.5 < ratio < 1.5:
+        return
+    raise StapeskitError(
+        sentence(
+            f"the fiducials of the {source} and {to} frames",
+            "both in mm, with the same distances between them",
+            f"distances that are {ratio:.4g} times as large in the {source} frame",
+            next_step=unit_hint(ratio, source, to) or "Check which fiducial is which, and the units",
+        )
+    )
+
+
+def unit_hint(ratio: float, source: str, to: str) -> str:
+    """Name the mixed-up unit when sizes differ by a factor that units make; empty otherwise."""
+    for factor, small, large in ((1000.0, "m", "um"), (25.4, "inches", ""), (10.0, "cm", "")):
+        if abs(ratio / factor - 1.0) < 0.2:
+            return f"The {to} coordinates seem to be in {small}" + (
+                f", or those of the {source} frame in {large}" if large else ""
+            )
+        if abs(ratio * factor - 1.0) < 0.2:
+            return f"The {source} coordinates seem to be in {small}" + (
+                f", or those of the {to} frame in {large}" if large else ""
+            )
+    return ""
+
+
+def fault_notices(
+    found: Sequence[Explanation],
+    rotation: Array,
+    energy: float,
+    names: Sequence[str],
+    stated: bool,
+) -> list[Notice]:
+    """Judge what the fiducials leave and name the fault that explains it best.
+
+    Parameters
+    ----------
+    found : sequence of Explanation
+    rotation : ndarray, (3, 3)
+        Of the fit of all.
+    energy : float
+        Weighted sum of squares that the fit of all leaves.
+    names : sequence of str
+    stated : bool
+        Whether the weights are absolute.
+
+    Notes
+    -----
+    With stated sd: chi2 of the fit of all, p < 0.001. Without, the others' scatter is the only scale: F test
+    of the three coordinates of one fiducial (or of the improvement by an exchange), corrected for the number
+    of candidates (Cook and Weisberg 1982, Residuals and Influence in Regression, section 2.2).
+    """
+    free = 3 * sum(one.kind == "wrong" for one in found) - 6
+    usable = [one for one in found if one.kind != "mirrored" and one.n_dof > 0]
+    if not usable:
+        return []
+    first, alike = best(usable, stated)
+    if stated:
+        spread = float(np.sqrt(energy / free))
+        if not inconsistent(energy, free):
+            return []
+        text = f"the fiducials disagree by {spread:.1f} times their sd_mm"
+        if first.energy < 0.5 * energy:
+            text += f"; {_words(first, alike, names, rotation)}"
+        text += "; the covariance of the registration was enlarged accordingly."
+        return [Notice("fiducials_inconsistent", text)]
+    if not _significant(first, energy, free):
+        return []
+    others = np.sqrt(first.energy / first.n_dof)
+    text = f"{_words(first, alike, names, rotation)}; the others scatter by {others * 1e3:.2g} um."
+    return [Notice("fiducials_inconsistent", text)]
+
+
+def inconsistent(energy: float, n_dof: int) -> bool:
+    """Tell whether a sum of squares in units of sd is too large for noise (p < 0.001)."""
+    from scipy.special import chdtri
+
+    return n_dof > 0 and energy > float(chdtri(n_dof, INCONSISTENT))
+
+
+def _significant(one: Explanation, energy: float, free: int) -> bool:
+    from scipy.special import fdtrc
+
+    count = free // 3 + 2
+    scatter = max(one.energy, _ROUNDING) / one.n_dof
+    gain = max(energy - one.energy, 0.0)
+    if one.kind == "scaled":
+        p = float(fdtrc(1, one.n_dof, gain / scatter))
+        return p < INCONSISTENT and abs(one.size_mm - 1.0) > 1e-3
+    if one.size_mm < _NOTICEABLE_MM:
+        return False
+    if one.kind == "wrong":
+        return count * float(fdtrc(3, one.n_dof, gain / 3.0 / scatter)) < INCONSISTENT
+    return count**2 / 2.0 * float(fdtrc(free, free, energy / one.n_dof / scatter)) < INCONSISTENT
+
+
+def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str], rotation: Array) -> str:
+    """Say in words what explains the misfit."""
+    same = [one for one in alike if one.kind == first.kind]
+    if first.kind == "scaled":
+        return (
+            f"distances between the references are {first.size_mm:.4f} times those that the vibrometer sees; "
+            "check the voxel size of the scan and the scale of the vibrometer"
+        )
+    if first.kind == "swapped":
+        i, j = (names[place] for place in first.members)
+        return f"fiducials {i} and {j} seem to be exchanged; check their names"
+    if len(same) > 1:
+        listed = ", ".join(names[place] for one in same for place in one.members)
+        return f"one of the fiducials {listed} is off by about {first.size_mm:.3g} mm, they cannot tell which"
+    return (
+        f"fiducial {names[first.members[0]]} lies {first.size_mm:.3g} mm from where the others put it"
+        f"{_cell(first, rotation)}; check its coordinates or leave it out"
+    )
+
+
+def _cell(one: Explanation, rotation: Array) -> str:
+    """Name the one coordinate that would explain the whole offset, as a mistyped cell does."""
+    if one.offset_mm is None:
+        return ""
+    scatter = np.sqrt(one.energy / one.n_dof) if one.n_dof else 0.0
+    sides = ((-rotation.T @ one.offset_mm, "_mm"), (one.offset_mm, "_ref_mm"))
+    hits = []
+    for offset, end in sides:
+        axis = int(np.argmax(np.abs(offset)))
+        rest = float(np.linalg.norm(np.delete(offset, axis)))
+        if rest < max(0.05 * abs(offset[axis]), 3.0 * scatter if scatter < 0.1 * abs(offset[axis]) else 0.0):
+            hits.append(f"{'xyz'[axis]}{end} too {'large' if offset[axis] > 0.0 else 'small'} by "
+                        f"{abs(offset[axis]):.4g} mm")  # fmt: skip
+    return f" (as with {' or '.join(hits)})" if hits else ""
+
+
+def refuse_mirrored(
+    found: Sequence[Explanation],
+    energy: float,
+    total_weight: float,
+    stated: bool,
+    source: str,
+    names: Sequence[str],
+) -> None:
+    """Refuse points that fit far better as a mirror image than as they are, or with one other fault.
+
+    Raises
+    ------
+    StapeskitError
+        One of the two frames is left-handed.
+    """
+    usable = [one for one in found if one.n_dof > 0]
+    _, alike = best(usable, stated)
+    mirror = next((one for one in alike if one.kind == "mirrored"), None)
+    if mirror is None or mirror.energy > 0.25 * energy:
+        return
+    proper, flipped = (np.sqrt(3.0 * value / total_weight) for value in (energy, mirror.energy))
+    rivals = [names[one.members[0]] for one in alike if one.kind == "wrong"]
+    also = f"; or correct fiducial {' or '.join(rivals)}, which alone says so" if len(rivals) == 1 else ""
+    raise StapeskitError(
+        sentence(
+            f"the coordinates of the {source} frame",
+            "right-handed",
+            f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
+            f"{flipped:.3g} mm mirrored)",
+            next_step="Undo the mirrored axis with --mirror x, y or z (scanning heads often count one "
+            f"axis the other way){also}",
+        )
+    )

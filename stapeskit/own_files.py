@@ -1,0 +1,264 @@
+"""The outputs of one run: nothing that the command reads and nothing that it did not make is replaced.
+
+What a command wrote is recorded by name and content hash in a hidden folder beside the outputs, so that the
+record moves with them, and a file that was edited since no longer counts as the command's own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.outputs import existing_folder, staged
+from stapeskit.provenance import content_hash
+from stapeskit.warnings import Notice
+
+RECORDS = ".stapeskit"
+"""Folder of the records beside the outputs; what lies in it is the program's."""
+SCHEMA = "stapeskit.outputs/1"
+FOREIGN_FILE_KEPT = "foreign_file_kept"
+_LONGEST_NAME = 180  # bytes; file systems allow 255, temporary endings included
+_Inode = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class OutputSet:
+    """The files that one run of a command may write in a folder, and what it reads.
+
+    Attributes
+    ----------
+    command : str
+        Its name; together with the first of ``names`` it names the record.
+    folder : Path
+    names : tuple of str
+        Files that this run may write, or that would contradict its result if others stood there.
+    inputs : tuple of Path
+        Every file and folder that the command reads; those that do not exist count for nothing.
+    force : bool
+        Replace files that the command is not known to have made. Inputs are never replaced.
+    leftovers : tuple of str
+        Names that other options of the command write: removed where they are its own, else left alone.
+    known : mapping of str to str
+        Content hashes by name that the command recorded elsewhere.
+    hints : mapping of str to str
+        What to do first about a file of this name that was edited.
+    """
+
+    command: str
+    folder: Path
+    names: tuple[str, ...]
+    inputs: tuple[Path, ...] = ()
+    force: bool = False
+    leftovers: tuple[str, ...] = ()
+    known: Mapping[str, str] = field(default_factory=dict)
+    hints: Mapping[str, str] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Look before the work begins whether every output may be written.
+
+        Raises
+        ------
+        StapeskitError
+            An output is an input, also by a link; a file that the command did not write, or that was edited
+            since, stands at its name; or a folder does. All of it in one error.
+        """
+        existing_folder(self.folder)
+        self._check(self.names)
+
+    @contextmanager
+    def staged(self, kept: Collection[str] = ()) -> Iterator[Path]:
+        """Lend an empty folder whose files become the outputs when the block ends well; see `output.staged`.
+
+        The command's own files of an earlier run that are not written this time are removed.
+
+        Parameters
+        ----------
+        kept : collection of str, optional
+            Names of outputs that still hold, though they are not written; read when the block has ended.
+
+        Raises
+        ------
+        StapeskitError
+            As in `check`, for what has changed since.
+        """
+        with staged(self.folder, partial(self._settle, kept)) as stage:
+            yield stage
+
+    def kept_notices(self, written: Collection[str]) -> tuple[Notice, ...]:
+        """Return a notice on files of the command's names that are not its own and stay where they are."""
+        recorded, read = self._recorded(), self._files_read
+        names = [
+            name
+            for name in dict.fromkeys((*self.names, *self.leftovers))
+            if name not in written
+            and os.path.lexists(self.folder / name)
+            and _inode(self.folder / name) not in read
+            and not self._own(name, recorded)
+        ]
+        if not names:
+            return ()
+        text = (
+            f"Not known as written by {self.command}, left in the output folder, and no part of this result: "
+            f"{_listed(names)}."
+        )
+        return (Notice(FOREIGN_FILE_KEPT, text),)
+
+    def clashes(self, names: Collection[str] = ()) -> list[str]:
+        """Return a fault for every output, of these names or all, that is an input, also by a link."""
+        read = self._files_read
+        paths = [self.folder / name for name in (*(names or self.names), self._record_name)]
+        return [self._is_input(path, read[_inode(path)]) for path in paths if _inode(path) in read]
+
+    def _check(self, names: Collection[str]) -> None:
+        """Raise what forbids to write these names."""
+        names = tuple(dict.fromkeys(names))
+        read, recorded, foreign = self._files_read, self._recorded(), list[str]()
+        faults = self.clashes(names)
+        records = self.folder / RECORDS
+        if os.path.lexists(records) and not records.is_dir():
+            faults.append(sentence(f"{records}", "the folder of records", "a file", "", "Move it away"))
+        for name in names:
+            path = self.folder / name
+            if not os.path.lexists(path) or _inode(path) in read or self._own(name, recorded):
+                continue
+            if path.is_dir():
+                faults.append(sentence(f"the output {path}", "a file", "a folder", "", "Move it away"))
+            else:
+                foreign.append(name)
+        if foreign and not self.force:
+            faults.append(self._not_own(foreign, recorded))
+        elif foreign:
+            within = _files_of(path for path in self.inputs if os.path.isdir(path))
+            clashes = [self.folder / name for name in foreign if _inode(self.folder / name) in within]
+            faults += [self._is_input(path, within[_inode(path)]) for path in clashes]
+        raise_all(StapeskitError, faults)
+
+    def _is_input(self, output: Path, given: Path) -> str:
+        same = given if str(given) == str(output) else f"{given}, which is the same file"
+        step = "Choose another place with --out"
+        return sentence(f"the output {output}", "another file than the inputs", f"the input {same}", "", step)
+
+    def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> str:
+        edited = [name for name in names if name in recorded]
+        others = [name for name in names if name not in recorded]
+        got = [f"{_listed(edited)}, edited since"] if edited else []
+        got += [f"{_listed(others)}, which it is not known to have written"] if others else []
+        steps = [self.hints[name] for name in edited if name in self.hints]
+        steps.append("Choose another place with --out, or let --force replace what stands there")
+        thing = f"the files in {self.folder} at the names of outputs"
+        return sentence(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
+
+    def _own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
+        """Tell whether a file is as the command wrote it."""
+        if name.startswith(f"{RECORDS}/"):
+            return True
+        path = self.folder / name
+        with suppress(OSError):
+            return (
+                name in recorded
+                and stat.S_ISREG(path.lstat().st_mode)
+                and content_hash(path) in recorded[name]
+            )
+        return False
+
+    def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None]:
+        """Check and record what is about to appear; return what remains to be done when it has appeared."""
+        made = {
+            path.relative_to(stage).as_posix(): content_hash(path)
+            for path in sorted(stage.rglob("*"))
+            if path.is_file()
+        }
+        self._check((*self.names, *made) if not self.force else made)
+        recorded = self._recorded()
+        made = {name: found for name, found in made.items() if not name.startswith(f"{RECORDS}/")}
+        stale = self._stale({*made, *kept}, recorded)
+        # Both states are known while the files are moved one by one: a run that is killed there leaves only
+        # files that the next one knows.
+        self._record(stage, {**recorded, **{name: {*recorded.get(name, ()), made[name]} for name in made}})
+        after = {name: found for name, found in recorded.items() if name not in stale}
+        after.update({name: {found} for name, found in made.items()})
+
+        def finish() -> None:
+            for name in stale:
+                (self.folder / name).unlink(missing_ok=True)
+            self._record(stage, after)
+
+        return finish
+
+    def _stale(self, stay: Collection[str], recorded: Mapping[str, Collection[str]]) -> list[str]:
+        """List own files of earlier runs that this one did not make and does not read."""
+        read = self._files_read
+        return [
+            name
+            for name in dict.fromkeys((*self.names, *self.leftovers, *self.known))
+            if name not in stay
+            and not name.startswith(f"{RECORDS}/")
+            and self._own(name, recorded)
+            and _inode(self.folder / name) not in read
+        ]
+
+    @property
+    def _files_read(self) -> dict[_Inode | None, Path]:
+        """Return the inputs that are files, by inode."""
+        return _files_of(path for path in self.inputs if not os.path.isdir(path))
+
+    @property
+    def _record_name(self) -> str:
+        first = self.names[0]
+        if len(first.encode()) > _LONGEST_NAME:
+            import xxhash
+
+            first = xxhash.xxh3_128_hexdigest(first.encode())
+        return f"{RECORDS}/{self.command}-{first}.json"
+
+    def _recorded(self) -> dict[str, set[str]]:
+        """Return the content hashes of what the command wrote here, by name."""
+        found = {name: {known} for name, known in self.known.items()}
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            content = json.loads((self.folder / self._record_name).read_text(encoding="utf-8"))
+            if content["schema"] == SCHEMA:
+                for name, hashes in content["files"].items():
+                    found.setdefault(name, set()).update(map(str, hashes))
+        return found
+
+    def _record(self, stage: Path, files: Mapping[str, Collection[str]]) -> None:
+        content = {"schema": SCHEMA, "files": {name: sorted(files[name]) for name in sorted(files)}}
+        text = json.dumps(content, indent=1) + "\n"
+        target = self.folder / self._record_name
+        with suppress(OSError, ValueError):
+            if target.read_text(encoding="utf-8") == text:
+                return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        written = stage / f"{RECORDS}-record"
+        written.write_text(text, encoding="utf-8")
+        os.replace(written, target)
+
+
+def _inode(path: Path) -> _Inode | None:
+    """Return what names a file whatever path leads to it; None when there is none."""
+    with suppress(OSError, ValueError):
+        found = os.stat(path)
+        return found.st_dev, found.st_ino
+    return None
+
+
+def _files_of(paths: Iterable[Path]) -> dict[_Inode | None, Path]:
+    """Return files, also those within folders, by inode."""
+    found: dict[_Inode | None, Path] = {}
+    for path in paths:
+        inside = [Path(top, name) for top, _, names in os.walk(path) for name in names]
+        for file in (path, *inside):
+            found.setdefault(_inode(file), file)
+    found.pop(None, None)
+    return found
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,1 @@
+"""Self-contained HTML pages, numbers with their units, drawings."""

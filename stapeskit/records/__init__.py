@@ -1,0 +1,1 @@
+"""What passes from room to room: mass and motion, each with reader, writer and checks."""

@@ -1,0 +1,381 @@
+"""Everything that a ``mass.json`` can have wrong: type and shape of what is read, signs, contradictions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import sentence
+from stapeskit.frames import RigidTransform, transform_faults
+from stapeskit.spatial import (
+    DOF_NAMES,
+    PARAMETER_NAMES,
+    central_tensor,
+    inertia_faults,
+    matrix_from_parameters,
+    parameter_basis,
+    twist_transfer,
+)
+
+Array = NDArray[np.float64]
+MADE_BY = "Make the file with ct2mass"
+_SAME = 1e-6
+_SAME_MASS = 1e-4
+_NEGATIVE = 1e-12
+_FLOOR = 1e-5
+_POSE_SCALE = np.array([1e-3] * 3 + [1.0] * 3)
+_POSES = ("scan_from_footplate", "scan_from_plate")
+
+
+@dataclass
+class Checked:
+    """What a ``mass.json`` says, read piece by piece while the faults are collected.
+
+    Attributes
+    ----------
+    raw : mapping
+        The whole file.
+    file : str
+        Its name, for messages.
+    faults : list of str
+        Finished sentences.
+    parameters, covariance : ndarray, (10,) and (10, 10)
+        SI; None when they cannot be used.
+    contributions : dict of str to ndarray, (10, 10)
+    transforms : dict of str to RigidTransform
+        By the name in ``frames``; missing and null ones are left out.
+    poses : dict of str to ndarray, (6, 6)
+        Covariance of the frames, m and rad.
+    """
+
+    raw: Mapping[str, Any]
+    file: str
+    faults: list[str] = field(default_factory=list)
+    parameters: Array | None = None
+    covariance: Array | None = None
+    contributions: dict[str, Array] = field(default_factory=dict)
+    transforms: dict[str, RigidTransform] = field(default_factory=dict)
+    poses: dict[str, Array] = field(default_factory=dict)
+
+    def fault(self, thing: str, expected: str, got: object) -> None:
+        """Note one fault."""
+        self.faults.append(sentence(thing, expected, got, self.file, MADE_BY))
+
+    def get(self, path: str, optional: bool = False) -> Any:
+        """Return the value at a dotted path; None, and a fault unless optional, when null or missing."""
+        value: Any = self.raw
+        for place, key in enumerate(keys := path.split(".")):
+            if value is None or (isinstance(value, Mapping) and key not in value):
+                value = None
+                break
+            if not isinstance(value, Mapping):
+                self.fault(".".join(keys[:place]), "an object", short(value))
+                return None
+            value = value[key]
+        if value is None and not optional:
+            self.fault(path, "given", "none")
+        return value
+
+    def numbers(self, path: str, shape: tuple[int, ...], optional: bool = False) -> Array | None:
+        """Return finite numbers of one shape, or None with a fault noted."""
+        value = self.get(path, optional)
+        return None if value is None else self.array(value, path, shape)
+
+    def array(self, value: Any, name: str, shape: tuple[int, ...]) -> Array | None:
+        """Return a JSON value as finite numbers of one shape, or None with a fault noted."""
+        array = _array(value)
+        wanted = f"finite numbers of shape {shape}" if shape else "a finite number"
+        if array is None:
+            self.fault(name, wanted, short(value))
+        elif array.shape != shape:
+            self.fault(name, wanted, f"shape {array.shape}" if array.shape else short(value))
+        elif not np.all(np.isfinite(array)):
+            self.fault(name, wanted, "NaN or infinity")
+        else:
+            return array
+        return None
+
+    def covariance_of(self, value: Any, name: str, scale: Array) -> Array | None:
+        """Return a covariance that is symmetric and positive semidefinite, or None with a fault noted.
+
+        ``scale`` is the natural size of each parameter; what is below its rounding is not judged.
+        """
+        matrix = self.array(value, name, (len(scale), len(scale)))
+        if matrix is None:
+            return None
+        variances = np.diag(matrix)
+        if np.any(variances < -_NEGATIVE * scale**2):
+            self.fault(
+                name, "a covariance (variances zero or positive)", f"a variance of {variances.min():g}"
+            )
+            return None
+        root = np.maximum(np.sqrt(np.maximum(variances, 0.0)), _FLOOR * scale)
+        relative = matrix / np.outer(root, root)
+        if np.max(np.abs(relative - relative.T)) > _FLOOR:
+            self.fault(name, "symmetric", "an asymmetric matrix")
+            return None
+        lowest = float(np.linalg.eigvalsh(0.5 * (relative + relative.T))[0])
+        if lowest < -_FLOOR:
+            got = f"a correlation matrix with the eigenvalue {lowest:.3g}"
+            self.fault(name, "a covariance (positive semidefinite)", got)
+            return None
+        return matrix
+
+    def word(self, path: str, wanted: str) -> None:
+        """Check that a text is the one that it must be."""
+        value = self.get(path)
+        if value is not None and value != wanted:
+            self.fault(path, f'"{wanted}"', f'"{value}"' if isinstance(value, str) else short(value))
+
+    def listed(self, path: str, wanted: tuple[str, ...]) -> None:
+        """Check that a list of names is the one that it must be."""
+        value = self.get(path)
+        if value is not None and value != list(wanted):
+            self.fault(path, ", ".join(wanted), short(value))
+
+
+def short(value: Any) -> str:
+    """Return a JSON value for a message, not more than a line of it."""
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _array(value: Any) -> Array | None:
+    """Return nested lists of JSON numbers as an array; None when anything else is among them."""
+
+    def plain(entry: Any) -> bool:
+        if isinstance(entry, list):
+            return all(plain(part) for part in entry)
+        return isinstance(entry, int | float) and not isinstance(entry, bool)
+
+    if not plain(value):
+        return None
+    try:
+        return np.array(value, dtype=float)
+    except (ValueError, OverflowError):
+        return None
+
+
+def check(raw: Mapping[str, Any], file: str) -> Checked:
+    """Read and check everything of a ``mass.json`` that is used.
+
+    Parameters
+    ----------
+    raw : mapping
+        The JSON object.
+    file : str
+        Its name, for messages.
+
+    Returns
+    -------
+    Checked
+        Complete when its ``faults`` are empty.
+    """
+    made = Checked(raw, file)
+    for block in ("inertial_parameters", "mass_matrix"):
+        made.word(f"{block}.about", "footplate_centre")
+        made.word(f"{block}.axes", "footplate")
+    made.listed("inertial_parameters.names", PARAMETER_NAMES)
+    made.listed("mass_matrix.dof", DOF_NAMES)
+    made.parameters = made.numbers("inertial_parameters.values_si", (10,))
+    matrix = made.numbers("mass_matrix.matrix_si", (6, 6))
+    impossible = [] if matrix is None else inertia_faults(matrix, "mass_matrix.matrix_si", file)
+    if made.parameters is not None:
+        own = matrix_from_parameters(made.parameters)
+        faults = inertia_faults(own, "inertial_parameters.values_si", file)
+        same = matrix is not None and _differ(matrix, own) <= _SAME
+        impossible = impossible if same or not faults else [*impossible, *faults]
+        if matrix is not None and not same:
+            made.fault("mass_matrix", "the matrix of inertial_parameters", "another one")
+        if faults:
+            made.parameters = None
+    made.faults += impossible
+    _frames(made)
+    _notices(made)
+    mass, centre, tensor = _body(made)
+    if made.parameters is not None:
+        _uncertainty(made, made.parameters)
+        _same_body(made, made.parameters, mass, centre, tensor)
+    made.faults = list(dict.fromkeys(made.faults))
+    return made
+
+
+def _differ(given: Array, wanted: Array) -> float:
+    """Return the largest difference of two inertia matrices in units of sqrt(Mii Mjj)."""
+    root = np.sqrt(np.abs(np.diag(wanted)))
+    root = np.where(root > 0.0, root, 1.0)
+    return float(np.max(np.abs(given - wanted) / np.outer(root, root)))
+
+
+def _frames(made: Checked) -> None:
+    """Read the frames and their covariances; check that they fit together."""
+    for name in (*_POSES, "plate_from_footplate"):
+        to, source = name.split("_from_")
+        matrix = made.numbers(f"frames.{name}", (4, 4), optional=name != "scan_from_footplate")
+        if matrix is None:
+            continue
+        faults = transform_faults(matrix, f"frames.{name}", made.file)
+        made.faults += faults
+        if not faults:
+            made.transforms[name] = RigidTransform(matrix, to, source)
+    given = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(made, name)}
+    if len(given) == 1:
+        one = given.pop()
+        other = "plate_from_footplate" if one == "scan_from_plate" else "scan_from_plate"
+        made.fault(f"frames.{other}", f"given beside {one}", "none")
+    if len(made.transforms) == 3:
+        wanted = (
+            made.transforms["scan_from_plate"].inverse() @ made.transforms["scan_from_footplate"]
+        ).matrix
+        off = np.abs(made.transforms["plate_from_footplate"].matrix - wanted)
+        lengths = [float(np.linalg.norm(one.translation_mm)) for one in made.transforms.values()]
+        if np.max(off[:, :3]) > _SAME or np.max(off[:, 3]) > _SAME * max([1.0, *lengths]):
+            got = f"one that is {np.max(off[:, 3]):.3g} mm and {np.max(off[:, :3]):.3g} rad off"
+            made.fault("frames.plate_from_footplate", "inverse(scan_from_plate) @ scan_from_footplate", got)
+    for name in _POSES:
+        path = f"frames.pose_covariance.{name}"
+        if made.get(path, optional=True) is None:
+            continue
+        if made.get(f"{path}.names", optional=True) is not None:
+            made.listed(f"{path}.names", DOF_NAMES)
+        value = made.get(f"{path}.matrix_si")
+        matrix = None if value is None else made.covariance_of(value, f"{path}.matrix_si", _POSE_SCALE)
+        if matrix is not None:
+            made.poses[name] = matrix
+
+
+def _given(made: Checked, name: str) -> bool:
+    frames = made.raw.get("frames")
+    return isinstance(frames, Mapping) and frames.get(name) is not None
+
+
+def _notices(made: Checked) -> None:
+    warnings = made.raw.get("warnings", [])
+    good = isinstance(warnings, list) and all(
+        isinstance(one, Mapping) and isinstance(one.get("code"), str) and isinstance(one.get("text"), str)
+        for one in warnings
+    )
+    if not good:
+        made.fault("warnings", "a list of objects with code and text", short(warnings))
+    if not isinstance(made.raw.get("found") or {}, Mapping):
+        made.fault("found", "an object", short(made.raw["found"]))
+
+
+def _body(made: Checked) -> tuple[Array | None, Array | None, Array | None]:
+    """Return mass (kg), centre of mass (3,), mm, and central tensor (3, 3), kg m2; check density x volume."""
+    mass = made.numbers("mass_kg", ())
+    if mass is not None and not mass > 0.0:
+        made.fault("mass_kg", "positive", f"{mass:g}")
+        mass = None
+    centre = made.numbers("center_of_mass_in_scan_mm", (3,))
+    tensor = made.numbers("inertia_about_center_of_mass_in_scan_axes_kg_m2", (3, 3), optional=True)
+    density = made.numbers("density_kg_m3", (), optional=True)
+    volume = made.numbers("volume_m3", (), optional=True)
+    for name, value in (("density_kg_m3", density), ("volume_m3", volume)):
+        if value is not None and not value > 0.0:
+            made.fault(name, "positive", f"{value:g}")
+    found = made.raw.get("found")
+    added = isinstance(found, Mapping) and bool(found.get("added_masses"))
+    if mass is not None and density is not None and volume is not None and not added:
+        product = float(density * volume)
+        if abs(product / float(mass) - 1.0) > _SAME_MASS:
+            got = f"{product:g} kg against {mass:g} kg"
+            made.fault("density_kg_m3 times volume_m3", "mass_kg", got)
+    return mass, centre, tensor
+
+
+def _uncertainty(made: Checked, parameters: Array) -> None:
+    """Read the covariance of the parameters and its parts, and compare the stated standard deviations."""
+    mass, tensor = central_tensor(parameters)
+    length = float(np.sqrt(np.trace(tensor) / mass))
+    scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
+    value = made.get("inertial_parameters.covariance_si")
+    if value is not None:
+        made.covariance = made.covariance_of(value, "inertial_parameters.covariance_si", scale)
+    parts = made.get("inertial_parameters.contributions_si", optional=True) or {}
+    if not isinstance(parts, Mapping):
+        made.fault("inertial_parameters.contributions_si", "an object", short(parts))
+        parts = {}
+    for name, part in parts.items():
+        matrix = made.covariance_of(part, f"inertial_parameters.contributions_si.{name}", scale)
+        if matrix is not None:
+            made.contributions[name] = matrix
+    covariance = made.covariance
+    if covariance is None:
+        return
+    if parts and len(made.contributions) == len(parts):
+        root = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), _FLOOR * scale)
+        total = sum(made.contributions.values(), np.zeros((10, 10)))
+        if np.max(np.abs(total - covariance) / np.outer(root, root)) > _FLOOR:
+            made.fault("inertial_parameters.covariance_si", "the sum of contributions_si", "another matrix")
+    basis = parameter_basis()
+    wanted = np.sqrt(np.maximum(np.einsum("aij,ab,bij->ij", basis, covariance, basis), 0.0))
+    root = np.sqrt(np.diag(matrix_from_parameters(parameters)))
+    for block, size in (("mass_matrix", 6), ("mass_matrix_plate_axes", 6), ("mass_matrix_reduced", 0)):
+        dof = made.raw.get(block)
+        if not isinstance(dof, Mapping) or dof.get("standard_deviation_si") is None:
+            continue
+        places = list(range(6)) if size else _places(dof.get("dof"))
+        path = f"{block}.standard_deviation_si"
+        sd = made.numbers(path, (len(places), len(places)))
+        if sd is not None and np.any(sd < 0.0):
+            made.fault(path, "zero or positive", f"{np.min(sd):g}")
+        elif sd is not None and block != "mass_matrix_plate_axes":
+            off = np.abs(sd - wanted[np.ix_(places, places)]) / np.outer(root[places], root[places])
+            if np.max(off, initial=0.0) > _FLOOR:
+                made.fault(path, "that of inertial_parameters.covariance_si", "another one")
+
+
+def _places(names: Any) -> list[int]:
+    """Return the positions of a list of degrees of freedom; empty when it is none."""
+    good = isinstance(names, list) and all(name in DOF_NAMES for name in names)
+    return [DOF_NAMES.index(name) for name in names] if good else []
+
+
+def _same_body(
+    made: Checked, parameters: Array, mass: Array | None, centre: Array | None, tensor: Array | None
+) -> None:
+    """Compare every other statement about the body with its inertial parameters."""
+    if mass is not None and abs(float(mass) / parameters[0] - 1.0) > _SAME:
+        made.fault("mass_kg", f"{parameters[0]:g} as in inertial_parameters", f"{mass:g}")
+    own = matrix_from_parameters(parameters)
+    frame = made.transforms.get("scan_from_footplate")
+    if frame is not None:
+        com_mm = frame.points(parameters[1:4] / parameters[0] * 1e3)
+        size = max(100.0, float(np.max(np.abs(com_mm))))
+        if centre is not None and np.max(np.abs(com_mm - centre)) > _SAME * size:
+            where = "where inertial_parameters and frames put it"
+            made.fault("center_of_mass_in_scan_mm", where, short(centre.tolist()))
+        turned = frame.rotation @ central_tensor(parameters)[1] @ frame.rotation.T
+        if tensor is not None and np.max(np.abs(tensor - turned)) > _SAME * np.trace(turned):
+            name = "inertia_about_center_of_mass_in_scan_axes_kg_m2"
+            made.fault(name, "the tensor of inertial_parameters, turned by frames", "another one")
+    reduced = made.get("mass_matrix_reduced", optional=True)
+    if reduced is not None:
+        names = made.get("mass_matrix_reduced.dof")
+        places = _places(names)
+        if not places:
+            made.fault("mass_matrix_reduced.dof", f"names out of {', '.join(DOF_NAMES)}", short(names))
+        else:
+            given = made.numbers("mass_matrix_reduced.matrix_si", (len(places), len(places)))
+            root = np.sqrt(np.diag(own))[places]
+            part = own[np.ix_(places, places)]
+            if given is not None and np.max(np.abs(given - part) / np.outer(root, root)) > _SAME:
+                made.fault("mass_matrix_reduced", "the same entries as mass_matrix", "others")
+    if made.get("mass_matrix_plate_axes", optional=True) is None:
+        return
+    made.word("mass_matrix_plate_axes.about", "footplate_centre")
+    made.word("mass_matrix_plate_axes.axes", "plate")
+    made.listed("mass_matrix_plate_axes.dof", DOF_NAMES)
+    given = made.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
+    plate = made.transforms.get("plate_from_footplate")
+    if plate is None and not _given(made, "plate_from_footplate"):
+        made.fault("mass_matrix_plate_axes", "null in a file without plate_from_footplate", "a matrix")
+    elif plate is not None and given is not None:
+        back = np.linalg.inv(twist_transfer(plate.rotation, np.zeros(3)))
+        if _differ(given, back.T @ own @ back) > _SAME:
+            made.fault("mass_matrix_plate_axes", "mass_matrix turned into the plate axes", "another matrix")

@@ -1,0 +1,224 @@
+"""The mass matrix as every room reads it: from ``mass.json``, checked before it is believed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.records.mass_checks import MADE_BY, check
+from stapeskit.spatial import (
+    check_inertia,
+    matrix_from_parameters,
+    parameter_basis,
+    parameters_from_matrix,
+    twist_transfer,
+)
+from stapeskit.warnings import Notice, from_json
+
+Array = NDArray[np.float64]
+SCHEMA = "stapeskit.mass/1"
+FRAME_SOURCE = "frame"
+
+
+@dataclass(frozen=True)
+class MassMatrix:
+    """Generalized mass matrix of a rigid body with its uncertainty by source.
+
+    Attributes
+    ----------
+    about, axes : str
+        Reference point and axes, e.g. ``footplate_centre`` and ``footplate``.
+    parameters : ndarray, (10,)
+        Inertial parameters about that point in those axes (kg, kg m, kg m2; PARAMETER_NAMES).
+    contributions : mapping of str to ndarray, (10, 10)
+        Covariance of the parameters by independent source (``levels``, ``density``, ...). The source
+        ``frame`` is what an error of the footplate frame itself adds.
+
+    Raises
+    ------
+    StapeskitError
+        The parameters are not those of a possible body, or a covariance has another shape.
+    """
+
+    about: str
+    axes: str
+    parameters: Array
+    contributions: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        parameters = np.asarray(self.parameters, dtype=float)
+        if parameters.shape != (10,):
+            raise StapeskitError(
+                sentence("the inertial parameters", "10 numbers", f"shape {parameters.shape}")
+            )
+        check_inertia(matrix_from_parameters(parameters))
+        for name, covariance in self.contributions.items():
+            if np.shape(covariance) != (10, 10) or not np.all(np.isfinite(covariance)):
+                raise StapeskitError(
+                    sentence(f"the covariance {name}", "a finite 10x10 matrix", np.shape(covariance))
+                )
+        object.__setattr__(self, "parameters", parameters)
+
+    @property
+    def matrix(self) -> Array:
+        """The 6x6 matrix, SI, in the order of DOF_NAMES."""
+        return matrix_from_parameters(self.parameters)
+
+    @property
+    def covariance(self) -> Array:
+        """Total covariance of the ten parameters, (10, 10), SI."""
+        return sum((np.asarray(part) for part in self.contributions.values()), np.zeros((10, 10)))
+
+    @property
+    def covariance_frame_fixed(self) -> Array:
+        """Covariance of the ten parameters without the error of the frame, (10, 10), SI."""
+        parts = (np.asarray(part) for name, part in self.contributions.items() if name != FRAME_SOURCE)
+        return sum(parts, np.zeros((10, 10)))
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Standard deviation of every entry of the matrix, (6, 6), SI."""
+        basis = parameter_basis()
+        return np.sqrt(np.maximum(np.einsum("aij,ab,bij->ij", basis, self.covariance, basis), 0.0))
+
+    def moved(self, axes_from_here: Array, shift_m: Array, about: str, axes: str) -> MassMatrix:
+        """Return the same body about another point and in other axes, uncertainty included.
+
+        Parameters
+        ----------
+        axes_from_here : ndarray, (3, 3)
+            Rotation from the present axes to the new ones.
+        shift_m : ndarray, (3,)
+            New reference point minus present one, in present axes, m.
+        about, axes : str
+            Their new names.
+
+        Notes
+        -----
+        M' = X^-T M X^-1 with q' = X q: kinetic energy does not depend on the frame.
+        """
+        linear = parameter_transfer(axes_from_here, shift_m)
+        moved = {name: linear @ part @ linear.T for name, part in self.contributions.items()}
+        return MassMatrix(about, axes, linear @ self.parameters, moved)
+
+
+def parameter_transfer(axes_from_here: Array, shift_m: Array) -> Array:
+    """Return the linear map (10, 10) of inertial parameters under a change of point and axes."""
+    inverse = np.linalg.inv(twist_transfer(axes_from_here, shift_m))
+    return np.stack(
+        [parameters_from_matrix(inverse.T @ part @ inverse) for part in parameter_basis()], axis=1
+    )
+
+
+def frame_derivative(parameters: Array) -> Array:
+    """Return d(parameters)/d(frame displacement), (10, 6), per m and rad in the order of DOF_NAMES.
+
+    The displacement is that of the reference frame, in its own axes (RigidTransform.perturbed).
+    """
+    base = np.asarray(parameters, dtype=float)
+    step = 1e-6
+    columns = []
+    for axis in range(6):
+        values = []
+        for sign in (1.0, -1.0):
+            motion = np.zeros(6)
+            motion[axis] = sign * step
+            rotation = rotation_from_vector(motion[3:]).T
+            values.append(parameter_transfer(rotation, motion[:3]) @ base)
+        columns.append((values[0] - values[1]) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class MassRecord:
+    """What a ``mass.json`` says, checked.
+
+    Attributes
+    ----------
+    mass_matrix : MassMatrix
+        About the footplate centre, in footplate axes.
+    scan_from_footplate : RigidTransform
+        Pose of the footplate frame in scan coordinates (mm).
+    plate_from_footplate : RigidTransform or None
+        Pose of the footplate frame in the plate frame; None when the scan holds no plate.
+    footplate_covariance : ndarray, (6, 6)
+        Covariance of the footplate frame's own displacement in footplate axes (m, rad).
+    plate_covariance : ndarray, (6, 6) or None
+        The same of the plate frame in plate axes.
+    notices : tuple of Notice
+        Warnings of ct2mass.
+    raw : mapping
+        The whole file.
+    """
+
+    mass_matrix: MassMatrix
+    scan_from_footplate: RigidTransform
+    plate_from_footplate: RigidTransform | None
+    footplate_covariance: Array
+    plate_covariance: Array | None
+    notices: tuple[Notice, ...]
+    raw: Mapping[str, Any]
+
+
+def read_mass_record(path: Path) -> MassRecord:
+    """Read and check a ``mass.json``.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, is no JSON, has another schema, lacks a key, contradicts itself, or holds a
+        matrix that no rigid body can have. Every fault found is listed.
+    """
+    path = Path(path)
+    raw = _load(path)
+    schema = raw.get("schema")
+    if schema != SCHEMA:
+        raise StapeskitError(sentence("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY))
+    return _record(raw, path.name)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise StapeskitError(
+            sentence("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
+        )
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, UnicodeDecodeError) as fault:
+        raise StapeskitError(sentence("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
+    if not isinstance(raw, dict):
+        raise StapeskitError(
+            sentence("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY)
+        )
+    return raw
+
+
+def _record(raw: dict[str, Any], name: str) -> MassRecord:
+    made = check(raw, name)
+    raise_all(StapeskitError, made.faults)
+    if made.parameters is None or made.covariance is None:
+        raise StapeskitError(sentence("a mass.json", "complete", "a part of it", name, MADE_BY))
+    return MassRecord(
+        MassMatrix(
+            "footplate_centre",
+            "footplate",
+            made.parameters,
+            made.contributions or {"unspecified": made.covariance},
+        ),
+        made.transforms["scan_from_footplate"],
+        made.transforms.get("plate_from_footplate"),
+        made.poses.get("scan_from_footplate", np.zeros((6, 6))),
+        made.poses.get("scan_from_plate", np.zeros((6, 6)))
+        if "plate_from_footplate" in made.transforms
+        else None,
+        from_json(raw.get("warnings", [])),
+        raw,
+    )

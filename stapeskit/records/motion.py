@@ -1,0 +1,179 @@
+"""Rigid-body motion: generalized coordinates per run, body and frequency, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.spatial import DOF_NAMES
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """Errors common to all lines, as named parameters.
+
+    Attributes
+    ----------
+    names : tuple of str, (p,)
+        ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (x, y, z,
+        alpha, beta, gamma: displacement of the footplate frame in its own axes, m and rad) is the same
+        error that stands in mass.json, so that fitting can join both.
+    covariance : ndarray, (p, p)
+        SI.
+    derivatives : ndarray, (p, run, body, freq, dof), complex
+        d q / d parameter.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+    derivatives: ComplexArray
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        if self.covariance.shape != (count, count) or self.derivatives.shape[:1] != (count,):
+            raise StapeskitError(
+                sentence(
+                    "shared errors",
+                    f"{count} parameters throughout",
+                    f"covariance {self.covariance.shape}, derivatives {self.derivatives.shape}",
+                )
+            )
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """Displacement amplitudes q of rigid bodies under harmonic motion e^{+i w t}.
+
+    Attributes
+    ----------
+    runs, bodies, dof : tuple of str
+        Names along the first, second and last axis of q; dof in the order of DOF_NAMES.
+    freq_hz : ndarray, (freq,)
+        Ascending, positive.
+    q : ndarray, (run, body, freq, dof), complex
+        m and rad, peak; NaN where a body was not measured at a line.
+    covariance : ndarray, complex
+        E[dq dq^H] of the channel noise: (run, body, freq, dof, dof), or joint over bodies,
+        (run, freq, body*dof, body*dof), when ``reference`` is set. The variance of the real part
+        (= of the imaginary part) is half its diagonal.
+    chi2, n_dof : ndarray, (run, body, freq)
+        Sum of squared normalised residuals over real and imaginary parts, and its degrees of freedom.
+    common_sd : ndarray, (run, freq), or None
+        Standard deviation of the real (= imaginary) part of a relative error that all motions of a line
+        share: noise of the signal that the readings refer to. It stands in ``covariance`` as 2 s^2 q q^H.
+    reference : str
+        ``BODY:DOF`` when q is per unit of that motion, else empty.
+    about, axes : str
+        Reference point and axes of q.
+    shared : SharedErrors or None
+        Errors common to all lines.
+    notices : tuple of Notice
+        Warnings that travel with the data.
+    """
+
+    runs: tuple[str, ...]
+    bodies: tuple[str, ...]
+    dof: tuple[str, ...]
+    freq_hz: Array
+    q: ComplexArray
+    covariance: ComplexArray
+    chi2: Array
+    n_dof: Array
+    reference: str = ""
+    about: str = "footplate_centre"
+    axes: str = "footplate"
+    shared: SharedErrors | None = None
+    notices: tuple[Notice, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    common_sd: Array | None = None
+
+    def __post_init__(self) -> None:
+        runs, bodies, lines, dof = len(self.runs), len(self.bodies), len(self.freq_hz), len(self.dof)
+        joint = (runs, lines, bodies * dof, bodies * dof)
+        separate = (runs, bodies, lines, dof, dof)
+        wanted: dict[str, tuple[object, object]] = {
+            "q": (self.q.shape, (runs, bodies, lines, dof)),
+            "the covariance": (self.covariance.shape, joint if self.reference else separate),
+            "chi2": (self.chi2.shape, (runs, bodies, lines)),
+            "n_dof": (self.n_dof.shape, (runs, bodies, lines)),
+        }
+        if self.common_sd is not None:
+            wanted["common_sd"] = (self.common_sd.shape, (runs, lines))
+        faults = [
+            sentence(f"the shape of {name}", str(want), got)
+            for name, (got, want) in wanted.items()
+            if got != want
+        ]
+        if tuple(name for name in DOF_NAMES if name in self.dof) != self.dof or not self.dof:
+            faults.append(sentence("dof", f"in the order {', '.join(DOF_NAMES)}", self.dof))
+        if np.any(np.diff(self.freq_hz) <= 0.0) or np.any(self.freq_hz <= 0.0):
+            faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+        raise_all(StapeskitError, faults)
+
+    def body(self, name: str, option: str = "--structure") -> int:
+        """Return the position of a body.
+
+        Raises
+        ------
+        StapeskitError
+            There is no body of that name.
+        """
+        if name not in self.bodies:
+            raise StapeskitError(
+                sentence(
+                    "the body",
+                    f"one of {', '.join(self.bodies)}",
+                    name,
+                    next_step=f"Name one with {option}, or measure {name}",
+                )
+            )
+        return self.bodies.index(name)
+
+    def with_common_noise(self, sd: Array) -> RigidMotion:
+        """Return absolute motion with another relative error common to all motions of a line.
+
+        Parameters
+        ----------
+        sd : ndarray, broadcastable to (run, freq)
+            Standard deviation of its real (= imaginary) part; 0 takes such an error away.
+
+        Notes
+        -----
+        q (1 + e) with E|e|^2 = 2 s^2 adds 2 s^2 q q^H to the covariance of all bodies together, and nothing
+        to residuals, chi2 or ratios of motions.
+        """
+        new = np.broadcast_to(np.asarray(sd, dtype=float), (len(self.runs), len(self.freq_hz)))
+        old = np.zeros(new.shape) if self.common_sd is None else self.common_sd
+        change = 2.0 * (new**2 - old**2)[:, None, :, None, None]
+        covariance = self.covariance + change * self.q[..., :, None] * self.q[..., None, :].conj()
+        return replace(self, covariance=covariance, common_sd=new.copy() if np.any(new > 0.0) else None)
+
+    def pair(self, run: int, first: int, second: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the stacked motion of two bodies and its joint covariance.
+
+        Returns
+        -------
+        q : ndarray, (freq, 2 dof), complex
+        covariance : ndarray, (freq, 2 dof, 2 dof), complex
+        """
+        n = len(self.dof)
+        q = np.concatenate([self.q[run, first], self.q[run, second]], axis=-1)
+        if self.reference:
+            places = np.r_[first * n : (first + 1) * n, second * n : (second + 1) * n]
+            return q, self.covariance[run][:, places[:, None], places[None, :]]
+        joint = np.zeros((len(self.freq_hz), 2 * n, 2 * n), dtype=complex)
+        joint[:, :n, :n] = self.covariance[run, first]
+        joint[:, n:, n:] = self.covariance[run, second]
+        if self.common_sd is not None:
+            across = 2.0 * self.common_sd[run][:, None, None] ** 2 * q[:, :n, None] * q[:, None, n:].conj()
+            joint[:, :n, n:], joint[:, n:, :n] = across, across.conj().transpose(0, 2, 1)
+        return q, joint

@@ -1,0 +1,325 @@
+"""Motion files: ``dof.csv`` for people and other tools, ``dof.h5`` with covariances and shared errors."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.provenance import content_hash
+from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.spatial import DOF_NAMES, DOF_UNITS
+from stapeskit.tables.csv_table import Table, read_table
+from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
+from stapeskit.warnings import Notice, from_json
+
+Array = NDArray[np.float64]
+SCHEMA = "stapeskit.dof/1"
+LARGEST_COUNT = 1e15
+_ROWS = 2000
+_PER_REFERENCE = "_per_ref"
+
+
+def column_names(dof: Sequence[str], per_reference: bool) -> list[str]:
+    """Return the columns of a dof.csv in their order."""
+    end = _PER_REFERENCE if per_reference else ""
+    parts = [f"{name}_{part}_{DOF_UNITS[name]}{end}" for name in dof for part in ("re", "im")]
+    deviations = [f"{name}_sd_{DOF_UNITS[name]}{end}" for name in dof]
+    return ["run", "body", "freq_hz", *parts, *deviations, "chi2", "n_dof"]
+
+
+def line_covariance(motion: RigidMotion) -> NDArray[np.complex128]:
+    """Return the covariance of each body alone, (run, body, freq, dof, dof), also of a joint one."""
+    if not motion.reference:
+        return motion.covariance
+    n, bodies = len(motion.dof), len(motion.bodies)
+    runs, lines = len(motion.runs), len(motion.freq_hz)
+    blocks = motion.covariance.reshape(runs, lines, bodies, n, bodies, n)
+    return np.stack([blocks[:, :, b, :, b, :] for b in range(bodies)], axis=1)
+
+
+def standard_deviation(motion: RigidMotion) -> Array:
+    """Return the sd of the real (= imaginary) part of q, (run, body, freq, dof), m and rad."""
+    variance = np.real(np.diagonal(line_covariance(motion), axis1=-2, axis2=-1))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) / 2.0))
+
+
+def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Path]:
+    """Write ``<stem>.csv`` and ``<stem>.h5`` into a folder and return their paths.
+
+    A line at which a body's motion is not determined has no row. The HDF5 file holds the hash of the
+    CSV file, so that a reader knows whether the two still belong together.
+    """
+    csv_path, h5_path = Path(folder) / f"{stem}.csv", Path(folder) / f"{stem}.h5"
+    _write_csv(csv_path, motion)
+    _write_h5(h5_path, motion, content_hash(csv_path))
+    return csv_path, h5_path
+
+
+def _write_csv(path: Path, motion: RigidMotion) -> None:
+    """Write the rows of all determined lines: q with all its digits, sd and chi2 with 9."""
+    runs, bodies, _, dof = motion.q.shape
+    names = column_names(motion.dof, bool(motion.reference))
+    sd = standard_deviation(motion)
+    freq = [repr(value) for value in motion.freq_hz.tolist()]
+    pattern = ",".join(["%s", *["%r"] * (2 * dof), *["%.9g"] * (dof + 1), "%d"]) + "\n"
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(names) + "\n")
+        for run, body in np.ndindex(runs, bodies):
+            start = _cell(motion.runs[run]) + "," + _cell(motion.bodies[body]) + ","
+            kept = np.flatnonzero(np.isfinite(motion.q[run, body, :, 0].real))
+            for first in range(0, len(kept), _ROWS):
+                pick = kept[first : first + _ROWS]
+                q, chi2 = motion.q[run, body, pick], motion.chi2[run, body, pick, None]
+                parts = np.stack([q.real, q.imag], axis=-1).reshape(len(q), -1)
+                table = np.hstack([parts, sd[run, body, pick], chi2, motion.n_dof[run, body, pick, None]])
+                values: list[Any] = []
+                for line, row in zip(pick.tolist(), table.tolist(), strict=True):
+                    values.append(start + freq[line])
+                    values += row
+                text = (pattern * len(pick)) % tuple(values)
+                file.write(text if np.all(np.isfinite(table)) else re.sub(r"(?<=,)-?nan(?=[,\n])", "", text))
+
+
+def _cell(text: str) -> str:
+    """Return a name as a cell of a CSV file, in quotes where it needs them."""
+    if any(mark in text for mark in ',"\r\n') or text != text.strip():
+        return '"' + text.replace('"', '""') + '"'
+    return text
+
+
+def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.attrs["schema"] = SCHEMA
+        file.attrs["about"], file.attrs["axes"] = motion.about, motion.axes
+        file.attrs["reference"], file.attrs["csv_hash"] = motion.reference, csv_hash
+        file.attrs["units"] = "q: m and rad, peak displacement amplitudes, e^{+iwt}; covariance: E[dq dq^H]"
+        file.attrs["notices"] = json.dumps([notice.as_json() for notice in motion.notices])
+        file.attrs["provenance"] = json.dumps(dict(motion.provenance))
+        for name in ("runs", "bodies", "dof"):
+            file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
+        for name in ("freq_hz", "q", "covariance", "chi2", "n_dof"):
+            _put(file, name, getattr(motion, name))
+        if motion.common_sd is not None:
+            _put(file, "common_sd", motion.common_sd)
+        if motion.shared is not None:
+            group = file.create_group("shared")
+            group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
+            _put(group, "covariance", motion.shared.covariance)
+            _put(group, "derivatives", motion.shared.derivatives)
+
+
+def _put(group: Any, name: str, values: NDArray[Any]) -> None:
+    """Store an array with checksums, so that a damaged file is refused instead of read."""
+    values = np.asarray(values)
+    group.create_dataset(name, data=values, **({"fletcher32": True} if values.size else {}))
+
+
+def read_motion(path: Path) -> RigidMotion:
+    """Read ``dof.csv`` or ``dof.h5``.
+
+    A CSV file is completed from the HDF5 file of the same name when that one was written with it; a CSV
+    file that stands alone, or was changed since, gives uncorrelated noise from its sd columns
+    and no shared errors.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, is no motion file, or holds rows that are not as they must be; every fault of a
+        CSV file is listed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise StapeskitError(
+            sentence(
+                "the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first"
+            )
+        )
+    if path.suffix.lower() in (".h5", ".hdf5"):
+        return _read_h5(path)
+    if path.suffix.lower() != ".csv":
+        raise StapeskitError(sentence("a motion file", "a .csv or .h5 file of points2dof", path.name))
+    beside = path.with_suffix(".h5")
+    if beside.is_file() and _stored_hash(beside) == content_hash(path):
+        return _read_h5(beside)
+    notice = Notice(
+        "motion_without_h5",
+        f"{path.name} is read alone ({beside.name} is missing or belongs to other content): noise is taken "
+        "as uncorrelated between the degrees of freedom, and no registration error is known.",
+    )
+    return _read_csv(path, notice)
+
+
+def _stored_hash(path: Path) -> str:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs.get("csv_hash", ""))
+    except OSError:
+        return ""
+
+
+def _read_h5(path: Path) -> RigidMotion:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("schema") != SCHEMA:
+                raise StapeskitError(
+                    sentence(
+                        "schema",
+                        f'"{SCHEMA}"',
+                        file.attrs.get("schema"),
+                        path.name,
+                        "Make the file with points2dof",
+                    )
+                )
+            return _motion_from_h5(file)
+    except (OSError, KeyError) as fault:
+        raise StapeskitError(
+            sentence("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name)
+        ) from fault
+
+
+def _motion_from_h5(file: Any) -> RigidMotion:
+    parts: dict[str, Any] = {
+        key: tuple(word.decode() for word in file[key][()]) for key in ("runs", "bodies", "dof")
+    }
+    parts |= {key: file[key][()] for key in ("freq_hz", "q", "covariance", "chi2", "n_dof")}
+    shared = None
+    if "shared" in file:
+        group = file["shared"]
+        shared = SharedErrors(
+            tuple(word.decode() for word in group["names"][()]),
+            group["covariance"][()],
+            group["derivatives"][()],
+        )
+    return RigidMotion(
+        **parts,
+        reference=str(file.attrs["reference"]),
+        about=str(file.attrs["about"]),
+        axes=str(file.attrs["axes"]),
+        shared=shared,
+        notices=from_json(json.loads(file.attrs["notices"])),
+        provenance=json.loads(file.attrs["provenance"]),
+        common_sd=file["common_sd"][()] if "common_sd" in file else None,
+    )
+
+
+def _read_csv(path: Path, notice: Notice) -> RigidMotion:
+    found: dict[str, Any] = {}
+
+    def choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
+        end = _PER_REFERENCE if any(column.endswith(_PER_REFERENCE) for column in header) else ""
+        dof = tuple(n for n in DOF_NAMES if any(column.startswith(f"{n}_re_") for column in header))
+        needed = column_names(dof, bool(end))
+        missing = [
+            column for column in needed if column not in header and column not in ("run", "chi2", "n_dof")
+        ]
+        if not dof:
+            missing = ["x_re_m or another degree of freedom"]
+        if missing:
+            raise StapeskitError(
+                sentence("a motion file", "complete", f"no column {', '.join(missing)}", f"{name}, line 1")
+            )
+        found.update(dof=dof, end=end, needed=needed)
+        return {c for c in needed if c in header} - {"run", "body"}, {"run", "body"} & set(header)
+
+    table = read_table(path, choose)
+    return _motion_from_table(table, found["dof"], found["end"], notice)
+
+
+def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Notice) -> RigidMotion:
+    body, freq = table.texts["body"], table.numbers["freq_hz"]
+    runs = table.texts["run"].names if "run" in table.texts else ("1",)
+    run = table.texts["run"].codes if "run" in table.texts else np.zeros(len(table), dtype=np.intp)
+    sd = np.column_stack([table.numbers[f"{name}_sd_{DOF_UNITS[name]}{end}"] for name in dof])
+    faults = [*table.faults, *_row_faults(table, freq, sd, body.codes)]
+    lines, line = np.unique(freq, return_inverse=True)
+    shape = (len(runs), len(body.names), len(lines))
+    if not faults:
+        place = np.ravel_multi_index((run, body.codes, line), shape)
+        _, first = np.unique(place, return_index=True)
+        for row in np.setdiff1d(np.arange(len(place)), first):
+            faults.append(
+                sentence(
+                    "a row", "the only one of its run, body and frequency", "another", table.where(int(row))
+                )
+            )
+    raise_all(StapeskitError, faults)
+    q = np.full((*shape, len(dof)), np.nan + 0j)
+    variance = np.full(q.shape, np.nan)
+    chi2, n_dof = np.full(shape, np.nan), np.zeros(shape, dtype=int)
+    at = (run, body.codes, line)
+    for column, name in enumerate(dof):
+        re, im = (table.numbers[f"{name}_{part}_{DOF_UNITS[name]}{end}"] for part in ("re", "im"))
+        q[(*at, column)] = re + 1j * im
+        variance[(*at, column)] = 2.0 * sd[:, column] ** 2
+    if "chi2" in table.numbers and "n_dof" in table.numbers:
+        chi2[at], n_dof[at] = table.numbers["chi2"], np.nan_to_num(table.numbers["n_dof"]).astype(int)
+    covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
+    reference = ""
+    if end:
+        reference = _reference_of(q, body.names, dof, table.file)
+        joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
+        for owner in range(shape[1]):
+            part = slice(owner * len(dof), (owner + 1) * len(dof))
+            joint[:, :, part, part] = covariance[:, owner]
+        covariance = joint
+    return RigidMotion(
+        runs, body.names, dof, lines, q, covariance, chi2, n_dof, reference=reference, notices=(notice,)
+    )
+
+
+def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[str]:
+    faults = []
+    told = table.told_rows("freq_hz")
+    for row in np.flatnonzero(~(freq >= LOWEST_HZ) | (freq > HIGHEST_HZ)):
+        if not (told[row] and np.isnan(freq[row])):
+            finite = 0.0 < freq[row] < np.inf
+            want = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz" if finite else "positive and finite"
+            faults.append(sentence("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))
+    for name in {"chi2", "n_dof"} & set(table.numbers):
+        values = table.numbers[name]
+        odd = (values < 0.0) | (values > LARGEST_COUNT)
+        if name == "n_dof":
+            odd |= values != np.where(np.isnan(values), values, np.round(values))
+            odd &= ~np.isnan(values)
+        for row in np.flatnonzero(odd):
+            want = "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
+            faults.append(sentence(name, want, f"{values[row]:g}", table.where(int(row))))
+    for row in np.flatnonzero(np.any((sd < 0.0) | (sd > LARGEST), axis=1)):
+        faults.append(
+            sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
+        )
+    for name, values in table.numbers.items():
+        large = np.flatnonzero(np.abs(values) > LARGEST) if "_re_" in name or "_im_" in name else ()
+        for row in large:
+            where = table.where(int(row))
+            want = "finite, or empty" if np.isinf(values[row]) else f"below {LARGEST:g}, or empty"
+            faults.append(sentence(name, want, f"{values[row]:g}", where))
+    for row in np.flatnonzero(body < 0):
+        faults.append(sentence("body", "a name", "an empty cell", table.where(int(row))))
+    return faults
+
+
+def _reference_of(q: NDArray[np.complex128], bodies: tuple[str, ...], dof: tuple[str, ...], name: str) -> str:
+    """Find the degree of freedom that is 1 at all lines."""
+    for body, body_name in enumerate(bodies):
+        for place, dof_name in enumerate(dof):
+            values = q[:, body, :, place]
+            values = values[~np.isnan(values.real)]
+            if values.size and np.all(np.abs(values - 1.0) < 1e-9):
+                return f"{body_name}:{dof_name}"
+    raise StapeskitError(
+        sentence("a motion file per reference", "1 in the column of its reference", "no such column", name)
+    )

@@ -1,0 +1,1 @@
+"""Reading CSV tables as laboratories write them, with every fault by row."""

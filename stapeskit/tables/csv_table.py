@@ -1,0 +1,184 @@
+"""Read a CSV table fast, and name every malformed row when it is not as it should be.
+
+Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8 and UTF-16, byte order
+marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.faults import StapeskitError
+from stapeskit.tables.csv_cells import read_cells
+from stapeskit.tables.csv_fast import Stretch, decimal_of, joined, read_fast
+from stapeskit.tables.csv_text import Sheet, no_rows, open_sheet
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TextColumn:
+    """Texts stored once: ``names[codes]``; code -1 is an empty cell."""
+
+    codes: NDArray[np.intp]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The wanted columns of a file.
+
+    Attributes
+    ----------
+    file : str
+        Name of the file, for messages.
+    numbers : mapping of str to ndarray, (rows,)
+        NaN where a cell is empty.
+    texts : mapping of str to TextColumn
+    lines : ndarray, (rows,)
+        Line of each row in the file, counted from 1.
+    faults : tuple of str
+        Sentences on cells that are no numbers and rows of wrong length.
+    comments : int
+        Lines below the header that begin with ``#`` and were passed over.
+    """
+
+    file: str
+    numbers: Mapping[str, Array]
+    texts: Mapping[str, TextColumn]
+    lines: NDArray[np.int64]
+    faults: tuple[str, ...] = ()
+    comments: int = 0
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def told_rows(self, column: str = "") -> NDArray[np.bool_]:
+        """Return which rows (rows,) have a cell, of one column or of any, that was told to be no number."""
+        if not self.faults:
+            return np.zeros(len(self), dtype=bool)
+        lines = []
+        for fault in self.faults:
+            place = re.search(r", line (\d+)\)", fault)
+            if place and (not column or fault.startswith(f"{column} must be a number")):
+                lines.append(int(place.group(1)))
+        return np.isin(self.lines, lines)
+
+    def where(self, row: int, column: str = "") -> str:
+        """Return the place of a row for a message."""
+        return f"{self.file}, line {int(self.lines[row])}" + (f", {column}" if column else "")
+
+
+def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str], set[str]]]) -> Table:
+    """Read a table.
+
+    Parameters
+    ----------
+    path : Path
+    choose : callable
+        Takes the column names and the file's name, returns the names of the number columns and of the text
+        columns to read, and raises when the header is not as it must be.
+
+    Raises
+    ------
+    StapeskitError
+        The file is missing, empty, no text in UTF-8 or UTF-16, or has two columns of one name.
+    """
+    sheet = open_sheet(path)
+    try:
+        numbers, texts = choose(sheet.header, sheet.file)
+    except StapeskitError as fault:
+        told = str(fault).replace(f"{sheet.file}, line 1)", f"{sheet.header_place})")
+        raise type(fault)(told) from fault
+    if sheet.start >= sheet.stop:
+        empty = sheet.data[sheet.start :].strip() == b""
+        raise StapeskitError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))
+    read = read_fast(sheet, numbers, texts)
+    if isinstance(read, list):
+        return _mixed(sheet, read, numbers, texts)
+    if read is not None:
+        values, coded = read
+        words = {name: _numbered(*column) for name, column in coded.items()}
+        count = len(next(iter(values.values()), np.empty(0))) or len(next(iter(words.values())).codes)
+        lines = np.arange(sheet.line, sheet.line + count)
+        return _without_empty(Table(sheet.file, values, words, lines))
+    cells = read_cells(sheet, numbers, texts)
+    words = {name: _numbered(*_coded(column)) for name, column in cells.texts.items()}
+    return Table(sheet.file, cells.numbers, words, cells.lines, cells.faults, cells.comments)
+
+
+def _coded(column: Sequence[str]) -> tuple[NDArray[np.intp], list[str]]:
+    """Store every text once."""
+    unique = {word: place for place, word in enumerate(dict.fromkeys(column))}
+    return np.array([unique[word] for word in column], dtype=np.intp), list(unique)
+
+
+def _mixed(sheet: Sheet, stretches: Sequence[Stretch], numbers: set[str], texts: set[str]) -> Table:
+    """Read the stretches that are not regular cell by cell, and join all."""
+    line, comments = sheet.line, 0
+    lines: list[NDArray[np.int64]] = []
+    faults: list[str] = []
+    values: list[Mapping[str, Array]] = []
+    coded: list[Mapping[str, tuple[NDArray[np.intp], list[str]]]] = []
+    for stretch in stretches:
+        part = replace(sheet, start=stretch.start, stop=stretch.stop, line=line)
+        rows = sheet.data[stretch.start : stretch.stop].count(b"\n")
+        if stretch.piece is not None:
+            values.append(stretch.piece[0])
+            coded.append(stretch.piece[1])
+            ends = line + rows + (sheet.data[stretch.stop - 1 : stretch.stop] != b"\n")
+            lines.append(np.arange(line, ends))
+        else:
+            cells = read_cells(part, numbers, texts, decimal_of(sheet))
+            values.append(cells.numbers)
+            coded.append({name: _coded(column) for name, column in cells.texts.items()})
+            lines.append(cells.lines)
+            faults += cells.faults
+            comments += cells.comments
+        line += rows
+    joint = {name: np.concatenate([part[name] for part in values]) for name in numbers}
+    words = {name: _numbered(*joined([part[name] for part in coded])) for name in texts}
+    return _without_empty(Table(sheet.file, joint, words, np.concatenate(lines), tuple(faults), comments))
+
+
+def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
+    """Number texts in the order of first appearance, the empty one as -1."""
+    first = np.full(len(names) + 1, len(codes), dtype=np.intp)
+    new_text = np.ones(len(codes), dtype=bool)
+    new_text[1:] = codes[1:] != codes[:-1]
+    changes = np.flatnonzero(new_text)
+    first[codes[changes][::-1]] = changes[::-1]
+    kept: dict[str, int] = {}
+    for code in np.argsort(first[:-1], kind="stable").tolist():
+        if names[code] and first[code] < len(codes):
+            kept.setdefault(names[code], len(kept))
+    new = np.full(len(names) + 1, -1, dtype=np.intp)
+    for code, word in enumerate(names):
+        new[code] = kept.get(word, -1)
+    return TextColumn(new[codes], tuple(kept))
+
+
+def _without_empty(table: Table) -> Table:
+    """Drop rows in which nothing stands."""
+    empty = np.ones(len(table), dtype=bool)
+    for column in table.texts.values():
+        empty &= column.codes < 0
+    if not np.any(empty):
+        return table
+    for values in table.numbers.values():
+        empty &= np.isnan(values)
+    keep = ~empty
+    return Table(
+        table.file,
+        {name: values[keep] for name, values in table.numbers.items()},
+        {name: TextColumn(column.codes[keep], column.names) for name, column in table.texts.items()},
+        table.lines[keep],
+        table.faults,
+        table.comments,
+    )

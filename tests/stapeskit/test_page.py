@@ -1,0 +1,75 @@
+"""Pages: every text is escaped, nothing is loaded from elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus, printed
+from stapeskit.warnings import Notice
+
+EVIL = '<script>alert("x")</script> & more'
+
+
+def test_every_text_is_escaped(tmp_path):
+    made = page.Page(EVIL, EVIL)
+    made.section(
+        EVIL,
+        page.text(EVIL),
+        page.subheading(EVIL),
+        page.table([EVIL], [[EVIL]]),
+        page.table([EVIL], [[EVIL]], words=True),
+        page.notices([Notice(EVIL, EVIL)]),
+        page.matrix([[1.0]], [EVIL], EVIL, [[0.1]], [[EVIL]]),
+        page.image(b"x", EVIL, EVIL),
+        page.folded(EVIL, page.text(EVIL)),
+        page.inputs_table(
+            {"inputs": {EVIL: {"file": EVIL, "size_bytes": 1, "modified": EVIL, "hash": EVIL}}}
+        ),
+    )
+    made.section("two")
+    made.section("three")
+    made.write(tmp_path / "p.html")
+    html = (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert "<script" not in html
+    assert html.count("&lt;script&gt;") >= 18
+    assert "http" not in html.replace("http-equiv", "")
+
+
+def test_no_warning_is_said():
+    assert "No warnings" in page.notices([])
+
+
+def test_figures_are_embedded():
+    drawing = page.new_figure(2.0, 1.0)
+    drawing.subplots().plot([0.0, 1.0])
+    assert "data:image/svg+xml;base64," in page.figure(drawing, "caption", "alt")
+    drawing = page.new_figure(2.0, 1.0)
+    drawing.subplots().plot([0.0, 1.0])
+    assert "data:image/png;base64," in page.figure(drawing, "caption", "alt", vector=False)
+
+
+def test_matrix_shows_values_and_deviations():
+    html = page.matrix(np.diag([1.5, 2.5]), ["y", "alpha"], "M", np.full((2, 2), 0.1))
+    assert "1.5" in html
+    assert "± 0.1" in html
+
+
+def test_matrix_writes_no_deviation_beside_a_zero_of_the_pattern():
+    html = page.matrix(np.diag([1.5, 2.5]), ["y", "alpha"], "M", np.diag([0.1, 0.2]))
+    assert "± 0.1" in html
+    assert "± 0<" not in html
+
+
+def test_values_are_written_to_the_second_digit_of_their_deviation():
+    assert plus_minus(1736.4, 17.2) == "1736 ± 17"
+    assert plus_minus(3.0531e-08, 7.2e-10) == "(3.053 ± 0.072)·10⁻⁸"
+    assert plus_minus(2.5, None) == "2.5 ± unknown"
+
+
+def test_messages_have_the_letters_of_a_page():
+    text = "0.2 urad enter per nm, 14 um off, factor 1.08 +- 0.01; give --density RHO+-SD, x_um, a volume"
+    assert printed(text) == (
+        "0.2 µrad enter per nm, 14 µm off, factor 1.08 ± 0.01; give --density RHO+-SD, x_um, a volume"
+    )
+    assert "1.08 ± 0.01" in page.notices([Notice("channel_gain", text)])
