@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS
 from ct_inertia.grey.border import CODE as CUT_BY_BORDER
 from ct_inertia.mass.budget import budget, not_included
@@ -61,6 +62,7 @@ def mass_json(
     reduced = np.ix_(places, places)
     provenance = record(result.options.inputs, _parameters(result.options), sha256=sha256, hashes=hashes)
     provenance["kernels"] = which()
+    provenance["versions"] = {**provenance["versions"], **calibrated.version()}
     content = {
         "schema": SCHEMA,
         "density_kg_m3": body.density_kg_m3,

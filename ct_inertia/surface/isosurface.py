@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 _TINY_SHARE = 1e-3
 _ROUNDS = 6
 _CLOSE = 5e-5
-_LEAST_SHARE, _MOST_SHARE = 0.1, 0.9
+_LEAST_SHARE, _MOST_SHARE = calibrated("isosurface.shares")
 _OUTSIDE = -1.0
 
 

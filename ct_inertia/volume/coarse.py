@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.blocks import sampled
 from ct_inertia.volume.grids import gaussian
@@ -16,19 +17,17 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import sentence
 
 Array = NDArray[np.float64]
+# Squares of larger values, summed over a scan, overflow in single precision.
 _LARGEST = 1e15
+# A stapes is 3 mm high: 60 coarse voxels.
 _TARGET_MM = 0.05
+# Bounds the memory: 0.1 GB of float32.
 _MOST_VOXELS = 24_000_000
-_FLAT = 1.7
+# Fewer voxels inside a material give no level.
 _LEAST_INTERIOR = 25
-# Materials fill cubes at two fifths of their voxels and more, blurred edges at 0.2 %.
-_LEAST_SOLID = 0.02
-_LOUD = 0.09
-_NEAR = 2.5
 # Bins of the histogram within the least distance of two materials' levels.
 _BINS = 16
-_SMOOTH_BINS = 2.5
-_VALLEY, _SHALLOW_VALLEY = 0.5, 0.8
+# Layers and differences of neighbours that the noise is estimated from: its standard error is below 1 %.
 _LAYERS = 12
 _SAMPLE = 200_000
 
@@ -140,7 +139,7 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
 
 def loud(noise_share: float) -> bool:
     """Return whether noise, as a share of the contrast, makes holes and specks when it is thresholded."""
-    return noise_share >= _LOUD
+    return bool(noise_share >= calibrated("coarse.loud_noise"))
 
 
 def calmed(grey: NDArray[np.float32], noise_share: float) -> NDArray[np.float32]:
@@ -183,7 +182,7 @@ def material_levels(scan: CoarseScan) -> Array:
     """
     noise = scan.noise
     apart = max(2.5 * noise, 0.04 * (float(scan.grey.max()) - float(scan.grey.min())))
-    found = interior(scan.grey, _FLAT * noise, apart / _BINS)
+    found = interior(scan.grey, calibrated("coarse.flat_noise") * noise, apart / _BINS)
     top = _bright_rest(scan, found)
     levels = _solid(_modes(found), found, noise)
     if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * noise):
@@ -206,15 +205,15 @@ def _modes(found: Interior) -> Array:
         return np.zeros(0)
     histogram = np.pad(found.histogram.astype(float), _BINS)
     centres = found.low + (np.arange(len(histogram)) - _BINS + 0.5) * found.width
-    bell = np.exp(-0.5 * (np.arange(-10, 11) / _SMOOTH_BINS) ** 2)
+    bell = np.exp(-0.5 * (np.arange(-10, 11) / calibrated("coarse.smooth_bins")) ** 2)
     smooth = np.convolve(histogram, bell / bell.sum(), mode="same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     peaks = peaks[np.argsort(-smooth[peaks])]
-    kept = _standing_apart(peaks, histogram, smooth, [], _VALLEY)
+    kept = _standing_apart(peaks, histogram, smooth, [], calibrated("coarse.valley"))
     if len(kept) == 2:
         # Noise and wide blur fill the valley between air and a third material, less than half as bright.
         below = peaks[(peaks > min(kept)) & (peaks < 0.5 * (kept[0] + kept[1]))]
-        kept = _standing_apart(below, histogram, smooth, kept, _SHALLOW_VALLEY)
+        kept = _standing_apart(below, histogram, smooth, kept, calibrated("coarse.shallow_valley"))
     levels = []
     for peak in sorted(kept):
         near = slice(max(0, peak - 6), peak + 7)
@@ -243,7 +242,8 @@ def _solid(levels: Array, found: Interior, noise: float) -> Array:
     kept = [
         level
         for k, level in enumerate(levels)
-        if k in (0, len(levels) - 1) or _fills(found.filled(level, _NEAR * noise))
+        if k in (0, len(levels) - 1)
+        or _fills(found.filled(level, calibrated("coarse.same_material_noise") * noise))
     ]
     return np.array(kept)
 
@@ -251,7 +251,7 @@ def _solid(levels: Array, found: Interior, noise: float) -> Array:
 def _fills(found: tuple[int, int]) -> bool:
     """Say whether voxels of a level fill cubes of three, and not by chance alone as in blurred edges."""
     voxels, cubes = found
-    return cubes >= max(_LEAST_INTERIOR, _LEAST_SOLID * voxels)
+    return cubes >= max(_LEAST_INTERIOR, calibrated("coarse.least_solid_share") * voxels)
 
 
 def _bright_rest(scan: CoarseScan, found: Interior) -> float | None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled
 from ct_inertia.volume.coarse import finite, noise_of
 from ct_inertia.volume.interior import in_threads
@@ -17,9 +18,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Finer voxels than this bring nothing to a body measured by its grey integral, and cost their number.
-WORKING_MM = 0.024
+WORKING_MM: float = calibrated("working.largest_block_mm")
 # Where bones touch, the narrow gap between them is kept.
-PARTING_MM = 0.0124
+PARTING_MM: float = calibrated("working.largest_block_in_situ_mm")
 _LAYERS = 16
 
 
