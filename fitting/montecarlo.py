@@ -118,7 +118,7 @@ def _fitted(fit: KDFit) -> ComplexArray:
     return np.asarray(observation.q - moved[..., 0])
 
 
-def _roots(covariance: NDArray) -> NDArray:
+def _roots(covariance: NDArray[Any]) -> NDArray[Any]:
     """Return roots of Hermitian positive semidefinite matrices."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])

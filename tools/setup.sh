@@ -23,7 +23,9 @@ elif [ -n "$missing" ]; then
 fi
 
 "$PYTHON" -m venv .venv
-install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e '.[dev]'; }
+# Dependency groups need pip 25.1.
+.venv/bin/python -m pip install --quiet --disable-pip-version-check "pip>=25.1"
+install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e . --group dev; }
 install || {
     command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null && exit 1
     echo "no C compiler, and none could be downloaded: installing without the compiled kernels"

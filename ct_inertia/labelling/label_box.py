@@ -169,7 +169,7 @@ def _labels(
     return labels
 
 
-def _kernel(array: NDArray[Any]) -> Any:
+def _kernel(array: Any) -> Any:
     """Return the kernel that marks voxels of an array; None where none is made for it."""
     kernels = compiled()
     if kernels is None or not isinstance(array, np.ndarray) or not array.dtype.isnative:

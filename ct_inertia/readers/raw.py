@@ -39,7 +39,7 @@ class RawLayout:
         A size below 2, an unknown type or byte order, a negative number of bytes.
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     dtype: str
     byte_order: str = "little"
     header_bytes: int = 0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.segment.candidates import Piece, describe, used_box
+from ct_inertia.segment.candidates import Piece, describe
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import boxes_and_sizes, dilated, gaussian, labelled, watershed
+from ct_inertia.volume.grids import boxes_and_sizes, dilated, gaussian, labelled, used_box, watershed
 
 Array = NDArray[np.float64]
 

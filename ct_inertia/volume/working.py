@@ -184,7 +184,7 @@ def _means(volume: Volume, first: Index, count: Index, block: Index) -> NDArray[
     return means
 
 
-def _kernel(array: NDArray[Any]) -> Any:
+def _kernel(array: Any) -> Any:
     """Return the kernel that takes means of an array; None where it has whole rows of no kernel's type."""
     kernels = compiled()
     if kernels is None or not isinstance(array, np.ndarray) or not array.dtype.isnative:

@@ -8,6 +8,7 @@ so that the iteration ends at the true optimum (Pintelon and Schoukens 2012, Sys
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Whitened:
     state: State
     factor: ComplexArray
 
-    def select(self, keep: NDArray) -> Whitened:
+    def select(self, keep: NDArray[Any]) -> Whitened:
         """Return some of the lines."""
         state = State(self.state.residual[:, keep], self.state.gain[:, :, keep], self.state.noise[:, :, keep])
         return Whitened(self.distance[keep], self.residual[:, keep], state, self.factor[:, :, keep])

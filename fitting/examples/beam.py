@@ -115,7 +115,7 @@ def transport_to_tip(length: float) -> Array:
     return np.array([[1.0, -length], [0.0, 1.0]])
 
 
-def difference(tip: ArrayLike, base: ArrayLike, length: float) -> NDArray:
+def difference(tip: ArrayLike, base: ArrayLike, length: float) -> NDArray[np.float64]:
     """Return dq (..., 2) of tip and base motion in (y, alpha): paper Eq. 7.
 
     Notes

@@ -8,6 +8,7 @@ M_rb]) the residual is ``e = Z dq - f``. Noise of covariance S enters it as ``Ce
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,7 @@ class Lines:
         """Return the same lines under another damping law."""
         return replace(self, factor=law.factor(self.omega))
 
-    def select(self, keep: NDArray) -> Lines:
+    def select(self, keep: NDArray[Any]) -> Lines:
         """Return some of the lines."""
         return Lines(
             self.omega[keep],

@@ -6,6 +6,7 @@ Harmonic signals are e^{+i w t}. Matrices are SI; the length of the modes' shape
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -243,7 +244,7 @@ def passive(matrix: ArrayLike) -> bool:
     return bool(np.linalg.eigvalsh(values / np.outer(root, root))[0] >= -1e-12)
 
 
-def _unit_free(mass: Array, stiffness: Array) -> tuple:
+def _unit_free(mass: Array, stiffness: Array) -> tuple[Any, ...]:
     """Return a scaling of matrices, the lengths and the time that make a model of order one."""
     root = np.sqrt(np.diag(mass))
 

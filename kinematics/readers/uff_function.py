@@ -119,9 +119,7 @@ def read_function(dataset: Dataset, file: str) -> Function:
             with collecting(faults):
                 spacing = _spacing(head[6], dataset.at(file, 7))
         x, y = _values(dataset, kind, count, even, file)
-    if identity is None or faults:
-        raise_all(KinematicsError, faults)
-        raise KinematicsError(sentence("a function", "with a record 6", "none", file, CUT))
+    raise_all(KinematicsError, faults)
     if even:
         with np.errstate(over="ignore"):
             x = np.asarray(spacing[0] + spacing[1] * np.arange(count), dtype=float)

@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from tests.kinematics.test_drawings import sphere
 
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, points2dof
@@ -28,7 +29,6 @@ from tests.kinematics.simulated import (
     stapes_points,
     three_beams,
 )
-from tests.kinematics.test_drawings import sphere
 
 HEADINGS = (
     "Warnings",
