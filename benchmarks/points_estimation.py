@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from kinematics.fit.beams import BeamSet, beam_set  # noqa: E402
-from kinematics.fit.ratio import per_reference  # noqa: E402
+from kinematics.fit.frf_ratio import per_reference  # noqa: E402
 from kinematics.fit.rigid_fit import LineFit, fit_lines  # noqa: E402
 from kinematics.measurement import BodyChannels  # noqa: E402
 from kinematics.registration.placement import Placement  # noqa: E402

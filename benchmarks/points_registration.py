@@ -20,8 +20,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.kinematics.test_registration import fitzpatrick_west
-
 from kinematics.points2dof import Options, points2dof
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.icp import fit_to_surface
@@ -29,8 +27,9 @@ from kinematics.registration.icp_refine import Cloud
 from stapeskit.alignment.registration import displacement, fit_rigid
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
+from tests.kinematics.registration.test_calibrate import COUNT, ear, nees
 from tests.kinematics.surfaces import box, on_faces, wedge
-from tests.kinematics.test_calibrate import COUNT, ear, nees
+from tests.stapeskit.test_registration import fitzpatrick_west
 
 Array = np.ndarray
 CORNERS = np.array([[-10.0, 0, -8], [10, 0, -8], [10, 0, 8], [-10, 0, 8]])
@@ -193,7 +192,7 @@ def moved_rows(clouds: int, seed: int) -> list[str]:
     """Return the table of a bone that shifted between scan and measurement."""
     import tempfile
 
-    from tests.kinematics import test_moved as scenes
+    from tests.kinematics.registration import test_moved as scenes
 
     rows = [
         "| 9 points on bone, shifted along its normal by | told (sd stated) | shift found, um "

@@ -14,8 +14,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from kinematics.measurement import BodyChannels, Measurement, Take
+from kinematics.repeats.comparison import code_of
 from kinematics.repeats.pooling import pooled
-from kinematics.repeats.repeats import code_of
 
 RESONANCES = ((1753.0, 0.12), (2783.0, 0.14))
 ALARM = {

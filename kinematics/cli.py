@@ -149,10 +149,10 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     faults = _faults(options)
     from kinematics.points2dof import points2dof
     from kinematics.readers import read_measurement
+    from kinematics.registration.align import tie
     from kinematics.registration.fiducials import read_fiducials
     from kinematics.registration.scan_surfaces import ScanSurfaces
     from kinematics.registration.surface_points import mirrored, read_surface_points
-    from kinematics.registration.tie import tie
     from stapeskit.provenance import record
     from stapeskit.records.mass_record import read_mass_record
 
@@ -213,7 +213,7 @@ def _choices(options: argparse.Namespace, faults: list[str]) -> tuple[InputOptio
     """
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
-    from kinematics.readers.kinds import describes_series
+    from kinematics.readers.formats import describes_series
     from stapeskit.spatial import parse_dof
 
     said, chosen, series, priors, dof = InputOptions(), Options(), None, None, Options().dof
@@ -302,8 +302,8 @@ def _outputs(options: argparse.Namespace, inputs: Mapping[str, Path | None]) -> 
 def _write(options: argparse.Namespace, result: Points2Dof, outputs: OutputSet) -> list[Path]:
     """Write all outputs at once and return their paths."""
     from kinematics.faults.verdicts import write_channels
-    from kinematics.report.scenery import read_scenery
     from kinematics.report.sections import write_report
+    from kinematics.report.stapes_surface import read_scenery
     from stapeskit.records.motion_files import write_motion
 
     stem = options.out.stem

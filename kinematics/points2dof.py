@@ -19,10 +19,10 @@ from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
-from kinematics.fit.neglected import neglected_notice
-from kinematics.fit.noise import with_noise
-from kinematics.fit.ratio import parse_reference, per_reference
-from kinematics.fit.record_noise import with_record_noise
+from kinematics.fit.body_noise import with_noise
+from kinematics.fit.frf_ratio import parse_reference, per_reference
+from kinematics.fit.neglected_motion import neglected_notice
+from kinematics.fit.reference_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.calibrate import Calibration
@@ -31,8 +31,8 @@ from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.handedness import check_axes
 from kinematics.registration.placement import Placement, place
 from kinematics.registration.shared_errors import pose_derivatives, position_errors
+from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import pooled, separate, with_gain_errors
-from kinematics.repeats.repeats import RunRepeats
 from stapeskit.faults import StapeskitError, raise_all, sentence
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion, SharedErrors

@@ -155,7 +155,7 @@ def input_options(ldv: Ldv) -> InputOptions:
 
 def _series_options(ldv: Ldv) -> SeriesOptions | None:
     """Return how time series are turned into responses; universal files need no table of their channels."""
-    from kinematics.readers.kinds import describes_series
+    from kinematics.readers.formats import describes_series
     from kinematics.signals.series_options import SeriesOptions
     from pipeline.errors import PipelineError
     from stapeskit.faults import raise_all, sentence

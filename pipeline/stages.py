@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kinematics.registration.fiducials import Fiducials
     from kinematics.registration.icp_refine import Cloud
     from kinematics.registration.placement import Placement
-    from kinematics.report.scenery import Scenery
+    from kinematics.report.stapes_surface import Scenery
     from stapeskit.records.mass_record import MassRecord
 
 _OWN = ("pipeline/stages.py", "pipeline/options.py")
@@ -270,8 +270,8 @@ def _clouds(ldv: Ldv) -> dict[str, Cloud]:
 def _placement(
     study: Study, work: Workspace, measurement: Measurement, fiducials: Fiducials | None, mass: MassRecord
 ) -> Placement:
+    from kinematics.registration.align import tie
     from kinematics.registration.scan_surfaces import ScanSurfaces
-    from kinematics.registration.tie import tie
 
     clouds = _clouds(study.ldv)
     frame = study.ldv.frame or "footplate"
@@ -330,7 +330,7 @@ def _check_measurement(study: Study) -> None:
 def _scenery(work: Workspace, mass: MassRecord) -> Scenery:
     """Return the stapes in footplate axes, to be drawn behind the points."""
     from ct_inertia.surface.surface import read_surface
-    from kinematics.report.scenery import scenery_of
+    from kinematics.report.stapes_surface import scenery_of
 
     surface = read_surface(work.find("stapes.ply"))
     return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), surface.vertices_mm, surface.faces)

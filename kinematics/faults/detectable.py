@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches as packed
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.detectable import POWER
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches as packed
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from stapeskit.spatial import dof_indices

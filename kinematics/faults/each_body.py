@@ -6,8 +6,8 @@ import numpy as np
 
 from kinematics.faults.diagnose import FALSE_ALARM, Diagnosis, diagnose, nothing_found
 from kinematics.faults.packed.compact import compact
-from kinematics.fit.neglected import extended_beams
-from kinematics.fit.record_noise import holds_record_noise
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.reference_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels, Measurement
 

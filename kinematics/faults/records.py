@@ -10,9 +10,9 @@ import numpy as np
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
-from kinematics.fit.neglected import extended_beams
-from kinematics.fit.noise import with_noise
-from kinematics.fit.record_noise import cautious
+from kinematics.fit.body_noise import with_noise
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.reference_noise import cautious
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 

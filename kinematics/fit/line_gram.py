@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
 
@@ -127,22 +127,22 @@ def weighted(basis: Array, cut: Sequence[Piece], count: int) -> Weighted:
     """
     size = basis.shape[1]
     gram, right = np.empty((size * (size + 1) // 2, count)), np.empty((size, 2, count))
-    rows = np.ascontiguousarray(packed.products(basis).T)
+    rows = np.ascontiguousarray(symmetric_batches.products(basis).T)
     room = np.empty(max(piece.y.size for piece in cut))
     for piece in cut:
         gram[:, piece.lines] = rows @ piece.weight
         weighed = room[: piece.y.size].reshape(piece.y.shape)
         right[:, :, piece.lines] = _right(basis, np.multiply(piece.y, piece.weight, out=weighed))
-    inverse = packed.inverse(gram, size)
-    condition = packed.condition(gram, inverse, size)
+    inverse = symmetric_batches.inverse(gram, size)
+    condition = symmetric_batches.condition(gram, inverse, size)
     inverse[:, ~(condition < _HOPELESS)] = 0.0
-    z = packed.times(inverse, right)
+    z = symmetric_batches.times(inverse, right)
     good = condition < DOUBTFUL
     if np.any((condition > REFINE) & good):
         for piece in cut:
             left = (piece.y - predicted(basis, z[:, :, piece.lines])) * piece.weight
             right[:, :, piece.lines] = _right(basis, left)
-        z += packed.times(inverse, right)
+        z += symmetric_batches.times(inverse, right)
     if not np.all(good):
         for piece in cut:
             for line in np.flatnonzero(~good[piece.lines]):
@@ -203,7 +203,7 @@ def _one_line(basis: Array, piece: Piece, line: int, z: Array, inverse: Array) -
     u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     turn = vt.T / s
     z[:] = turn @ (u.T @ (root * piece.y[:, :, line].T))
-    inverse[:] = packed.pack(turn @ turn.T)
+    inverse[:] = symmetric_batches.pack(turn @ turn.T)
     return True
 
 
@@ -213,7 +213,7 @@ def add(basis: Array, cut: Sequence[Piece], top: Array, fit: Weighted, part: sli
     out.good[part] = fit.good
     out.z[:, part] = fit.z[:, 0] + 1j * fit.z[:, 1]
     out.inverse[:, part] = fit.inverse * (2.0 / top**2)
-    out.explained[part] = np.sum(fit.z * packed.times(fit.gram, fit.z), axis=(0, 1)) * top**2
+    out.explained[part] = np.sum(fit.z * symmetric_batches.times(fit.gram, fit.z), axis=(0, 1)) * top**2
     misfit, count = np.empty(len(top)), np.full(len(top), channels)
     lever = np.zeros((channels, len(fit.inverse)))
     room = np.empty((2, max(piece.noise.size for piece in cut)))
@@ -244,6 +244,8 @@ def add(basis: Array, cut: Sequence[Piece], top: Array, fit: Weighted, part: sli
         out.weight += piece.weight @ live
         out.used += number.astype(np.int64)
         out.freedom += 2.0 * number
-    out.freedom -= 2.0 * np.sum(packed.products(basis) * packed.doubled(size) * lever, axis=1)
+    out.freedom -= 2.0 * np.sum(
+        symmetric_batches.products(basis) * symmetric_batches.doubled(size) * lever, axis=1
+    )
     out.misfit[part] = misfit * top**2
     out.count[part] = count

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.line_sums import Solution
 from kinematics.native import compiled
@@ -207,7 +207,7 @@ def fit_own(
         for given in (noise.factor, noise.floor)
     )
     rows, room = _filled(basis), np.empty((len(value), 3 * _BLOCK))
-    pairs = np.ascontiguousarray(packed.products(rows))
+    pairs = np.ascontiguousarray(symmetric_batches.products(rows))
     sums = np.zeros((len(value), 5, _WIDE))
     kernels.fit_lines(
         value.ctypes.data,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.line_gram import DOUBTFUL, REFINE, SINGULAR, determining, each_line, spans
 from kinematics.fit.line_kernels import SharedPass, fit_own
 from kinematics.fit.line_noise import LineNoise, blocks
@@ -234,7 +234,7 @@ def _finish(factor: Factor, part: slice, shared: _Shared) -> None:
     z = shared.z[:, 2 * part.start : 2 * part.stop]
     misfit = shared.misfit[2 * part.start : 2 * part.stop]
     out.z[:, part] = (factor.turn @ z).view(complex)
-    out.inverse[:, part] = packed.pack(factor.turn @ factor.turn.T)[:, None] * (2.0 * line**2)
+    out.inverse[:, part] = symmetric_batches.pack(factor.turn @ factor.turn.T)[:, None] * (2.0 * line**2)
     out.misfit[part] = (misfit[::2] + misfit[1::2]) / line**2
     size = np.sum(z**2, axis=0)
     out.explained[part] = (size[::2] + size[1::2]) / line**2

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, Lines, blocks
 from kinematics.fit.line_solver import solve
@@ -124,7 +124,7 @@ class LineFit:
     @property
     def inverse(self) -> Array:
         """Inverse Gram matrix of the weighted fit in the orthonormal basis, (freq, m, m)."""
-        return packed.unpack(self.solution.inverse, len(self.beams.dof))
+        return symmetric_batches.unpack(self.solution.inverse, len(self.beams.dof))
 
     @property
     def channel_rms(self) -> Array:
@@ -156,7 +156,7 @@ class LineFit:
     def leverage(self) -> Array:
         """Return the diagonal of the weighted hat matrix, (channel, freq)."""
         basis, inverse = self.beams.basis, self.solution.inverse
-        rows = packed.products(basis) * packed.doubled(basis.shape[1])
+        rows = symmetric_batches.products(basis) * symmetric_batches.doubled(basis.shape[1])
         return np.asarray(self.weights * (rows @ inverse))
 
     def is_rounding(self, share: float = 1e-8) -> bool:
@@ -236,7 +236,7 @@ def fit_noise(beams: BeamSet, value: ComplexArray, noise: LineNoise, robust: str
     q = np.ascontiguousarray((beams.to_dof @ solution.z.view(float)).view(complex).T)
     q[~good] = np.nan
     base = solution.inverse if inverse is None else inverse
-    covariance = packed.transformed(np.sqrt(loss) * beams.to_dof, base)
+    covariance = symmetric_batches.transformed(np.sqrt(loss) * beams.to_dof, base)
     covariance[~good] = np.nan
     chi2 = np.where(good, solution.misfit, np.nan)
     n_dof = np.where(good, 2 * (solution.count - size), 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.line_gram import Piece, Weighted, add, pieces, predicted, weighted
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.line_sums import Solution
@@ -117,7 +117,7 @@ def _iterate(
         weight = noise * robust_weight(_sizes(basis, y, noise, old) * peak, kind)[0]
         fit = weighted(basis, [_with(slice(0, len(live)), y, weight)], len(live))
         step = fit.z - old
-        moved = np.sum(step * packed.times(fit.gram, step), axis=(0, 1)) * peak**2
+        moved = np.sum(step * symmetric_batches.times(fit.gram, step), axis=(0, 1)) * peak**2
         z[:, :, live] = np.where(fit.good, fit.z, old)
         going = (moved > tolerance**2) & fit.good
         if np.sum(going) < 0.8 * len(live):

@@ -16,7 +16,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
-from kinematics.readers.options import SERIES, InputOptions
+from kinematics.readers.input_options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
 from stapeskit.faults import collecting, raise_all, sentence
@@ -48,7 +48,7 @@ def read_measurement(
         What is wrong with the files; the faults of all of them together.
     """
     from kinematics.readers.assemble import assemble
-    from kinematics.readers.kinds import TIDY, kind_of, read_recordings
+    from kinematics.readers.formats import TIDY, kind_of, read_recordings
     from kinematics.tidy.ldv_csv import read_ldv
 
     paths, options = [Path(path) for path in paths], options or InputOptions()

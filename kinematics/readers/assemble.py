@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
+from kinematics.readers.apply_options import with_bodies, with_runs, with_stated
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
-from kinematics.readers.options import InputOptions, check_used
+from kinematics.readers.input_options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
-from kinematics.readers.spread import body_noise
-from kinematics.readers.stated import with_bodies, with_runs, with_stated
-from kinematics.readers.values import value_faults
+from kinematics.readers.reported_noise import body_noise
+from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
 from stapeskit.faults import raise_all, sentence

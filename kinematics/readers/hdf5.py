@@ -35,7 +35,7 @@ In MATLAB (v: channels x F, complex)::
     h5writeatt('ldv.h5', '/', 'body', strjoin(body, ';'));
     h5writeatt('ldv.h5', '/', 'point', strjoin(point, ';'));
 
-Other HDF5 files are read when their names and shapes are those that kinematics.readers.matlab knows, or as
+Other HDF5 files are read when kinematics.readers.matlab.spectra knows their names and shapes, or as
 a mapping says.
 """
 
@@ -49,11 +49,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.hdf5_tree import array_of, complex_of, opened, text_of, texts_of
+from kinematics.readers.containers.hdf5_file import array_of, complex_of, opened, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
-from kinematics.readers.values import number_faults, scaled
+from kinematics.readers.value_checks import number_faults, scaled
 from stapeskit.faults import collecting, raise_all, sentence
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     ----------
     path : Path
     mapping : Path, optional
-        Which data set is what, for files of other layouts; see kinematics.readers.mat_mapping.
+        Which data set is what, for files of other layouts; see kinematics.readers.matlab.mapping.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
         The file is damaged or of another layout (its data sets are listed), something is missing, has
         another shape, or is of an unknown unit; all faults together.
     """
-    from kinematics.readers.matlab import with_mapping
+    from kinematics.readers.matlab.spectra import with_mapping
 
     path = Path(path)
     with opened(path, "an HDF5 file") as file:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit.beams import beam_set
-from kinematics.fit.neglected import extended_beams
-from kinematics.fit.noise import with_noise
+from kinematics.fit.body_noise import with_noise
+from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.registration.calibrate import Calibration, calibrate

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.registration.free_motions import undetermined
 from kinematics.registration.icp_refine import (
     Cloud,
     Guess,
@@ -23,7 +24,6 @@ from kinematics.registration.icp_refine import (
 )
 from kinematics.registration.icp_search import Candidate, candidates, separation
 from kinematics.registration.mesh_distance import TriangleSurface
-from kinematics.registration.slides import undetermined
 from stapeskit.alignment.fiducial_faults import inconsistent, unit_hint
 from stapeskit.alignment.registration import Registration
 from stapeskit.faults import sentence

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit import packed
+from kinematics.fit import symmetric_batches
 from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import Channels, LineFit
 from kinematics.measurement import BodyChannels
@@ -105,7 +105,7 @@ def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -
         left = np.tensordot(beams.to_dof.T, left, axes=(1, 1))
         each = (pairs @ weights).reshape(count, size, size, -1)
         known = np.einsum("nabf,bf->naf", each, q[:, part])
-        solved = packed.times(fit.solution.inverse[:, part], left - known.transpose(1, 0, 2))
+        solved = symmetric_batches.times(fit.solution.inverse[:, part], left - known.transpose(1, 0, 2))
         out[:, part] = np.tensordot(beams.to_dof, solved, axes=1).transpose(1, 2, 0)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
@@ -122,7 +122,7 @@ def _derivatives_of_all(
     count, _, size = changes.shape
     basis, share = beams.basis[channels], np.broadcast_to(common[0], len(beams.basis))[channels]
     weight = 0.5 / share**2
-    inverse = packed.unpack(fit.solution.inverse[:, :1], size)[0] / common[1][0] ** 2
+    inverse = symmetric_batches.unpack(fit.solution.inverse[:, :1], size)[0] / common[1][0] ** 2
     solve = beams.to_dof @ inverse
     forward = (solve @ beams.to_dof.T) @ (changes.transpose(0, 2, 1) * weight)
     back = forward @ basis + solve @ ((basis.T * weight) @ changes @ beams.to_dof)
@@ -263,6 +263,6 @@ def _sampled(
         each -= beams.basis[:, :, None] * (weights * (changes[axis] @ q))[:, None]
         np.add.at(made[axis], owner[chosen], each[chosen])
     inverse = fit.solution.inverse[:, pick]
-    solved = packed.times(inverse, made.transpose(2, 0, 1, 3))
+    solved = symmetric_batches.times(inverse, made.transpose(2, 0, 1, 3))
     out = np.tensordot(beams.to_dof, solved, axes=1)
     return np.asarray(out.transpose(2, 1, 0, 3).reshape(3 * points, len(places), len(pick)))

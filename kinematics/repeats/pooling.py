@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement, Take
+from kinematics.repeats.comparison import ALARM, RunRepeats, compare
+from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
 from kinematics.repeats.repeat_shift import frequency_shifts
-from kinematics.repeats.repeats import ALARM, RunRepeats, compare
 from kinematics.repeats.scatter_noise import scatter_noise
-from kinematics.repeats.stated_freedom import inverse_moments, stated_freedom
 from kinematics.repeats.take_shapes import Shapes, Stack, shapes_of
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.warnings import Notice

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.report.draw_labels import label_points, written
-from kinematics.report.scenery import Scenery
+from kinematics.report.stapes_surface import Scenery
 from stapeskit.page.drawings import FAULT, INK, colour, plain, shortened
 from stapeskit.page.page import new_figure
 from stapeskit.page.shading import Shaded, View, shade, views

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.report.draw_geometry import equal_panels
-from kinematics.report.scenery import Scenery, coarse
+from kinematics.report.stapes_surface import Scenery, coarse
 from stapeskit.page.drawings import INK, colour, plain, shortened
 from stapeskit.page.shading import View, shade, silhouette, views
 from stapeskit.spatial import DOF_NAMES

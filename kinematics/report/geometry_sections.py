@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.report.draw_geometry import faulty_channels, placement_figure
-from kinematics.report.scenery import Scenery
+from kinematics.report.stapes_surface import Scenery
 from stapeskit.page import page
 from stapeskit.page.page import Section
 

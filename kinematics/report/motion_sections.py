@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kinematics.report.animation import moving_picture
 from kinematics.report.draw_motion import (
     PHASES,
     Moment,
@@ -15,8 +16,7 @@ from kinematics.report.draw_motion import (
     surface_body,
 )
 from kinematics.report.draw_spectra import is_light, spectra_figure
-from kinematics.report.motion_view import moving_picture
-from kinematics.report.scenery import Scenery
+from kinematics.report.stapes_surface import Scenery
 from stapeskit.page import page
 from stapeskit.page.page import Section
 from stapeskit.spatial import DOF_UNITS

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from kinematics.points2dof import Points2Dof
-    from kinematics.repeats.repeats import RunRepeats
+    from kinematics.repeats.comparison import RunRepeats
 
 _MOST_ROWS = 60
 _TESTS = {

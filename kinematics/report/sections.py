@@ -21,7 +21,7 @@ from kinematics.report.fault_sections import (
 from kinematics.report.geometry_sections import points_section, registration_section
 from kinematics.report.motion_sections import motion_section, moving_section
 from kinematics.report.repeat_sections import repeats_section
-from kinematics.report.scenery import Scenery
+from kinematics.report.stapes_surface import Scenery
 from stapeskit.page import page
 from stapeskit.page.drawings import line_words
 from stapeskit.page.page import Page, Section

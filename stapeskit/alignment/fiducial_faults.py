@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.alignment.kabsch import kabsch
+from stapeskit.alignment.paired_points import kabsch
 from stapeskit.faults import StapeskitError, sentence
 from stapeskit.warnings import Notice
 

@@ -14,7 +14,7 @@ from stapeskit.alignment.fiducial_faults import (
     inconsistent,
     refuse_mirrored,
 )
-from stapeskit.alignment.kabsch import kabsch, pair_weights, pose_covariance, pose_rows, refined
+from stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, pose_rows, refined
 from stapeskit.faults import StapeskitError, sentence
 from stapeskit.frames import RigidTransform, vector_from_rotation
 from stapeskit.warnings import Notice

@@ -231,8 +231,8 @@ def _exports(folder: Path) -> None:
     from kinematics.tidy.ldv_csv import read_ldv
     from sample_volumes.make_sample import write_recording
     from tests.kinematics import written_uff as uff
+    from tests.kinematics.readers.test_matlab import usd
     from tests.kinematics.rewritten import write_three_ways
-    from tests.kinematics.test_matlab import usd
     from tests.kinematics.written_mat import write_v73
     from tests.kinematics.written_psv import point
 
@@ -363,8 +363,8 @@ def _series(folder: Path) -> None:
 
 def _surfaces(folder: Path) -> None:
     """A folder of ct2mass with points on the plate and the bone, as tests/kinematics has them."""
-    from tests.kinematics import test_geometry_command as command
-    from tests.kinematics.test_moved import write_scan
+    from tests.kinematics.registration import test_geometry_command as command
+    from tests.kinematics.registration.test_moved import write_scan
 
     made = folder / "surfaces"
     made.mkdir()

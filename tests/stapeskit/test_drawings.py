@@ -16,7 +16,7 @@ from kinematics.report.draw_motion import (
     surface_body,
 )
 from kinematics.report.draw_residuals import channel_labels, residual_figure, residual_map
-from kinematics.report.scenery import Scenery, coarse, scenery_of
+from kinematics.report.stapes_surface import Scenery, coarse, scenery_of
 from stapeskit.page.drawings import (
     amplitude_axis,
     distinct,

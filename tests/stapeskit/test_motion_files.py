@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from kinematics.fit.ratio import per_reference
+from kinematics.fit.frf_ratio import per_reference
 from kinematics.points2dof import Options, points2dof
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion import RigidMotion, SharedErrors

@@ -14,8 +14,8 @@ from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.line_noise import LineNoise
-from kinematics.fit.neglected import extended_beams
-from kinematics.fit.noise_course import noise_course
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 

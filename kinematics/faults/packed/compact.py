@@ -21,7 +21,7 @@ from kinematics.faults.packed.mixing import Mixing
 from kinematics.faults.packed.whole_lines import measured
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, blocks
-from kinematics.fit.noise_course import noise_course
+from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
 from stapeskit.spatial import dof_indices, point_rows

@@ -1,0 +1,167 @@
+"""Apply what the user says about files to their recordings: beams, units, amplitudes, bodies, runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.input_options import InputOptions, is_file
+from kinematics.readers.recording import Recording, Recordings
+from kinematics.readers.unit_labels import LENGTHS
+from kinematics.readers.value_checks import scaled
+from kinematics.tidy.points_csv import Points
+from stapeskit.faults import raise_all, sentence
+from stapeskit.warnings import Notice
+
+DEFAULT_RUN = "1"
+Entry = tuple[str, Recording]
+
+
+def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[list[Entry], list[Notice]]:
+    """Return (file, recording) with beam, amplitude and length unit applied where the files are silent.
+
+    Raises
+    ------
+    KinematicsError
+        An option that has nothing to say: all files say it themselves.
+    """
+    made: list[Entry] = []
+    notices: list[Notice] = []
+    silent = {"--beam": False, "--amplitude": False, "--length-unit": False, "--n-avg": False}
+    for one in files:
+        notices += one.notices
+        placed = any(np.all(np.isfinite(r.position_mm)) for r in one.recordings)
+        absolute = any(not r.per for r in one.recordings)
+        if not one.length_stated and placed:
+            silent["--length-unit"] = True
+            if not options.length_unit:
+                notices.append(_metres(one))
+        if not one.amplitude_stated and absolute:
+            silent["--amplitude"] = True
+            if not options.amplitude:
+                text = f"{one.file} does not say whether amplitudes are peak or rms: they were taken as peak."
+                notices.append(Notice("amplitude_assumed", text))
+        for recording in one.recordings:
+            silent["--beam"] |= bool(np.any(np.isnan(recording.direction)))
+            silent["--n-avg"] |= recording.n_avg is None and recording.sd is None
+            made.append((one.file, _said(recording, one, options)))
+    step = "Leave it out, or correct the file"
+    faults = [
+        sentence(option, "left out where the files say it themselves", "it", "", step)
+        for option, needed in silent.items()
+        if option in options.said and not needed
+    ]
+    raise_all(KinematicsError, faults)
+    return made, notices
+
+
+def _said(recording: Recording, file: Recordings, options: InputOptions) -> Recording:
+    """Return one recording with what is said applied."""
+    if options.direction is not None and np.any(np.isnan(recording.direction)):
+        recording = replace(recording, direction=options.direction)
+    if options.n_avg is not None and recording.n_avg is None and recording.sd is None:
+        recording = replace(recording, n_avg=options.n_avg)
+    if options.amplitude == "rms" and not file.amplitude_stated and not recording.per:
+        root = np.sqrt(2.0)
+        sd = None if recording.sd is None else recording.sd * root
+        recording = replace(recording, value=scaled(recording.value, root), sd=sd)
+    if options.length_unit and not file.length_stated:
+        recording = replace(recording, position_mm=recording.position_mm * LENGTHS[options.length_unit])
+    return recording
+
+
+def _metres(file: Recordings) -> Notice:
+    """Tell that positions were taken as metres, with their extent."""
+    places = np.array([one.position_mm for one in file.recordings])
+    places = places[np.all(np.isfinite(places), axis=1)]
+    extent = " x ".join(f"{span:.4g}" for span in np.ptp(places, axis=0))
+    text = (
+        f"{file.file} does not say the unit of its positions: taken as metres they extend over {extent} mm. "
+        "Say --length-unit m, mm or um."
+    )
+    return Notice("length_unit_assumed", text)
+
+
+def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputOptions) -> list[Entry]:
+    """Give every recording its body: by ``--body``, by its file, or by the points file.
+
+    Raises
+    ------
+    KinematicsError
+        A point of no body or of two, or a rule that holds for no point.
+    """
+    by_point: dict[str, list[str]] = {}
+    for body, point in () if points is None else points.positions:
+        by_point.setdefault(point, []).append(body)
+    used: set[str] = set()
+    made: list[Entry] = []
+    faults: list[str] = []
+    without: dict[str, list[str]] = {}
+    for file, one in entries:
+        rules = [name for name, items in options.bodies if any(item.holds(file, one.point) for item in items)]
+        used |= set(rules)
+        names = list(dict.fromkeys([*rules, *([one.body] if one.body else [])]))
+        if not names:
+            names = by_point.get(one.point, [])
+        if len(names) > 1:
+            step = "Name each point once, by file where numbers repeat: --body base=base.uff:1-9"
+            faults.append(sentence(f"point {one.point}", "of one body", " and ".join(names), one.where, step))
+        elif not names:
+            without.setdefault(file, []).append(one.point)
+        else:
+            made.append((file, replace(one, body=names[0])))
+    for file, lost in without.items():
+        lost = list(dict.fromkeys(lost))
+        shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
+        step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
+        faults.append(sentence(f"points {shown}", "of a body", "none", file, step))
+    known = ", ".join(dict.fromkeys(one.point for _, one in entries))
+    known = known if len(known) < 120 else f"{known[:117]}..."
+    faults += [
+        sentence(
+            f"--body {name}", f"points that were measured ({known})", "others", "", "Correct the numbers"
+        )
+        for name in dict.fromkeys(name for name, _ in options.bodies)
+        if name not in used
+    ]
+    raise_all(KinematicsError, list(dict.fromkeys(faults)))
+    return made
+
+
+def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Entry], list[Notice]]:
+    """Give every recording its run: by ``--run``, by its file, else by what the files share.
+
+    Files without names of runs that measure one point in one direction again are different excitations,
+    each named after its file; files of different points are parts of one.
+    """
+    named = []
+    for file, one in entries:
+        said = [name for name, chosen in options.runs if is_file(chosen, file)]
+        run = said[0] if said else ""
+        if run and one.run:
+            run = f"{run} {one.run}"
+        named.append((file, replace(one, run=run or one.run)))
+    unnamed = {file for file, one in named if not one.run}
+    seen: dict[tuple[object, ...], str] = {}
+    again = False
+    for file, one in named:
+        key = (one.body, one.point, np.round(one.direction, 6).tobytes(), one.run, one.repeat, str(one.level))
+        again |= seen.setdefault(key, file) != file
+    if not again:
+        return [(file, replace(one, run=one.run or DEFAULT_RUN)) for file, one in named], []
+    twice = [one.run for _, one in named if one.run]
+    made = []
+    for file, one in named:
+        run = one.run or Path(file).stem
+        if one.run and not options.runs and len({f for f, other in named if other.run == one.run}) > 1:
+            run = f"{Path(file).stem} {one.run}"
+        made.append((file, replace(one, run=run)))
+    if not unnamed and not twice:
+        return made, []
+    listed = ", ".join(dict.fromkeys(one.run for _, one in made))
+    text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
+    return made, [Notice("runs_by_file", text)]

@@ -1,0 +1,1 @@
+"""MATLAB and HDF5 files as plain values, opened in a guard process first."""

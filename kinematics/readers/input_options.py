@@ -1,0 +1,197 @@
+"""What a user says about vibrometer files that the files do not say: bodies, runs, beams, units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import raise_all, sentence
+
+Array = NDArray[np.float64]
+AMPLITUDES = ("peak", "rms")
+LENGTH_UNITS = ("m", "mm", "um")
+SERIES = "the options of time series"
+_AXES = {
+    sign + axis: (-1.0 if sign == "-" else 1.0, "xyz".index(axis))
+    for sign in ("", "+", "-")
+    for axis in "xyz"
+}
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Points of one rule: of a file (empty: of any) one name, a range of numbers, or all."""
+
+    file: str = ""
+    name: str = ""
+    first: int = 0
+    last: int = -1
+
+    def holds(self, file: str, point: str) -> bool:
+        """Tell whether a point of a file is meant."""
+        if self.file and not is_file(self.file, file):
+            return False
+        if self.name:
+            named = not self.file and not self.name.isdigit() and is_file(self.name, file)
+            return point == self.name or named
+        if self.last >= self.first:
+            return point.isdigit() and self.first <= int(point) <= self.last
+        return True
+
+
+def is_file(said: str, file: str) -> bool:
+    """Tell whether a file is named by its name, with or without the ending."""
+    return said in (file, file.rsplit(".", 1)[0])
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What is said about the files.
+
+    Attributes
+    ----------
+    body : tuple of str
+        ``NAME=POINTS`` each: points are numbers, ranges 3-7, names, FILE or FILE:POINTS, comma separated.
+    run : tuple of str
+        ``NAME=FILE`` each: the excitation that a file belongs to.
+    beam : str
+        Direction towards the laser head, x, -y ... or three numbers, where a file does not say it.
+    amplitude : str
+        ``peak`` or ``rms``, where a file does not say it; empty: peak, with a warning.
+    length_unit : str
+        Of positions whose unit a file does not say; empty: m, with a warning.
+    n_avg : float, optional
+        Number of averages behind each coherence, where a file does not say it.
+    mapping : Path, optional
+        Which variable of a MATLAB or HDF5 file is what; see kinematics.readers.matlab.mapping.
+    series : SeriesOptions, optional
+        How files with time series are turned into spectra; with it, MATLAB and HDF5 files hold time series.
+
+    Raises
+    ------
+    KinematicsError
+        A rule that cannot be read; all faults together.
+    """
+
+    body: tuple[str, ...] = ()
+    run: tuple[str, ...] = ()
+    beam: str = ""
+    amplitude: str = ""
+    length_unit: str = ""
+    n_avg: float | None = None
+    mapping: Path | None = None
+    series: SeriesOptions | None = None
+    bodies: tuple[tuple[str, tuple[Chosen, ...]], ...] = field(init=False, default=())
+    runs: tuple[tuple[str, str], ...] = field(init=False, default=())
+    direction: Array | None = field(init=False, default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        faults: list[str] = []
+        bodies = [_body(text, faults) for text in self.body]
+        object.__setattr__(self, "bodies", tuple(rule for rule in bodies if rule is not None))
+        runs = [_run(text, faults) for text in self.run]
+        object.__setattr__(self, "runs", tuple(rule for rule in runs if rule is not None))
+        object.__setattr__(self, "direction", _direction(self.beam, faults) if self.beam else None)
+        if self.amplitude not in ("", *AMPLITUDES):
+            faults.append(sentence("--amplitude", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
+        if self.length_unit not in ("", *LENGTH_UNITS):
+            faults.append(sentence("--length-unit", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
+        if self.n_avg is not None and not 1.0 <= self.n_avg < float("inf"):
+            faults.append(sentence("--n-avg", "a number of averages, 1 or more", f"{self.n_avg:g}"))
+        raise_all(KinematicsError, faults)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Names of the options that were given."""
+        given = {
+            "--body": self.body,
+            "--run": self.run,
+            "--beam": self.beam,
+            "--amplitude": self.amplitude,
+            "--length-unit": self.length_unit,
+            "--n-avg": self.n_avg,
+            "--mapping": self.mapping,
+            "--channels": self.series,
+        }
+        named = tuple(name for name, value in given.items() if value)
+        if self.series is not None and self.series.channels is None:
+            return tuple(SERIES if name == "--channels" else name for name in named)
+        return named
+
+
+def _body(text: str, faults: list[str]) -> tuple[str, tuple[Chosen, ...]] | None:
+    """Read ``NAME=POINTS``."""
+    name, mark, points = (part.strip() for part in text.partition("="))
+    step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
+    if not mark or not name or not points:
+        faults.append(sentence("--body", "NAME=POINTS", text, "", step))
+        return None
+    chosen: list[Chosen] = []
+    file = ""
+    for item in points.split(","):
+        head, colon, rest = item.strip().rpartition(":")
+        file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
+        made = _points(file, item)
+        if made is None:
+            faults.append(sentence("the points of --body", "numbers, ranges or names", f"{text}", "", step))
+            return None
+        chosen.append(made)
+    return name, tuple(chosen)
+
+
+def _points(file: str, item: str) -> Chosen | None:
+    if not item:
+        return None
+    span = re.fullmatch(r"(\d+)\s*-\s*(\d+)", item)
+    if span is None:
+        return Chosen(file, item)
+    first, last = int(span[1]), int(span[2])
+    return Chosen(file, "", first, last) if first <= last else None
+
+
+def _run(text: str, faults: list[str]) -> tuple[str, str] | None:
+    """Read ``NAME=FILE``."""
+    name, mark, file = (part.strip() for part in text.partition("="))
+    if not mark or not name or not file:
+        step = "Write it like --run push=first.uff"
+        faults.append(sentence("--run", "NAME=FILE", text, "", step))
+        return None
+    return name, file
+
+
+def _direction(text: str, faults: list[str]) -> Array | None:
+    """Read ``-z`` or ``0,0.34,0.94``."""
+    if text.strip().lower() in _AXES:
+        sign, axis = _AXES[text.strip().lower()]
+        return np.eye(3)[axis] * sign
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    length = float(np.linalg.norm(numbers))
+    if numbers.shape != (3,) or not abs(length - 1.0) < 1e-3:
+        expected = "x, y, z, -x, -y, -z or three numbers of length 1 (within 1e-3)"
+        faults.append(
+            sentence("--beam", expected, text, "", "It points from the sample towards the laser head")
+        )
+        return None
+    return np.asarray(numbers / length)
+
+
+def check_used(options: InputOptions, files: Sequence[str]) -> list[str]:
+    """List the files that rules name and nobody gave."""
+    faults = []
+    known = ", ".join(files)
+    named = [(f"--run {name}={file}", file) for name, file in options.runs]
+    named += [(f"--body {name}", item.file) for name, items in options.bodies for item in items if item.file]
+    for thing, file in named:
+        if not any(is_file(file, one) for one in files):
+            faults.append(sentence(f"the file of {thing}", f"one of {known}", file, "", "Correct its name"))
+    return faults

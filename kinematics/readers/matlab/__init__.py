@@ -1,0 +1,1 @@
+"""MATLAB files with spectra: layouts, mappings and variables."""

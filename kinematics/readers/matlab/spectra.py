@@ -1,0 +1,264 @@
+"""Read spectra from MATLAB files as users of Polytec's File Access have them, or as a mapping says.
+
+Recognised: ``x`` (1 x F, Hz) and ``y`` (points x F, complex, or real and imaginary parts in turn) with the
+struct ``usd`` that GetPointData returns; ``xyz`` from GetXYZCoordinates (points x 3, m); one value a beam
+(``amp_x``, ``amp_y``, ``amp_z`` with ``usd_x``, ...); the same inside a struct, in several structs (one run
+each), in a struct array or in cells with one element a point; points x F x 3 for three beams. Versions 5
+to 7.3. Everything else is said by a mapping, see kinematics.readers.matlab.mapping.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import ChainMap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.containers.matlab_file import describe, read_mat
+from kinematics.readers.matlab.mapping import Layout, layout_of, read_mapping
+from kinematics.readers.matlab.variables import (
+    LENGTH_END,
+    companion_of,
+    count_of,
+    directions_of,
+    names_of,
+    positions_of,
+    reals,
+    unit_of,
+    values_of,
+    variable,
+)
+from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.unit_labels import MotionUnit
+from kinematics.readers.value_checks import scaled
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+
+
+def read(path: Path, mapping: Path | None = None) -> Recordings:
+    """Read a MATLAB file with spectra.
+
+    Parameters
+    ----------
+    path : Path
+    mapping : Path, optional
+        Which variable is what; ``<path>.toml`` is taken by itself when it exists.
+
+    Raises
+    ------
+    KinematicsError
+        The file is damaged, its layout is not recognised (the variables found are listed), a unit is
+        missing or unknown, shapes do not match, or values are not complex.
+    """
+    return with_mapping(read_mat(Path(path)), Path(path), mapping)
+
+
+def with_mapping(tree: Mapping[str, Any], path: Path, mapping: Path | None) -> Recordings:
+    """Read variables as a mapping says; without one as ``<path>.toml`` says, else by their names.
+
+    Raises
+    ------
+    KinematicsError
+        As in read.
+    """
+    beside = path.with_name(path.name + ".toml")
+    if mapping is None and beside.is_file():
+        mapping = beside
+    if mapping is not None:
+        return _joined([_from_layout(tree, read_mapping(mapping), path.name, tree)], path.name)
+    return of_tree(tree, path)
+
+
+def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
+    """Recognise a layout in the variables of a file.
+
+    Raises
+    ------
+    KinematicsError
+        None is recognised; the variables found are listed.
+    """
+    blocks = _found(tree, tree, path.name)
+    if not blocks:
+        raise KinematicsError(_unrecognised(tree, path))
+    return _joined(blocks, path.name)
+
+
+def _unrecognised(tree: Mapping[str, Any], path: Path) -> str:
+    want = "of a known layout (x 1 x F, y points x F complex, usd; see docs/vibrometer_files.md)"
+    step = f"Say which variable is what in {path.name}.toml, or by --mapping FILE"
+    times = [name for name in tree if name.lower() in ("t", "time", "time_s")]
+    if times:
+        step = "It holds time series: name its channels by --channels FILE"
+    return sentence(path.name, want, f"the variables {describe(dict(tree))}", "", step)
+
+
+def _joined(blocks: list[Recordings], name: str) -> Recordings:
+    recordings = tuple(one for block in blocks for one in block.recordings)
+    notices = tuple(dict.fromkeys(notice for block in blocks for notice in block.notices))
+    return Recordings(
+        recordings,
+        notices,
+        f"variables of {name}",
+        amplitude_stated=all(block.amplitude_stated for block in blocks),
+        length_stated=all(block.length_stated for block in blocks),
+    )
+
+
+def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> list[Recordings]:
+    """Look for known layouts here, then in structs, then in struct arrays and cells of structs."""
+    layout = layout_of(space)
+    if layout is not None:
+        return [_from_layout(space, layout, where, tree)]
+    inner = {
+        name: layout_of(ChainMap(value, dict(space)))
+        for name, value in space.items()
+        if isinstance(value, dict)
+    }
+    good = {name: layout for name, layout in inner.items() if layout is not None}
+    blocks: list[Recordings] = []
+    faults: list[str] = []
+    for name, one in good.items():
+        run = name if len(good) > 1 else ""
+        named = Layout(**{**vars(one), "run": run})
+        inside = ChainMap(space[name], dict(space))
+        with collecting(faults):
+            blocks.append(_from_layout(inside, named, f"{where}, {name}", tree))
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    if blocks:
+        return blocks
+    for name, value in space.items():
+        if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+            outer = {key: one for key, one in space.items() if key != name}
+            parts = [ChainMap(one, outer) for one in value]
+            layouts = [layout_of(part) for part in parts]
+            if any(one is not None for one in layouts):
+                return _elements(parts, layouts, f"{where}, {name}", tree)
+        if isinstance(value, dict) and (deeper := _found(value, tree, f"{where}, {name}")):
+            return deeper
+    return []
+
+
+def _elements(
+    parts: list[ChainMap[str, Any]], layouts: list[Layout | None], where: str, tree: Mapping[str, Any]
+) -> list[Recordings]:
+    blocks = []
+    faults: list[str] = []
+    for number, (part, layout) in enumerate(zip(parts, layouts, strict=True), 1):
+        if layout is None:
+            text = f"element {number} holds no spectrum and is left out ({where})."
+            blocks.append(Recordings((), (Notice("missing_point", text),), amplitude_stated=True))
+        else:
+            with collecting(faults):
+                blocks.append(_from_layout(part, layout, f"{where}({number})", tree, str(number)))
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    return blocks
+
+
+def _from_layout(
+    space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str = ""
+) -> Recordings:
+    if layout.each:
+        elements = variable(space, layout.each, where, tree)
+        if not isinstance(elements, list) or not all(isinstance(one, dict) for one in elements):
+            want = "a struct array or a cell array of structs"
+            raise KinematicsError(sentence(layout.each, want, "something else", where))
+        inside = Layout(**{**vars(layout), "each": ""})
+        blocks: list[Recordings] = []
+        faults: list[str] = []
+        for k, one in enumerate(elements, 1):
+            spot = f"{where}, {layout.each}({k})"
+            with collecting(faults):
+                blocks.append(_from_layout(ChainMap(one, dict(space)), inside, spot, tree, str(k)))
+        raise_all(KinematicsError, dict.fromkeys(faults))
+        return _joined(blocks, where)
+    return _plain(space, layout, where, tree, point)
+
+
+def _plain(
+    space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str
+) -> Recordings:
+    """Read the signals of a layout; all that is wrong with its variables is told together."""
+    faults: list[str] = []
+    recordings: list[Recording] = []
+    freq: Array | None = None
+    with collecting(faults):
+        freq = _frequencies(space, layout, where, tree)
+    for signal in layout.signal:
+        name = signal.value or signal.value_re
+        unit, count = MotionUnit(0, 1.0), None
+        with collecting(faults):
+            unit = unit_of(space, signal, name, where, tree)
+        with collecting(faults):
+            count = count_of(space, signal, where, tree)
+        if freq is None:
+            continue
+        with collecting(faults):
+            values = values_of(space, signal, len(freq), where, tree)
+            if layout.convention == "-":
+                values = values.conj()
+            shape, rows = values.shape, len(values)
+            scale = unit.scale * (np.sqrt(2.0) if layout.amplitude == "rms" else 1.0)
+            told = len(faults)
+            names, places, directions = [""] * rows, [unknown_vector()] * rows, [[unknown_vector()] * rows]
+            coherence = spread = None
+            with collecting(faults):
+                names = names_of(space, layout, rows, where, tree, point)
+            with collecting(faults):
+                places = positions_of(space, layout, rows, where, tree)
+            with collecting(faults):
+                coherence = companion_of(space, signal.coherence, shape, where, tree)
+            with collecting(faults):
+                spread = companion_of(space, signal.sd, shape, where, tree)
+            with collecting(faults):
+                directions = [
+                    directions_of(space, signal, beam, values, where, tree) for beam in range(shape[2])
+                ]
+            if len(faults) > told:
+                continue
+            for beam in range(shape[2]):
+                for k in range(rows):
+                    with collecting(faults):
+                        recordings.append(
+                            Recording(
+                                names[k],
+                                freq,
+                                scaled(values[k, :, beam], scale),
+                                unit.order,
+                                f"{where}, {name}, row {k + 1}",
+                                signal.run or layout.run,
+                                signal.body or layout.body,
+                                places[k],
+                                directions[beam][k],
+                                None if spread is None else spread[k, :, beam] * scale,
+                                None if coherence is None else coherence[k, :, beam],
+                                count,
+                                per=unit.per,
+                            )
+                        )
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    length = bool(layout.position_unit or re.search(LENGTH_END, layout.position))
+    return Recordings(
+        tuple(recordings),
+        amplitude_stated=bool(layout.amplitude),
+        length_stated=length or not layout.position,
+    )
+
+
+def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any]) -> Array:
+    freq = reals(space, layout.frequency, where, tree).reshape(-1)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    if np.any(bad):
+        first = int(np.flatnonzero(bad)[0])
+        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+        got = f"{freq[first]:g} at place {first + 1}{more}"
+        step = "Say which variable holds the frequencies in a mapping"
+        raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", got, where, step))
+    return freq

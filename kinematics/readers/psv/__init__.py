@@ -1,0 +1,1 @@
+"""Text exports of scanning vibrometers."""

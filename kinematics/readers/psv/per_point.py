@@ -1,0 +1,224 @@
+"""Read per-point text exports of a scanning vibrometer: one block, mostly one file, per point and signal.
+
+The layout is known from programs that read it; no file of the vendor was available.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.psv.blocks import Block, fields_of, read_blocks, value_of
+from kinematics.readers.psv.fastscan import axes_notice, axis_vector
+from kinematics.readers.psv.signals import signals
+from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
+from kinematics.readers.text import shown
+from kinematics.readers.unit_labels import length_scale
+from kinematics.readers.value_checks import in_mm
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+_POINT = ("point index", "punktindex", "punkt-index")
+_FREQUENCY = ("frequency", "frequenz", "fréquence")
+_TIME = ("time", "zeit", "temps")
+_PLACE = r"{axis}\s*=?\s*([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*(m|mm|um|µm|cm)?(?![A-Za-z])"
+_COMPONENT = re.compile(r"^\s*(?:vib\s*)?([+-]?)([xyz])\s*$", re.IGNORECASE)
+_IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
+
+
+def looks_like_points(text: str) -> bool:
+    """Tell from its head whether a text is a per-point export."""
+    return any(name in fields_of(text) for name in _POINT)
+
+
+def read(path: Path) -> Recordings:
+    """Read a folder (with its folders) of per-point files, or one file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    KinematicsError
+        A file is cut short, holds a time series, amplitudes without phase or another unit than motion, or a
+        point is there twice.
+
+    Notes
+    -----
+    Layout of a block: ``Source File Name``, ``Point Index: <n> [x = .. y = .. z = ..]``, ``Component``,
+    ``Signal``, an empty line, the names of the columns (Frequency, Real, Imaginary), their units
+    ([ Hz ], [ m/s ], [ m/s ]), the numbers. The direction is that of the column (Real X), else of the
+    component; positions without unit are in metres.
+    """
+    path = Path(path)
+    found = read_blocks(path, lambda block: (block, *_recordings(block)), deep=True)
+    stated = all(unit_stated for _, _, unit_stated in found)
+    made = [
+        (recording, block.fields.get("source file name", "") or block.file)
+        for block, recordings, _ in found
+        for recording in recordings
+    ]
+    kept, notices = _one_quantity(made, path.name)
+    axes = {(one.point, one.direction.tobytes()) for one, _ in kept}
+    if len(axes) > len({point for point, _ in axes}):
+        notices.append(axes_notice(path.name))
+    units = "positions in stated units" if stated else "positions without unit, as metres"
+    recordings, said = _by_source(kept, path.name)
+    return Recordings(
+        recordings, (*notices, *said), f"coordinates of the scan, {units}", length_stated=stated
+    )
+
+
+def _recordings(block: Block) -> tuple[list[Recording], bool]:
+    """Return the recordings of one block and whether the unit of its position is stated."""
+    name = next((name for name in _POINT if name in block.fields), None)
+    if name is None:
+        step = "Leave other files out of the folder"
+        raise KinematicsError(
+            sentence("the header", "one with a line Point Index: <n>", "none", block.where, step)
+        )
+    faults: list[str] = []
+    text = block.fields[name]
+    number = re.match(r"\s*(\d+)", text)
+    if number is None:
+        faults.append(sentence("the point index", "a number", shown(text), block.where))
+    freq, found = np.empty(0), []
+    with collecting(faults):
+        freq = _frequencies(block)
+        found = signals(block)
+    position, stated = unknown_vector(), True
+    if number is not None:
+        with collecting(faults):
+            position, stated = _position(text[number.end() :], block.where)
+    raise_all(KinematicsError, faults)
+    if number is None:
+        return [], True
+    made = []
+    for signal in found:
+        axis = signal.axis or _axis(block)
+        made.append(
+            Recording(
+                number[1],
+                freq,
+                signal.value,
+                signal.unit.order,
+                block.where,
+                position_mm=position,
+                direction=axis_vector(axis),
+                per=signal.unit.per,
+            )
+        )
+    return made, stated
+
+
+def _frequencies(block: Block) -> Array:
+    """Return the first column, Hz."""
+    first = block.columns[0].lower()
+    if first.startswith(_TIME):
+        step = (
+            "Export spectra or frequency responses, or give the time series as a table with a column time_s"
+        )
+        raise KinematicsError(sentence("the export", "over frequency", "a time series", block.where, step))
+    if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
+        got = shown(f"{block.columns[0]} [{block.units[0]}]")
+        step = "Export spectra or frequency responses"
+        raise KinematicsError(sentence("the first column", "Frequency [Hz]", got, block.where, step))
+    with np.errstate(over="ignore"):
+        freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    if np.any(bad):
+        row = int(np.flatnonzero(bad)[0])
+        more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
+        got = f"{freq[row]:g} in row {row + 1}{more}"
+        step = "Export it again"
+        raise KinematicsError(
+            sentence("the frequencies", "ascending and not negative", got, block.where, step)
+        )
+    return np.asarray(freq)
+
+
+def _position(text: str, where: str) -> tuple[Array, bool]:
+    """Read x, y, z behind the point index, mm, and whether their unit is stated."""
+    found = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
+    if any(match is None for match in found):
+        return unknown_vector(), True
+    numbers = [value_of(match[1].rstrip(",.")) for match in found if match is not None]
+    if None in numbers:
+        want = "three numbers, x = .. y = .. z = .."
+        raise KinematicsError(
+            sentence("the position of a point", want, shown(text), where, "Export it again")
+        )
+    units = {match[2] for match in found if match is not None and match[2]}
+    scale = length_scale(min(units)) if len(units) == 1 else 1.0
+    return in_mm(np.array(numbers, dtype=float), scale or 1.0), len(units) == 1
+
+
+def _axis(block: Block) -> str:
+    """Return the axis that component or signal names, empty when none does."""
+    match = _COMPONENT.match(block.fields.get("component", ""))
+    match = match or _IN_SIGNAL.search(block.fields.get("signal", ""))
+    return "" if match is None else match[1].replace("+", "") + match[2].lower()
+
+
+def _one_quantity(
+    made: list[tuple[Recording, str]], name: str
+) -> tuple[list[tuple[Recording, str]], list[Notice]]:
+    """Keep one quantity, velocity first, and one kind of reference, responses first."""
+    notices = []
+    orders = sorted({one.order for one, _ in made}, key=lambda order: (order != 1, order))
+    if len(orders) > 1:
+        listed = " and ".join(QUANTITIES[order] for order in orders)
+        notices.append(Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."))
+        made = [entry for entry in made if entry[0].order == orders[0]]
+    if len({bool(one.per) for one, _ in made}) > 1:
+        text = f"{name} holds spectra and frequency responses: the responses are used."
+        notices.append(Notice("function_chosen", text))
+        made = [entry for entry in made if entry[0].per]
+    return made, notices
+
+
+def _by_source(made: list[tuple[Recording, str]], name: str) -> tuple[tuple[Recording, ...], list[Notice]]:
+    """Name runs after the measurement that was exported, when a point was measured in several.
+
+    Raises
+    ------
+    KinematicsError
+        A point and direction is there twice from one measurement.
+    """
+    from dataclasses import replace
+
+    def key(one: Recording) -> tuple[str, bytes]:
+        return one.point, one.direction.tobytes()
+
+    counts = Counter(key(one) for one, _ in made)
+    if max(counts.values()) == 1:
+        return tuple(one for one, _ in made), _joined(made, name)
+    seen: dict[tuple[object, ...], str] = {}
+    faults = []
+    for one, source in made:
+        place = (*key(one), source)
+        if place in seen:
+            step = "Put every excitation into a folder of its own, and give all folders"
+            thing = f"the signal of point {one.point}"
+            faults.append(sentence(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
+        seen[place] = one.where
+    raise_all(KinematicsError, faults)
+    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in made), []
+
+
+def _joined(made: list[tuple[Recording, str]], name: str) -> list[Notice]:
+    """Tell that points of several measurements were taken as one run."""
+    sources = list(dict.fromkeys(source for _, source in made))
+    if len(sources) < 2 or len(sources) == len({one.where for one, _ in made}):
+        return []
+    listed = ", ".join(sources[:4]) + (" ..." if len(sources) > 4 else "")
+    text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as parts of one run."
+    return [Notice("sources_joined", text)]

@@ -1,0 +1,141 @@
+"""Complex values of motion from the columns of a text export, and frequencies from its header."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.psv.blocks import Block, value_of
+from kinematics.readers.recording import scaled
+from kinematics.readers.text import shown
+from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
+from stapeskit.faults import collecting, raise_all, sentence
+
+ComplexArray = NDArray[np.complex128]
+_PARTS = {
+    "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
+    "im": re.compile(r"^(imag|imaginary|im|imaginär|imaginärteil|imaginaire)\b", re.IGNORECASE),
+    "amp": re.compile(r"^(magnitude|amplitude|betrag|mag|module)\b", re.IGNORECASE),
+    "phase": re.compile(r"^phase\b", re.IGNORECASE),
+}
+_AXIS = re.compile(r"(?:^|[\s(_])([+-]?)([XYZ])\s*$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Complex values of one axis of a block: axis ``x``, ``-y`` ... or empty, unit, values (rows,) in SI."""
+
+    axis: str
+    unit: MotionUnit
+    value: ComplexArray
+
+
+def signals(block: Block) -> list[Signal]:
+    """Pair the columns of a block to complex values.
+
+    Raises
+    ------
+    KinematicsError
+        Amplitudes without phase, amplitudes in dB, a real part without an imaginary part, a unit that is no
+        motion, or no column of values at all.
+    """
+    pairs: dict[str, dict[str, int]] = {}
+    for place, name in enumerate(block.columns):
+        part = next((part for part, pattern in _PARTS.items() if pattern.match(name)), None)
+        if part is not None:
+            match = _AXIS.search(name)
+            axis = "" if match is None else match[1].replace("+", "") + match[2].lower()
+            pairs.setdefault(axis, {})[part] = place
+    made: list[Signal] = []
+    faults: list[str] = []
+    unknown: dict[str, list[str]] = {}
+    for axis, parts in pairs.items():
+        with collecting(faults):
+            first, value = _value_of(block, axis, parts)
+            label = block.units[first]
+            unit = None if is_none(label) else motion_unit(label)
+            if unit is None:
+                unknown.setdefault(label, []).append(axis)
+            else:
+                made.append(Signal(axis, unit, scaled(value, unit.scale)))
+    faults += [_unit_fault(label, axes, block.where) for label, axes in unknown.items()]
+    raise_all(KinematicsError, faults)
+    if not made:
+        step = "Export Real & Imag., or Magnitude & Phase"
+        expected = "columns of real and imaginary part, or magnitude and phase"
+        raise KinematicsError(
+            sentence(
+                "the table",
+                expected,
+                shown(", ".join(block.columns)) if block.columns else "no names",
+                block.where,
+                step,
+            )
+        )
+    return made
+
+
+def _unit_fault(label: str, axes: list[str], where: str) -> str:
+    """Say that the unit of some axes is no motion."""
+    named = [axis for axis in axes if axis]
+    of_axes = f" of ax{'e' if len(named) > 1 else 'i'}s {', '.join(named)}" if named else ""
+    expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
+    step = "Export velocity or displacement on a linear scale, not in dB"
+    return sentence(f"the unit{of_axes}", expected, shown(label) if label else "none", where, step)
+
+
+def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
+    """Return the column that says the unit of an axis, and its complex values in that unit."""
+    of_axis = f" of axis {axis}" if axis else ""
+    if {"re", "im"} <= set(parts):
+        first, second = parts["re"], parts["im"]
+        value = np.empty(len(block.numbers), dtype=complex)
+        value.real, value.imag = block.numbers[:, first], block.numbers[:, second]
+        if block.units[first] != block.units[second]:
+            got = f"{shown(block.units[first])} and {shown(block.units[second])}"
+            raise KinematicsError(
+                sentence(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
+            )
+    elif {"amp", "phase"} <= set(parts):
+        first, second = parts["amp"], parts["phase"]
+        turn = _phase_factor(block.units[second], block.where)
+        with np.errstate(invalid="ignore", over="ignore"):
+            value = np.asarray(block.numbers[:, first] * np.exp(1j * turn * block.numbers[:, second]))
+    else:
+        names = {"re": "real part", "im": "imaginary part", "amp": "magnitude", "phase": "phase"}
+        got = " and ".join(names[part] for part in parts) + " alone"
+        step = "Export Real & Imag., or Magnitude & Phase: motion cannot be told without its phase"
+        expected = "real and imaginary part, or magnitude and phase"
+        raise KinematicsError(sentence(f"the values{of_axis}", expected, got, block.where, step))
+    return first, value
+
+
+def _phase_factor(unit: str, where: str) -> float:
+    if unit.strip().lower() in ("°", "deg", "degree", "degrees", "grad", "\ufffd"):
+        return float(np.pi / 180.0)
+    if unit.strip().lower() in ("rad", "radian", "radians"):
+        return 1.0
+    got = shown(unit) if unit else "none"
+    raise KinematicsError(sentence("the unit of the phase", "degrees or rad", got, where, "Export it again"))
+
+
+def frequency_hz(text: str, where: str) -> float:
+    """Read ``1000 Hz`` or ``1,5 kHz``.
+
+    Raises
+    ------
+    KinematicsError
+        Another unit or no number.
+    """
+    match = re.fullmatch(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(m|k|M)?Hz\s*", text)
+    value = None if match is None else value_of(match[1])
+    if match is None or value is None:
+        raise KinematicsError(
+            sentence("the frequency", "a number in Hz", shown(text), where, "Export it again")
+        )
+    return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]

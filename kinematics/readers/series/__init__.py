@@ -1,0 +1,1 @@
+"""Time series: files, channel tables and the estimation of frequency responses."""

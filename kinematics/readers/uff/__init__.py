@@ -1,0 +1,1 @@
+"""Universal files (UFF, UNV): datasets, functions, geometry, spectra and time responses."""

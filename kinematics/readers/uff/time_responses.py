@@ -1,0 +1,286 @@
+"""Time responses in a universal file: records of responses and of their reference, as time series."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.series.channel_table import Channel
+from kinematics.readers.series.files import Series, check_finite, sampling_rate
+from kinematics.readers.series.frequency_responses import empty_band, estimated
+from kinematics.readers.uff.functions import TIME, Function
+from kinematics.readers.uff.geometry import Geometry
+from kinematics.readers.uff.motion_functions import (
+    REFERENCES,
+    direction_faults,
+    direction_label,
+    is_motion,
+    motion_of,
+    point_name,
+)
+from kinematics.readers.unit_labels import is_none, plain
+from kinematics.signals.series_options import SeriesOptions
+from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.warnings import Notice, unique
+
+Array = NDArray[np.float64]
+_TIME = 17
+_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6}
+_SI = ("m", "m/s", "m/s2")
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """What one node and direction recorded in one run: its records in order, and what they are."""
+
+    channel: Channel
+    records: tuple[Function, ...]
+
+
+def read_responses(
+    functions: Sequence[Function],
+    geometry: Geometry,
+    file: str,
+    options: SeriesOptions,
+    faults: list[str],
+) -> Recordings:
+    """Estimate frequency responses from the time responses of a file.
+
+    Parameters
+    ----------
+    functions : sequence of Function
+    geometry : Geometry
+    file : str
+    options : SeriesOptions
+    faults : list of str
+        What is known to be wrong with the file; told together with what is found here.
+
+    Raises
+    ------
+    KinematicsError
+        No reference or several that could be it, an unknown unit, records of different lengths or rates,
+        or what the estimate says; all faults together.
+
+    Notes
+    -----
+    The reference is the one that is named, else the node and direction that the responses name as their
+    reference, else the only signal that is no motion. Load cases are runs. Signals of one load case were
+    recorded together; several records of them are paired in the order of their version numbers. A reference
+    that was recorded again for each group of responses belongs to the responses behind it, or before it
+    where the file begins with responses.
+    """
+    times = [one for one in functions if one.kind == TIME and not _is_other(one)]
+    left = len(functions) - len(times)
+    recordings: list[Recording] = []
+    notices: list[Notice] = []
+    how = ""
+    name: str | None = None
+    with collecting(faults):
+        name = _reference(times, file, options)
+    for case in dict.fromkeys(one.load_case for one in times):
+        runs = len({one.load_case for one in times}) > 1
+        own = [one for one in times if one.load_case == case]
+        signals = _signals(own, geometry, file, name or "", f"case {case}" if runs else "", faults)
+        if name is None:
+            continue
+        for part in _parts(signals, name, file, faults):
+            with collecting(faults):
+                made = _part(part, name, file, options)
+                recordings += made.recordings
+                notices += made.notices
+                how = made.frame_units
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    if not recordings:
+        raise KinematicsError(empty_band(file))
+    if left:
+        text = f"{file}: left out: {left} functions beside its time responses."
+        notices.append(Notice("functions_left_out", text))
+    notices += geometry.notices
+    units = f"{geometry.units}; {how}" + (f", reference {name}" if name else "")
+    stated = geometry.length_factor is not None
+    return Recordings(
+        tuple(recordings), unique(notices), units, file, True, length_stated=stated, from_series=True
+    )
+
+
+def _is_other(one: Function) -> bool:
+    """Tell whether a time response is over something else than time, or complex."""
+    return one.abscissa.kind not in (0, 1, _TIME) or not one.real
+
+
+def _label(one: Function) -> str:
+    name = direction_label(one.node, one.direction)
+    return name if one.node or is_none(one.entity) else one.entity
+
+
+def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> str:
+    """Return the name of the signal that all responses refer to; empty when a stepped sine needs none."""
+    labels = list(dict.fromkeys(_label(one) for one in times))
+    shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
+    if options.reference:
+        said = options.reference.strip().lower()
+        named = [_label(one) for one in times if said in (name.lower() for name in (_label(one), *one.names))]
+        named += [_label(one) for one in times if said == str(one.node)] if not named else []
+        found = list(dict.fromkeys(named))
+        if len(found) != 1:
+            got = options.reference + (f", which is {' and '.join(found)}" if found else "")
+            raise KinematicsError(sentence("--reference-channel", f"one of {shown}", got, file))
+        return found[0]
+    stated = {
+        direction_label(one.reference_node, one.reference_direction)
+        for one in times
+        if one.reference_node and (one.reference_node, one.reference_direction) != (one.node, one.direction)
+    }
+    found = [name for name in labels if name in stated]
+    if len(found) != 1:
+        found = list(dict.fromkeys(_label(one) for one in times if not is_motion(one)))
+    if len(found) == 1 or (not found and options.steps is not None):
+        return found[0] if found else ""
+    step = "Name it by --reference-channel, as node and direction"
+    got = " and ".join(found[:_MOST_NAMED]) if found else f"none among {shown}"
+    raise KinematicsError(sentence("the reference of the time responses", "one signal", got, file, step))
+
+
+def _signals(
+    times: Sequence[Function], geometry: Geometry, file: str, name: str, run: str, faults: list[str]
+) -> list[_Signal]:
+    """Sort the records of one load case by signal."""
+    by_label: dict[str, list[Function]] = {}
+    for one in times:
+        by_label.setdefault(_label(one), []).append(one)
+    made = []
+    for label, records in by_label.items():
+        if label != name and not is_motion(records[0]):
+            continue
+        found: list[str] = []
+        channels = [_channel(one, geometry, file, label == name, run, found) for one in records]
+        if not found and len({(one.scale, one.unit) for one in channels}) > 1:
+            got = ", ".join(dict.fromkeys(one.unit for one in channels))
+            found.append(sentence(f"the records of {label}", "in one unit", got, file, "Export it again"))
+        faults += found
+        if not found:
+            ordered = sorted(records, key=lambda one: (one.version, one.place))
+            made.append(_Signal(channels[0], tuple(ordered)))
+    return made
+
+
+def _channel(
+    one: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[str]
+) -> Channel:
+    """Say what one record holds as a row of a table of channels would."""
+    where = f"{file}, dataset {one.place}"
+    scale, order, unit = 1.0, -1, plain(one.ordinate.unit)
+    if is_motion(one):
+        motion = motion_of(one, geometry, file, faults)
+        if motion is not None:
+            scale, order, unit = motion.scale, motion.order, _SI[motion.order]
+            unit += f"/{motion.per}" if motion.per else ""
+    elif is_none(one.ordinate.unit):
+        unit = REFERENCES.get(one.ordinate.kind, "unit of the reference")
+    if not leads:
+        faults += direction_faults(one, file)
+    return Channel(
+        _label(one),
+        "reference" if leads else "response",
+        "",
+        point_name(one),
+        run,
+        "",
+        unknown_vector() if leads else geometry.direction(one.node, one.direction),
+        geometry.position_mm(one.node),
+        scale,
+        order,
+        unit,
+        where,
+    )
+
+
+def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[str]) -> list[list[_Signal]]:
+    """Return what was recorded together: responses and their reference, with as many records each."""
+    responses = [one for one in signals if one.channel.name != name]
+    lead = next((one for one in signals if one.channel.name == name), None)
+    if not responses:
+        if not faults:
+            step = "Export the records of the points too"
+            faults.append(
+                sentence("time responses", "of one motion beside the reference", "none", file, step)
+            )
+        return []
+    counts = {len(one.records) for one in responses}
+    if lead is None or counts == {len(lead.records)}:
+        return [[*responses, *([] if lead is None else [lead])]]
+    if counts == {1}:
+        return _in_turn(responses, lead, file, faults)
+    known = ", ".join(f"{one.channel.name} {len(one.records)}" for one in [lead, *responses][:_MOST_NAMED])
+    step = "Export every record of the reference once"
+    faults.append(sentence("the time responses", "of as many records as their reference", known, file, step))
+    return []
+
+
+def _in_turn(
+    responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[str]
+) -> list[list[_Signal]]:
+    """Give each record of the reference the responses that stand behind it, or before it, in the file."""
+    by_place: Mapping[int, _Signal] = {one.records[0].place: one for one in responses}
+    leads = sorted(lead.records, key=lambda one: one.place)
+    behind = leads[0].place < min(by_place)
+    parts = []
+    for k, one in enumerate(leads):
+        if behind:
+            low, high = one.place, leads[k + 1].place if k + 1 < len(leads) else np.inf
+        else:
+            low, high = leads[k - 1].place if k else 0, one.place
+        found = [signal for place, signal in by_place.items() if low < place < high]
+        if found:
+            parts.append([*found, replace(lead, records=(one,))])
+    if len(parts) == len(leads) and sum(len(part) - 1 for part in parts) == len(responses):
+        return parts
+    got = f"{len(leads)} of {lead.channel.name} for {len(responses)} responses, not in turn"
+    step = "Export the reference with each group of responses, or once"
+    faults.append(
+        sentence("the records of the reference", "one for each group of responses", got, file, step)
+    )
+    return []
+
+
+def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptions) -> Recordings:
+    """Estimate the responses of signals recorded together."""
+    rates: dict[float, str] = {}
+    faults: list[str] = []
+    for signal in signals:
+        for one in signal.records:
+            with collecting(faults):
+                rates.setdefault(_rate(one, file), f"dataset {one.place}")
+    raise_all(KinematicsError, faults)
+    if max(rates) > min(rates) * (1.0 + 1e-6):
+        got = " and ".join(f"{rate:g} Hz ({place})" for rate, place in list(rates.items())[:4])
+        raise KinematicsError(sentence("the sampling rate", "one in all records", got, file))
+    first = signals[0].records[0]
+    samples = {one.channel.name: tuple(record.y.real for record in one.records) for one in signals}
+    check_finite(samples, file)
+    series = Series(file, max(rates), float(first.x[0] * _SECONDS[_time_unit(first)]), samples)
+    lead = next((one.channel for one in signals if one.channel.name == name), None)
+    if lead is None and options.steps is None:
+        step = "Name the reference by --reference-channel"
+        raise KinematicsError(sentence("the time responses", "with their reference", "none", file, step))
+    return estimated(series, [one.channel for one in signals if one.channel.name != name], lead, options)
+
+
+def _time_unit(one: Function) -> str:
+    label = plain(one.abscissa.unit).lower()
+    return "s" if is_none(label) else label
+
+
+def _rate(one: Function, file: str) -> float:
+    where = f"{file}, dataset {one.place}"
+    unit = _time_unit(one)
+    if unit not in _SECONDS:
+        want = f"one of {', '.join(_SECONDS)}"
+        raise KinematicsError(sentence("the unit of time", want, one.abscissa.unit, where, "Export it again"))
+    return sampling_rate(one.x * _SECONDS[unit], where)
