@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.estimators import EstimatorOptions, estimator, ml
+from fitting.estimators import estimator, ml
+from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.estimators.starts import improve
 from fitting.examples.experiment import driven_base, simulated_motion

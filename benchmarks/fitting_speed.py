@@ -18,7 +18,8 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from fitting.estimators import EstimatorOptions, constrained, irls, ml, pinv
+from fitting.estimators import constrained, irls, ml, pinv
+from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS

@@ -138,7 +138,7 @@ def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
     step = 1e-5
     gradients = []
     for sign in (1.0, -1.0):
-        moved = problem.with_law(DampingLaw("fractional", fit.law.exponent + sign * step))
+        moved = problem.with_law(DampingLaw(fit.law.name, fit.law.exponent + sign * step))
         gradients.append(problem.gradient(parameters, moved.lines()))
     respond = implicit_response(problem, problem.lines(), fit.estimate)
     column = respond((gradients[0] - gradients[1]) / (2.0 * step))

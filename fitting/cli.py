@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import NoReturn
 
+from fitting.estimators import ESTIMATORS
+from fitting.model.laws import LAWS
 from fitting.plan.plan_example import PLAN_EXAMPLE as _PLAN_EXAMPLE
 from stapeskit.command import Outcome, Parser, numbers, run
 from stapeskit.faults import StapeskitError
@@ -85,14 +87,17 @@ def parser() -> Parser:
     made.add_argument(
         "--estimator",
         default="ml",
-        choices=("ml", "irls", "pinv", "constrained"),
-        help="ml: errors in variables (default); pinv: paper Eq. 5; constrained: the paper's bounded variant",
+        choices=tuple(ESTIMATORS),
+        help="; ".join(f"{name}: {summary}" for name, summary in ESTIMATORS.items()),
     )
     made.add_argument(
         "--robust", default="none", choices=("none", "t4"), help="t4: outlying lines lose weight (ml)"
     )
     made.add_argument(
-        "--damping", default="viscous", choices=("viscous", "hysteretic", "fractional", "compare")
+        "--damping",
+        default="viscous",
+        choices=(*LAWS, "compare"),
+        help="; ".join(f"{name}: {summary}" for name, summary in LAWS.items()) + "; compare: all of them",
     )
     made.add_argument(
         "--inplane",

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.estimators import EstimatorOptions, ml
-from fitting.estimators.base import gram, transposed_times
+from fitting.estimators import ml
+from fitting.estimators.base import EstimatorOptions, gram, transposed_times
 from fitting.estimators.problem import Problem
 from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.budget import budget_of, derived_quantities
-from fitting.estimators import EstimatorOptions
+from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.estimators.starts import improve
 from fitting.inplane import InplaneChoice, choose
@@ -94,7 +94,7 @@ def _fitted(
     problem = best.problem
     lines = problem.lines()
     known = identifiability(best.estimate.parameters, lines, problem.units)
-    if known.weak and problem.name == "ml":
+    if known.weak and problem.method.likelihood:
         estimate = improve(problem, lines, best.estimate)
         best = replace(best, estimate=estimate, chi2=chi2(estimate.parameters, lines))
         laws = tuple(best if one.law.name == best.law.name else one for one in laws)
@@ -126,7 +126,7 @@ def _result(
     check_result(stiffness, damping, budget.covariance, budget.noise)
     found = modes(problem.mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)
-    unknowns = lines.parameters + (1 if problem.law.name == "fractional" else 0)
+    unknowns = lines.parameters + problem.law.unknowns
     fit = KDFit(
         options,
         options.dof,

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from fitting.budget import Budget, Derived
 from fitting.errors import FittingError
-from fitting.estimators import ESTIMATORS, Estimate
+from fitting.estimators import ESTIMATORS, estimator
+from fitting.estimators.base import CONSTRAINTS, ROBUST, Estimate
 from fitting.estimators.problem import Problem
 from fitting.inplane import CHOICES, InplaneChoice
 from fitting.laws import LawFit
-from fitting.model.damping import LAWS, DampingLaw
+from fitting.model.damping import DampingLaw
+from fitting.model.laws import LAWS
 from fitting.model.lines import Lines
 from fitting.model.model import Modes, passive
 from fitting.model.observation import Observation
@@ -40,11 +42,11 @@ class KDOptions:
     structure, base : str
         Names of the two bodies.
     estimator : str
-        ``ml``, ``irls``, ``pinv`` or ``constrained``.
+        Of the table fitting.estimators.
     robust : str
         ``none`` or ``t4`` (ml only).
     damping : str
-        ``viscous``, ``hysteretic``, ``fractional`` or ``compare``.
+        Of the table fitting.model.laws, or ``compare``.
     inplane : str
         ``auto``, ``load`` or ``ignore``.
     band_hz : (float, float), optional
@@ -83,31 +85,34 @@ class KDOptions:
         faults = []
         for option, value, known in (
             ("--estimator", self.estimator, ESTIMATORS),
-            ("--robust", self.robust, ("none", "t4")),
+            ("--robust", self.robust, ROBUST),
             ("--damping", self.damping, (*LAWS, COMPARE)),
             ("--inplane", self.inplane, CHOICES),
-            ("--constraint", self.constraint, ("eigenvalues", "psd")),
+            ("--constraint", self.constraint, CONSTRAINTS),
         ):
             if value not in known:
                 faults.append(sentence(option, f"one of {', '.join(known)}", value))
         if self.bands not in (0, *range(2, 101)):
             faults.append(sentence("--bands", "0, or 2 to 100 parts of the band", self.bands))
-        if self.robust != "none" and self.estimator != "ml":
+        method = estimator(self.estimator) if self.estimator in ESTIMATORS else None
+        if method is not None and self.robust in ROBUST and self.robust not in method.robust:
+            able = [name for name in ESTIMATORS if self.robust in estimator(name).robust]
             faults.append(
                 sentence(
-                    "--robust t4",
-                    "given with --estimator ml",
+                    f"--robust {self.robust}",
+                    f"given with --estimator {' or '.join(able)}",
                     self.estimator,
                     next_step="Leave one of the two out",
                 )
             )
-        if (self.lower or self.upper) and self.estimator != "constrained":
+        if (self.lower or self.upper) and method is not None and not method.bounded:
+            able = [name for name in ESTIMATORS if estimator(name).bounded]
             faults.append(
                 sentence(
                     "--lower and --upper",
-                    "given with --estimator constrained",
+                    f"given with --estimator {' or '.join(able)}",
                     self.estimator,
-                    next_step="Give --estimator constrained, or leave the bounds out",
+                    next_step=f"Give --estimator {able[0]}, or leave the bounds out",
                 )
             )
         ranges = [("--exclude", one) for one in self.exclude_hz]

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import Estimate, ml
-from fitting.estimators.base import gram, solve_symmetric, transposed_times
+from fitting.estimators import ml
+from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
 from fitting.estimators.problem import Problem
-from fitting.model.damping import LAWS, DampingLaw
+from fitting.model.damping import DampingLaw
+from fitting.model.laws import LAWS, law_of
 from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import chi2, degrees
 
 Array = NDArray[np.float64]
-_EXPONENTS = (0.05, 1.6)
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,16 @@ class LawFit:
 
 
 def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
-    """Estimate under one damping law; a fractional exponent is found by a one-dimensional search."""
-    if name != "fractional":
+    """Estimate under one damping law; an exponent is estimated by a one-dimensional search."""
+    search = law_of(name).search
+    if search is None:
         return _at(problem, DampingLaw(name), lower, upper)
     from scipy.optimize import minimize_scalar
 
     def objective(exponent: float) -> float:
         return _at(problem, DampingLaw(name, float(exponent)), lower, upper).estimate.objective
 
-    found = minimize_scalar(objective, bounds=_EXPONENTS, method="bounded", options={"xatol": 1e-6})
+    found = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
     best = _at(problem, DampingLaw(name, float(found.x)), lower, upper)
     return replace(best, exponent_sd=_exponent_sd(best))
 
@@ -80,7 +81,7 @@ def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Ma
 
 def _bic(fit: LawFit, spread: float) -> float:
     observation = fit.problem.observation
-    unknowns = len(fit.estimate.parameters) + (1 if fit.law.name == "fractional" else 0)
+    unknowns = len(fit.estimate.parameters) + fit.law.unknowns
     equations = 2 * fit.problem.n * len(observation.freq_hz)
     return float(fit.chi2 / spread + unknowns * np.log(equations))
 
@@ -102,7 +103,7 @@ def _exponent_sd(fit: LawFit) -> float:
     now = ml.whiten(fit.estimate.parameters, lines)
     rows = real_rows(now.corrected(lines))
     _, damping = split(fit.estimate.parameters, lines.n)
-    slope = np.log(1j * lines.omega) * lines.factor
+    slope = fit.law.slope(lines.omega)
     extra = real_rows(forward(now.factor, slope * (damping @ lines.dq)))
     coupling = transposed_times(rows, extra)
     explained = float(coupling @ solve_symmetric(gram(rows), coupling))

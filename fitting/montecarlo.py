@@ -15,7 +15,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from fitting.estimators import estimator
 from fitting.estimators.problem import Problem
 from fitting.kd_fit import KDFit
 from fitting.model.lines import Lines, motion_rows
@@ -100,8 +99,8 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
 
 def _solve(problem: Problem, lines: Lines, start: Array) -> Array:
     """Return the estimate of one repetition in scaled parameters."""
-    begin = start if problem.name == "ml" else None
-    return estimator(problem.name).estimate(lines, problem.options, begin).parameters
+    begin = start if problem.method.likelihood else None
+    return problem.method.estimate(lines, problem.options, begin).parameters
 
 
 def _fitted(fit: KDFit) -> ComplexArray:

@@ -1,27 +1,37 @@
-"""Estimators of K and D, one a file, behind one interface (fitting.estimators.base.Estimator)."""
+"""Estimators of K and D, one a file.
+
+An estimator is a module of this folder with a ``METHOD`` (fitting.estimators.base.Method), and one line in
+this table; the command, its help and the contract test follow from it.
+"""
 
 from __future__ import annotations
 
-from fitting.errors import FittingError
-from fitting.estimators.base import Estimate, Estimator, EstimatorOptions
-from stapeskit.faults import sentence
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-ESTIMATORS: tuple[str, ...] = ("ml", "irls", "pinv", "constrained")
+if TYPE_CHECKING:
+    from fitting.estimators.base import Method
 
-__all__ = ["ESTIMATORS", "Estimate", "Estimator", "EstimatorOptions", "estimator"]
+ESTIMATORS: dict[str, str] = {
+    "ml": "errors in variables (default)",
+    "irls": "equation error weighted by its own noise",
+    "pinv": "paper Eq. 5",
+    "constrained": "the paper's bounded variant",
+}
 
 
-def estimator(name: str) -> Estimator:
-    """Return an estimator by its name.
+def estimator(name: str) -> Method:
+    """Return an estimator by its name; it is loaded on first use.
 
     Raises
     ------
     FittingError
-        There is none of that name.
+        No estimator has that name.
     """
     if name not in ESTIMATORS:
-        raise FittingError(sentence("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
-    from fitting.estimators import constrained, irls, ml, pinv
+        from fitting.errors import FittingError
+        from stapeskit.faults import sentence
 
-    table: dict[str, Estimator] = {"ml": ml, "irls": irls, "pinv": pinv, "constrained": constrained}
-    return table[name]
+        raise FittingError(sentence("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
+    found: Method = import_module(f"fitting.estimators.{name}").METHOD
+    return found

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.model.lines import Lines
+from fitting.model.lines import Lines, State
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+# Weights of the lines: equal, or those of Student's t with 4 degrees of freedom.
+ROBUST = {"none": "all lines weigh alike", "t4": "outlying lines lose weight"}
+CONSTRAINTS = {
+    "eigenvalues": "the paper's stability",
+    "psd": "K and D positive semidefinite",
+}
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.
 _SMALL_PRODUCT = 200_000
 
@@ -40,6 +48,11 @@ class EstimatorOptions:
     upper: Array | None = None
     passive: bool = True
     tolerance: float = 1e-8
+
+    @property
+    def student(self) -> bool:
+        """Whether lines are weighted by Student's t."""
+        return self.robust == "t4"
 
 
 @dataclass(frozen=True)
@@ -71,14 +84,54 @@ class Estimate:
     certificate: float | None = None
 
 
-class Estimator(Protocol):
-    """The interface: one function that fits, one that gives the equations it solves."""
+class _Estimates(Protocol):
+    def __call__(self, lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate: ...
 
-    def estimate(self, lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
-        """Estimate the scaled parameters."""
 
-    def scores(self, parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
-        """Return the terms, line by line (lines, p), whose sum vanishes at an unconstrained estimate."""
+class _Equations(Protocol):
+    def __call__(self, parameters: Array, lines: Lines, options: EstimatorOptions) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Method:
+    """The interface of an estimator: how it fits, the equations that it solves, and what it can do.
+
+    Attributes
+    ----------
+    estimate : callable
+        Estimate the scaled parameters.
+    scores : callable
+        Terms, line by line (lines, p), whose sum vanishes at an unconstrained estimate.
+    precision : callable
+        Weights W of the equations' residuals e, (lines, n, n).
+    gradient : callable, optional
+        Sum of the scores, where there is a faster way to it.
+    likelihood : bool
+        Whether it maximises the likelihood of errors in variables: its regressor is the fitted motion, so
+        that it has no attenuation bias, its slope is symmetric, and it can start anywhere.
+    robust : tuple of str
+        Choices of ROBUST that it can follow.
+    bounded : bool
+        Whether it takes bounds and a choice of CONSTRAINTS.
+    """
+
+    estimate: _Estimates
+    scores: _Equations
+    precision: Callable[[Lines, State], ComplexArray]
+    gradient: _Equations | None = None
+    likelihood: bool = False
+    robust: tuple[str, ...] = ("none",)
+    bounded: bool = False
+
+
+def noise_precision(lines: Lines, state: State) -> ComplexArray:  # noqa: ARG001
+    """Return the inverse noise covariance of the equations, Ce^-1, (lines, n, n)."""
+    return np.asarray(np.linalg.inv(np.moveaxis(state.noise, 2, 0)))
+
+
+def fixed_precision(row_weights: Array, lines: Lines) -> ComplexArray:
+    """Return the same diagonal weights (n,), squared, for every line, (lines, n, n)."""
+    return np.broadcast_to(np.diag(row_weights**2).astype(complex), (lines.count, lines.n, lines.n))
 
 
 def solve_symmetric(matrix: Array, right: Array) -> Array:

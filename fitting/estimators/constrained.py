@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators import pinv
-from fitting.estimators.base import Estimate, EstimatorOptions
+from fitting.estimators.base import Estimate, EstimatorOptions, Method, fixed_precision
 from fitting.estimators.interior import active_names, inside, pull_inside
 from fitting.estimators.semidefinite import nearest
 from fitting.estimators.stability import best_stable, height, stable_start
@@ -230,3 +230,6 @@ def _at_bounds(parameters: Array, problem: Quadratic) -> tuple[str, ...]:
 def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:  # noqa: ARG001
     """Return Re(A^H e) of every line, (lines, p)."""
     return pinv.weighted_scores(parameters, lines, np.ones(lines.n))
+
+
+METHOD = Method(estimate, scores, lambda lines, _: fixed_precision(np.ones(lines.n), lines), bounded=True)

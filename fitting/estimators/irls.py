@@ -9,8 +9,10 @@ from fitting.estimators import pinv
 from fitting.estimators.base import (
     Estimate,
     EstimatorOptions,
+    Method,
     gram,
     least_squares,
+    noise_precision,
     solve_symmetric,
     times,
     transposed_times,
@@ -68,3 +70,6 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     factor = cholesky(state.noise)
     multiplier = backward(factor, forward(factor, state.residual))
     return np.einsum("ilp,il->lp", regressor(lines.dq, lines.factor).conj(), multiplier).real
+
+
+METHOD = Method(estimate, scores, noise_precision)

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.estimators import irls, pinv
-from fitting.estimators.base import Estimate, EstimatorOptions, gram, solve_symmetric, transposed_times
+from fitting.estimators.base import (
+    Estimate,
+    EstimatorOptions,
+    Method,
+    gram,
+    noise_precision,
+    solve_symmetric,
+    transposed_times,
+)
 from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
@@ -99,7 +107,7 @@ class _Merit:
 
 def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None) -> Estimate:
     """Minimise by Gauss-Newton with step control; within K >= 0, D >= 0 when the free optimum is outside."""
-    merit = _Merit(options.robust == "t4", 2 * lines.n)
+    merit = _Merit(options.student, 2 * lines.n)
     begin = irls.quick_start(lines) if start is None else start
     if merit.robust:
         joint = _jointly(lines, options, Estimate(begin, 0.0, 0))
@@ -256,7 +264,7 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     """Return Re(Jhat^H Ce^-1 e) of every line, (lines, p): half the exact gradient, weighted when robust."""
     now = whiten(parameters, lines)
     weights = np.ones(lines.count)
-    if options.robust == "t4":
+    if options.student:
         merit = _Merit(True, 2 * lines.n, _spread(now.distance, lines))
         weights = merit.weights(now.distance)
     corrected = now.corrected(lines)
@@ -265,7 +273,7 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
 
 def gradient(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     """Return the sum of the scores, (p,)."""
-    robust = options.robust == "t4"
+    robust = options.student
     spread = _spread(distances(parameters, lines), lines) if robust else 1.0
     return _expand(parameters, lines, _Merit(robust, 2 * lines.n, spread)).gradient
 
@@ -310,3 +318,6 @@ def robust_slope(distance: Array, terms: Array, lines: Lines) -> tuple[Array, Ar
     along = 2.0 * _STUDENT * spread / whole**2
     spread_slope = spread * along / float(np.sum(share * (1.0 - share)))
     return weights, terms * own[:, None] + np.outer(spread_slope, by_spread @ terms)
+
+
+METHOD = Method(estimate, scores, noise_precision, gradient, likelihood=True, robust=("none", "t4"))

@@ -8,7 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators.base import Estimate, EstimatorOptions, least_squares, times
+from fitting.estimators.base import (
+    Estimate,
+    EstimatorOptions,
+    Method,
+    fixed_precision,
+    least_squares,
+    times,
+)
 from fitting.model.lines import Lines, evaluate, real_rows, regressor
 
 Array = NDArray[np.float64]
@@ -40,3 +47,6 @@ def weighted_scores(parameters: Array, lines: Lines, row_weights: Array) -> Arra
     """Return Re(A^H W e) of every line for given weights (n,) of the scaled rows."""
     residual = evaluate(parameters, lines).residual * row_weights[:, None] ** 2
     return np.einsum("ilp,il->lp", regressor(lines.dq, lines.factor).conj(), residual).real
+
+
+METHOD = Method(estimate, scores, lambda lines, _: fixed_precision(lines.row_weights, lines))

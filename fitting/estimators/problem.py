@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import Estimate, EstimatorOptions, estimator, ml
+from fitting.estimators import estimator
+from fitting.estimators.base import Estimate, EstimatorOptions, Method
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import Inertia
 from fitting.model.lines import Lines, Scale, assemble
@@ -44,6 +45,11 @@ class Problem:
     base_mass: Array | None = None
 
     @property
+    def method(self) -> Method:
+        """The estimator."""
+        return estimator(self.name)
+
+    @property
     def n(self) -> int:
         """Number of degrees of freedom."""
         return len(self.observation.dof)
@@ -66,13 +72,14 @@ class Problem:
 
     def solve(self, start: Array | None = None) -> Estimate:
         """Estimate the scaled parameters."""
-        return estimator(self.name).estimate(self.lines(), self.options, start)
+        return self.method.estimate(self.lines(), self.options, start)
 
     def gradient(self, parameters: Array, lines: Lines) -> Array:
         """Return the sum of the estimating equations (p,) at scaled parameters."""
-        if self.name == "ml":
-            return ml.gradient(parameters, lines, self.options)
-        return np.asarray(estimator(self.name).scores(parameters, lines, self.options).sum(axis=0))
+        method = self.method
+        if method.gradient is not None:
+            return method.gradient(parameters, lines, self.options)
+        return np.asarray(method.scores(parameters, lines, self.options).sum(axis=0))
 
     def with_law(self, law: DampingLaw) -> Problem:
         """Return the same problem under another damping law."""

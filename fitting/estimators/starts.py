@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fitting.estimators import Estimate, constrained, irls, ml
-from fitting.estimators.base import EstimatorOptions
+from fitting.estimators import constrained, irls, ml
+from fitting.estimators.base import Estimate, EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.model.lines import Lines
 

@@ -1,7 +1,4 @@
-"""Damping laws: the complex factor s(w) in the dynamic stiffness Z(w) = K + s(w) D.
-
-viscous: s = i w; hysteretic: s = i (structural, w > 0); fractional: s = (i w)^a with one exponent for all.
-"""
+"""A damping law of the table with its exponent: the factor s(w) in Z(w) = K + s(w) D."""
 
 from __future__ import annotations
 
@@ -11,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting.errors import FittingError
+from fitting.model.laws import LAWS, law_of
+from fitting.model.laws.law import Law
 from stapeskit.faults import sentence
 
 ComplexArray = NDArray[np.complex128]
-LAWS: tuple[str, ...] = ("viscous", "hysteretic", "fractional")
 
 
 @dataclass(frozen=True)
@@ -24,9 +22,10 @@ class DampingLaw:
     Attributes
     ----------
     name : str
-        ``viscous``, ``hysteretic`` or ``fractional``.
+        Of the table fitting.model.laws.
     exponent : float
-        1 for viscous, 0 for hysteretic, between 0 and 2 for fractional.
+        Power of time in the unit of D; that of the law where it is fixed, between 0 and 2 where it is
+        estimated.
 
     Raises
     ------
@@ -40,40 +39,50 @@ class DampingLaw:
     def __post_init__(self) -> None:
         if self.name not in LAWS:
             raise FittingError(sentence("the damping law", f"one of {', '.join(LAWS)}", self.name))
-        if self.name != "fractional":
-            object.__setattr__(self, "exponent", 1.0 if self.name == "viscous" else 0.0)
+        if not self.estimated:
+            object.__setattr__(self, "exponent", self.law.exponent)
         elif not 0.0 < self.exponent < 2.0:
             raise FittingError(sentence("the damping exponent", "between 0 and 2", self.exponent))
 
+    @property
+    def law(self) -> Law:
+        """The entry of the table."""
+        return law_of(self.name)
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the exponent is an unknown of a fit."""
+        return self.law.search is not None
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of a fit that the law adds."""
+        return int(self.estimated)
+
     def factor(self, omega: ArrayLike) -> ComplexArray:
         """Return s(w) for angular frequencies (rad/s, or any unit that D goes with)."""
+        return np.asarray(self.law.factor(np.asarray(omega, dtype=float), self.exponent), dtype=complex)
+
+    def slope(self, omega: ArrayLike) -> ComplexArray:
+        """Return the derivative of s(w) by an estimated exponent; zero where it is fixed."""
         w = np.asarray(omega, dtype=float)
-        if self.name == "hysteretic":
-            return np.full(w.shape, 1j)
-        if self.name == "viscous":
-            return 1j * w
-        return np.asarray((1j * w) ** self.exponent)
+        if self.law.slope is None:
+            return np.zeros(w.shape, dtype=complex)
+        return np.asarray(self.law.slope(w, self.exponent), dtype=complex)
 
     def at(self, eigenvalue: complex) -> complex:
         """Return s continued to a complex eigenvalue in the upper half plane, in place of i w."""
-        if self.name == "hysteretic":
-            return 1j
-        return complex(eigenvalue**self.exponent)
+        return complex(self.law.continued(eigenvalue, self.exponent))
 
     @property
     def formula(self) -> str:
-        """The dynamic stiffness in words."""
-        return {
-            "viscous": "K + i w D",
-            "hysteretic": "K + i D",
-            "fractional": f"K + (i w)^{self.exponent:.4g} D",
-        }[self.name]
+        """The dynamic stiffness as text."""
+        return self.law.formula(self.exponent)
 
     def unit(self, stiffness_unit: str) -> str:
-        """Return the unit of an entry of D beside that of K."""
-        seconds = {"viscous": " s", "hysteretic": "", "fractional": f" s^{self.exponent:.3g}"}[self.name]
+        """Return the unit of an entry of D from that of the same entry of K."""
         numerator, slash, denominator = stiffness_unit.partition("/")
-        return numerator + seconds + slash + denominator
+        return numerator + self.law.time_unit(self.exponent) + slash + denominator
 
 
 VISCOUS = DampingLaw()

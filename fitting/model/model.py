@@ -206,7 +206,7 @@ def modes(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, law: Dampin
     k = np.asarray(stiffness, dtype=float)
     d = np.asarray(damping, dtype=float)
     unit, lengths, time = _unit_free(m, k)
-    if law.name == "viscous":
+    if law.law.polynomial:
         values, vectors = np.linalg.eig(state_matrix(unit(m), unit(k) * time**2, unit(d) * time))
         values = values / time
         shapes = vectors[: len(m)].T / lengths

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
-from fitting.model.damping import LAWS, DampingLaw
+from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.inertia import check_mass
+from fitting.model.laws import LAWS, law_of
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
@@ -118,7 +119,7 @@ def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
         band[1],
         table.get("lines", 200),
         directions,
-        DampingLaw(table.get("damping_law", "viscous")),
+        DampingLaw(table.get("damping_law", VISCOUS.name)),
     )
     return plan, mass[1]
 
@@ -137,9 +138,10 @@ def _key_faults(table: Mapping[str, Any], where: str) -> list[str]:
 def _value_faults(table: Mapping[str, Any], where: str) -> list[str]:
     """Return a sentence for every single value that is none."""
     found = []
-    law = table.get("damping_law", "viscous")
-    if law not in LAWS[:2]:
-        found.append(sentence("damping_law", "viscous or hysteretic", law, where))
+    law = table.get("damping_law", VISCOUS.name)
+    known = [name for name in LAWS if law_of(name).search is None]
+    if law not in known:
+        found.append(sentence("damping_law", " or ".join(known), law, where))
     lines = table.get("lines", 200)
     if not isinstance(lines, int) or isinstance(lines, bool) or not 2 <= lines <= 100_000:
         found.append(sentence("lines", "a whole number from 2 to 100000", lines, where))

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import Estimate, ml
-from fitting.estimators.base import gram, transposed_times
+from fitting.estimators import ml
+from fitting.estimators.base import Estimate, gram, transposed_times
 from fitting.estimators.problem import Problem
 from fitting.estimators.regressor_noise import information, noise_products
 from fitting.model.lines import Lines, backward, evaluate, forward, motion_rows, real_rows

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import Estimate, estimator, ml
-from fitting.estimators.base import solve_symmetric
+from fitting.estimators import ml
+from fitting.estimators.base import Estimate, solve_symmetric
 from fitting.estimators.problem import Problem
 from fitting.estimators.regressor_noise import information, regressor_noise
-from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward
+from fitting.model.lines import Lines, evaluate
 from fitting.model.symmetric import basis
 from fitting.uncertainty.sensitivity import contract, slope_by_motion
 from stapeskit.spatial import DOF_NAMES
@@ -74,14 +74,14 @@ def noise_covariance(problem: Problem, lines: Lines, found: Estimate) -> tuple[A
     The others and Student's t: the
     sandwich H^-1 (sum g g^T) H^-T of the lines' scores g (White 1982, doi:10.2307/1912526).
     """
-    if problem.name == "ml" and problem.options.robust == "none":
+    if problem.method.likelihood and not problem.options.student:
         level = chi2(found.parameters, lines) / max(degrees(lines), 1)
         known, spread = known_and_spread(found.parameters, lines, level)
         inverse = invert(known)
         widened = max(1.0, level)
         return 0.5 * widened * inverse @ spread @ inverse, widened, "fisher"
     slope = _invert_general(score_slope(problem, lines, found.parameters))
-    terms = estimator(problem.name).scores(found.parameters, lines, problem.options)
+    terms = problem.method.scores(found.parameters, lines, problem.options)
     terms = terms - terms.mean(axis=0)
     equations = 2 * lines.n * lines.count
     spread = terms.T @ terms * (equations / max(equations - lines.parameters, 1))
@@ -141,28 +141,19 @@ def attenuation(problem: Problem, lines: Lines, parameters: Array) -> Array:
     conj(s_k) tr(E_k W G^H), G = cov(dq, e); the bias is minus this times the inverse Hessian. It is taken at
     the estimate without its bias, found in a few rounds.
     """
-    if problem.name == "ml":
+    if problem.method.likelihood:
         return np.zeros(len(parameters))
     slope = _invert_general(score_slope(problem, lines, parameters))
     bias = np.zeros(len(parameters))
     for _ in range(_BIAS_ROUNDS):
         state = evaluate(parameters - bias, lines)
-        weighted = _weighted_gain(problem.name, lines, state)
-        traces = np.einsum("kij,jil->kl", basis(lines.n), weighted)
+        weighted = problem.method.precision(lines, state) @ np.moveaxis(state.gain, 2, 0).conj().swapaxes(
+            1, 2
+        )
+        traces = np.einsum("kij,lji->kl", basis(lines.n), weighted)
         pull = np.concatenate([traces.real.sum(axis=1), (lines.factor.conj() * traces).real.sum(axis=1)])
         bias = -slope @ pull
     return bias
-
-
-def _weighted_gain(name: str, lines: Lines, state: State) -> ComplexArray:
-    """Return W G^H, (n, n, lines)."""
-    adjoint = state.gain.conj().transpose(1, 0, 2)
-    if name == "irls":
-        factor = cholesky(state.noise)
-        columns = [backward(factor, forward(factor, adjoint[:, column])) for column in range(lines.n)]
-        return np.stack(columns, axis=1)
-    weights = lines.row_weights**2 if name == "pinv" else np.ones(lines.n)
-    return weights[:, None, None] * adjoint
 
 
 def implicit_response(problem: Problem, lines: Lines, found: Estimate) -> Callable[[Array], Array]:
@@ -173,7 +164,7 @@ def implicit_response(problem: Problem, lines: Lines, found: Estimate) -> Callab
     def to_si(change: Array) -> Array:
         return np.asarray((change.T * units).T)
 
-    if problem.name != "ml":
+    if not problem.method.likelihood:
         inverse = _invert_general(slope)
         return lambda change: to_si(-(inverse @ change))
     exact = 0.5 * (slope + slope.T)

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators import Estimate, EstimatorOptions, ml
-from fitting.estimators.base import solve_symmetric
+from fitting.estimators import ml
+from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric
 from fitting.model.lines import Lines
 from fitting.model.symmetric import pairs
 from fitting.uncertainty.covariance import degrees, invert, known_and_spread

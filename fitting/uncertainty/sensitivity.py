@@ -64,22 +64,19 @@ def _slopes(problem: Problem, lines: Lines, parameters: Array) -> tuple[ComplexA
     state = evaluate(parameters, lines)
     stiffness, damping = split(parameters, lines.n)
     dynamic = stiffness + lines.factor[:, None, None] * damping
-    if problem.name in ("ml", "irls"):
-        inverse = np.linalg.inv(np.moveaxis(state.noise, 2, 0))
-    else:
-        weights = lines.row_weights**2 if problem.name == "pinv" else np.ones(lines.n)
-        inverse = np.broadcast_to(np.diag(weights).astype(complex), dynamic.shape)
+    corrected = problem.method.likelihood
+    inverse = problem.method.precision(lines, state)
     multiplier = np.einsum("lij,jl->il", inverse, state.residual)
     pulled = _by_line(regressor(multiplier, lines.factor.conj()))
     motion = lines.dq
-    if problem.name == "ml":
+    if corrected:
         motion = motion - np.einsum("ijl,jl->il", state.gain, multiplier)
     columns = _by_line(regressor(motion, lines.factor))
     inner = columns
-    if problem.name == "ml":
+    if corrected:
         inner = columns - np.moveaxis(state.gain, 2, 0).conj().transpose(0, 2, 1) @ pulled
     through = inverse @ inner
-    if problem.name == "ml" and problem.options.robust == "t4":
+    if corrected and problem.options.student:
         distance = np.sum((state.residual.conj() * multiplier).real, axis=0)
         terms = np.einsum("lip,il->lp", columns.conj(), multiplier).real
         weights, added = ml.robust_slope(distance, terms, lines)

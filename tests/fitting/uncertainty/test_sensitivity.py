@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fitting.estimators import EstimatorOptions
+from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.model.damping import VISCOUS
 from fitting.model.inertia import inertia_of

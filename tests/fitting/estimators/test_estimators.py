@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fitting.errors import FittingError
-from fitting.estimators import ESTIMATORS, EstimatorOptions, constrained, estimator, ml, pinv
+from fitting.estimators import ESTIMATORS, constrained, estimator, ml, pinv
+from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.interior import inside, pull_inside, smallest_eigenvalues
 from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
 from fitting.model.damping import VISCOUS, DampingLaw

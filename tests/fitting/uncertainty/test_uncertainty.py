@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimators import EstimatorOptions, ml
+from fitting.estimators import ml
+from fitting.estimators.base import EstimatorOptions
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.kd import KDOptions, fit_kd
 from fitting.model.damping import VISCOUS

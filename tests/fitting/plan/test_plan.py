@@ -10,7 +10,8 @@ import pytest
 
 from fitting.cli import _work, parser
 from fitting.errors import FittingError
-from fitting.estimators import EstimatorOptions, ml
+from fitting.estimators import ml
+from fitting.estimators.base import EstimatorOptions
 from fitting.model.damping import VISCOUS
 from fitting.model.lines import Scale, assemble
 from fitting.model.observation import observe

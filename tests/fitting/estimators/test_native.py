@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fitting import native
-from fitting.estimators import EstimatorOptions, irls, ml
-from fitting.estimators.base import gram, transposed_times
+from fitting.estimators import irls, ml
+from fitting.estimators.base import EstimatorOptions, gram, transposed_times
 from fitting.estimators.expansion import CORRECTED, DISTANCES, EQUAL, MEASURED, expanded
 from fitting.estimators.problem import Problem
 from fitting.model.damping import VISCOUS

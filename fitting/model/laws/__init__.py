@@ -1,0 +1,24 @@
+"""Damping laws, one a file: the factor s(w) in the dynamic stiffness Z(w) = K + s(w) D.
+
+A law is a module of this folder with a ``LAW`` (fitting.model.laws.law.Law), and one line in this table.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fitting.model.laws.law import Law
+
+LAWS: dict[str, str] = {
+    "viscous": "K + i w D",
+    "hysteretic": "K + i D, a loss factor",
+    "fractional": "K + (i w)^a D, a estimated",
+}
+
+
+def law_of(name: str) -> Law:
+    """Return the law of a name in the table; it is loaded on first use."""
+    found: Law = import_module(f"fitting.model.laws.{name}").LAW
+    return found

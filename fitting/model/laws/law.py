@@ -1,0 +1,47 @@
+"""The interface of a damping law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A damping law s(w; a), where the exponent a is the power of time in the unit of D.
+
+    Attributes
+    ----------
+    factor : callable
+        s of angular frequencies (lines,) and exponent, (lines,), complex.
+    continued : callable
+        s of a complex eigenvalue in the upper half plane (in place of i w) and exponent.
+    formula : callable
+        The dynamic stiffness as text, of the exponent.
+    time_unit : callable
+        What the unit of D has after the unit of K, of the exponent, e.g. ``" s"``.
+    exponent : float
+        Fixed value, or the initial value of an estimated one.
+    search : (float, float), optional
+        Range in which the exponent is estimated; None: it is fixed.
+    slope : callable, optional
+        Derivative of s by an estimated exponent.
+    polynomial : bool
+        Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
+    """
+
+    factor: Callable[[Array, float], ComplexArray]
+    continued: Callable[[complex, float], complex]
+    formula: Callable[[float], str]
+    time_unit: Callable[[float], str]
+    exponent: float
+    search: tuple[float, float] | None = None
+    slope: Callable[[Array, float], ComplexArray] | None = None
+    polynomial: bool = False

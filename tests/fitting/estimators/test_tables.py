@@ -1,0 +1,59 @@
+"""The contract that every entry of the tables of estimators and damping laws fulfils."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fitting.cli import parser
+from fitting.estimators import ESTIMATORS, estimator
+from fitting.estimators.base import Method
+from fitting.kd import KDOptions, fit_kd
+from fitting.model.damping import DampingLaw
+from fitting.model.laws import LAWS, law_of
+from tests.fitting.cases import K, M, damping_for, paper_motion
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_recovers_exact_data_and_has_help(name: str) -> None:
+    method = estimator(name)
+    assert isinstance(method, Method)
+    fit = fit_kd(paper_motion(1e-4, None, 60), M, KDOptions(estimator=name, bands=0))
+    assert np.allclose(fit.stiffness, K, rtol=1e-6, atol=1e-6 * np.sqrt(np.outer(np.diag(K), np.diag(K))))
+    assert f"{name}: {ESTIMATORS[name]}" in " ".join(parser().format_help().split())
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_scores_of_every_estimator_sum_to_its_gradient_and_vanish(name: str) -> None:
+    fit = fit_kd(paper_motion(0.02, 3, 60), M, KDOptions(estimator=name, bands=0))
+    problem, lines, at = fit.problem, fit.lines, fit.estimate.parameters
+    scores = problem.method.scores(at, lines, problem.options)
+    assert np.allclose(scores.sum(axis=0), problem.gradient(at, lines), atol=1e-6 * np.abs(scores).sum())
+    typical = np.abs(scores).sum(axis=0)
+    if name != "irls":
+        assert np.all(np.abs(scores.sum(axis=0)) < 1e-3 * typical)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_is_recovered_from_exact_data_and_has_help(name: str) -> None:
+    law = DampingLaw(name, 0.6)
+    fit = fit_kd(paper_motion(1e-4, None, 60, law), M, KDOptions(damping=name, bands=0))
+    scale = np.sqrt(np.outer(np.diag(K), np.diag(K)))
+    assert np.all(np.abs(fit.stiffness - K) < 1e-5 * scale)
+    assert np.allclose(np.diag(fit.damping), np.diag(damping_for(law)), rtol=1e-4)
+    assert fit.law.name == name
+    assert fit.law.unknowns == (1 if law_of(name).search else 0)
+    assert f"{name}: {LAWS[name]}" in " ".join(parser().format_help().split())
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_continues_its_factor_from_the_imaginary_axis(name: str) -> None:
+    law = DampingLaw(name, 0.6)
+    omega = np.array([0.3, 1.0, 7.0])
+    assert np.allclose([law.at(1j * w) for w in omega], law.factor(omega), rtol=1e-12)
+    step = 1e-6
+    if law.estimated:
+        ends = [DampingLaw(name, law.exponent + sign * step).factor(omega) for sign in (1, -1)]
+        assert np.allclose((ends[0] - ends[1]) / (2 * step), law.slope(omega), rtol=1e-7)
+    else:
+        assert not np.any(law.slope(omega))
