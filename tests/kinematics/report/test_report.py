@@ -11,7 +11,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from tests.kinematics.test_drawings import sphere
 
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, points2dof
@@ -29,6 +28,7 @@ from tests.kinematics.simulated import (
     stapes_points,
     three_beams,
 )
+from tests.stapeskit.test_drawings import sphere
 
 HEADINGS = (
     "Warnings",
