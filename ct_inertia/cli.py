@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from stapeskit.background import take_short_turns
 from stapeskit.command import Outcome, Parser, numbers, run, value_with_sd
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError
 from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _raw_layout(given: argparse.Namespace) -> RawLayout | None:
     missing = [name for name, value in told.items() if value is None]
     if missing:
         raise StapeskitError(
-            sentence(
+            Fault(
                 missing[0],
                 "given with the other options of raw voxels",
                 "none",
@@ -206,7 +206,7 @@ def options_from(given: argparse.Namespace) -> MassOptions:
     percent = given.voxel_size_sd
     if percent is not None and not 0.0 <= percent < 50.0:
         raise StapeskitError(
-            sentence(
+            Fault(
                 "--voxel-size-sd",
                 "a percentage from 0 to 50",
                 percent,
@@ -217,7 +217,7 @@ def options_from(given: argparse.Namespace) -> MassOptions:
         low >= high for low, high in zip(given.box[:3], given.box[3:], strict=True)
     ):
         raise StapeskitError(
-            sentence(
+            Fault(
                 "--box",
                 "X0,Y0,Z0,X1,Y1,Z1 with X0 < X1, Y0 < Y1, Z0 < Z1",
                 given.box,

@@ -26,7 +26,7 @@ from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, read_surface
 from ct_inertia.volume.progress import Tell, untold
 from stapeskit.background import Later
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import vector_from_rotation
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.warnings import Notice, unique
@@ -166,7 +166,7 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     if options.labels is not None:
         if not Path(options.labels).exists():
             raise CtInertiaError(
-                sentence("--labels", "an existing label volume", options.labels, next_step="Check the path")
+                Fault("--labels", "an existing label volume", options.labels, next_step="Check the path")
             )
         labels = read_labels(options.labels, options.spacing_mm, options.mirror)
     search = SearchOptions(

@@ -18,7 +18,7 @@ from ct_inertia.readers.raw import RAW_SUFFIXES, RawLayout, companion, layout_mi
 from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume, reversed_axis
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 ITK_SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz")
@@ -139,7 +139,7 @@ def _reader(path: Path, raw: bool) -> tuple[str, str]:
     if is_dicom(path):
         return "dicom", "read_dicom_file"
     raise CtInertiaError(
-        sentence(
+        Fault(
             "the scan",
             f"a volume of a known format ({FORMATS})",
             path.name,
@@ -172,7 +172,7 @@ def check_values(volume: Volume) -> None:
         _check_finite(array, where)
     if not settled and all(np.all(piece == first) for piece in array):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "a picture with differing grey values",
                 f"{first} in every voxel",
@@ -186,7 +186,7 @@ def _check_finite(array: NDArray[Any], where: str) -> None:
     bad = sum(int(np.count_nonzero(~np.isfinite(piece))) for piece in array)
     if bad:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "finite",
                 f"{bad} voxels of NaN or infinity",

@@ -20,7 +20,7 @@ from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
 from fitting.report.kd_json import kd_json
 from fitting.report.sections import kd_page
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.own_files import OutputSet
 from stapeskit.provenance import record
 from stapeskit.records.mass_record import MassRecord
@@ -146,7 +146,7 @@ def _json_name(out: Path) -> Path:
     out = Path(out)
     if out.suffix.lower() != ".json":
         step = f"Give --out {out.with_suffix('.json').name}" if out.name else "Give --out kd.json"
-        raise FittingError(sentence("--out", "a file name that ends with .json", out.name or out, "", step))
+        raise FittingError(Fault("--out", "a file name that ends with .json", out.name or out, "", step))
     return out
 
 

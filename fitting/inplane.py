@@ -19,7 +19,7 @@ from fitting.estimators.problem import Problem
 from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names
 from fitting.uncertainty.identifiability import relative_sizes
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     if not others:
         if choice == "load":
             raise FittingError(
-                sentence(
+                Fault(
                     "--inplane load",
                     "given with measured motion outside --dof",
                     "none",
@@ -94,7 +94,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     if not problem.inertia.complete:
         if choice == "load":
             raise FittingError(
-                sentence(
+                Fault(
                     "--inplane load",
                     "given with the mass matrix of all six degrees of freedom",
                     "one of the chosen ones only",

@@ -23,7 +23,7 @@ from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, join, split
 from fitting.uncertainty.bands import USUAL_BANDS, FrequencyDependence
 from fitting.uncertainty.identifiability import Identifiability
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
@@ -91,14 +91,14 @@ class KDOptions:
             ("--constraint", self.constraint, CONSTRAINTS),
         ):
             if value not in known:
-                faults.append(sentence(option, f"one of {', '.join(known)}", value))
+                faults.append(Fault(option, f"one of {', '.join(known)}", value))
         if self.bands not in (0, *range(2, 101)):
-            faults.append(sentence("--bands", "0, or 2 to 100 parts of the band", self.bands))
+            faults.append(Fault("--bands", "0, or 2 to 100 parts of the band", self.bands))
         method = estimator(self.estimator) if self.estimator in ESTIMATORS else None
         if method is not None and self.robust in ROBUST and self.robust not in method.robust:
             able = [name for name in ESTIMATORS if self.robust in estimator(name).robust]
             faults.append(
-                sentence(
+                Fault(
                     f"--robust {self.robust}",
                     f"given with --estimator {' or '.join(able)}",
                     self.estimator,
@@ -108,7 +108,7 @@ class KDOptions:
         if (self.lower or self.upper) and method is not None and not method.bounded:
             able = [name for name in ESTIMATORS if estimator(name).bounded]
             faults.append(
-                sentence(
+                Fault(
                     "--lower and --upper",
                     f"given with --estimator {' or '.join(able)}",
                     self.estimator,
@@ -120,7 +120,7 @@ class KDOptions:
         for option, (low, high) in ranges:
             if not 0.0 <= low < high:
                 faults.append(
-                    sentence(
+                    Fault(
                         option,
                         "a range of frequencies, low before high",
                         f"{low:g} to {high:g} Hz",
@@ -129,13 +129,13 @@ class KDOptions:
                 )
         if tuple(name for name in DOF_NAMES if name in self.dof) != tuple(self.dof) or not self.dof:
             wanted = f"different names in the order {', '.join(DOF_NAMES)}"
-            faults.append(sentence("--dof", wanted, ",".join(self.dof) or "nothing"))
+            faults.append(Fault("--dof", wanted, ",".join(self.dof) or "nothing"))
         names = entry_names(len(self.dof))
         for option, bounds in (("--lower", self.lower), ("--upper", self.upper)):
             for name in bounds:
                 if name not in names:
                     faults.append(
-                        sentence(
+                        Fault(
                             option,
                             f"an entry out of {', '.join(names)}",
                             name,
@@ -143,14 +143,14 @@ class KDOptions:
                         )
                     )
                 elif not np.isfinite(bounds[name]):
-                    faults.append(sentence(f"{option} {name}", "a finite number in SI", bounds[name]))
+                    faults.append(Fault(f"{option} {name}", "a finite number in SI", bounds[name]))
                 elif option == "--upper" and name[1] == name[2] and bounds[name] <= 0.0:
                     step = "K and D have no negative diagonals; leave the bound out or give a positive one"
-                    faults.append(sentence(f"--upper {name}", "positive", f"{bounds[name]:g}", "", step))
+                    faults.append(Fault(f"--upper {name}", "positive", f"{bounds[name]:g}", "", step))
         for name in set(self.lower) & set(self.upper):
             if self.lower[name] >= self.upper[name]:
                 faults.append(
-                    sentence(
+                    Fault(
                         f"--lower {name}",
                         f"below {self.upper[name]:g}",
                         f"{self.lower[name]:g}",

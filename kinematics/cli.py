@@ -12,7 +12,7 @@ from kinematics.registration import geometry_options
 from kinematics.registration.geometry_options import add_options
 from kinematics.signals.series_options import add_series_arguments, series_options
 from stapeskit.command import Outcome, Parser, run
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 if TYPE_CHECKING:
     from kinematics.points2dof import Options, Points2Dof
@@ -203,7 +203,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     return options, _outcome(result, files)
 
 
-def _choices(options: argparse.Namespace, faults: list[str]) -> tuple[InputOptions, Options]:
+def _choices(options: argparse.Namespace, faults: list[Fault]) -> tuple[InputOptions, Options]:
     """Return what the options say about files and fit.
 
     Raises
@@ -242,16 +242,16 @@ def _choices(options: argparse.Namespace, faults: list[str]) -> tuple[InputOptio
     return said, chosen
 
 
-def _faults(options: argparse.Namespace) -> list[str]:
+def _faults(options: argparse.Namespace) -> list[Fault]:
     """List options that contradict each other, before any file is read."""
     faults = []
     if options.out.suffix.lower() != ".csv":
-        faults.append(sentence("--out", "a name that ends in .csv", options.out, "", "Add .csv"))
+        faults.append(Fault("--out", "a name that ends in .csv", options.out, "", "Add .csv"))
     elif options.out.is_dir():
-        faults.append(sentence("--out", "a file", f"the folder {options.out}", "", "Choose another name"))
+        faults.append(Fault("--out", "a file", f"the folder {options.out}", "", "Choose another name"))
     if options.fiducials is not None and options.frame is not None:
         faults.append(
-            sentence(
+            Fault(
                 "--frame",
                 "left out beside --fiducials, which name their frame themselves",
                 options.frame,
@@ -260,7 +260,7 @@ def _faults(options: argparse.Namespace) -> list[str]:
         )
     if options.frame in ("plate", "scan") and options.mass is None:
         faults.append(
-            sentence(
+            Fault(
                 f"--frame {options.frame}", "given with --mass mass.json", "no --mass", next_step="Add --mass"
             )
         )
@@ -270,7 +270,7 @@ def _faults(options: argparse.Namespace) -> list[str]:
     faults += geometry_options.faults(options)
     for thing, path in named:
         if path is not None and not path.exists():
-            faults.append(sentence(thing, "an existing file", path, "", "Check its name and folder"))
+            faults.append(Fault(thing, "an existing file", path, "", "Check its name and folder"))
     return faults
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
@@ -73,15 +73,13 @@ class BodyChannels:
             "position_sd_mm": (self.position_sd_mm.shape, (count,)),
         }
         faults = [
-            sentence(f"the shape of {name} of body {self.body}", str(want), got)
+            Fault(f"the shape of {name} of body {self.body}", str(want), got)
             for name, (got, want) in shapes.items()
             if got != want
         ]
         raise_all(KinematicsError, faults)
         if not np.all(np.abs(np.linalg.norm(self.directions, axis=1) - 1.0) < 1e-3):
-            raise KinematicsError(
-                sentence(f"the beam directions of body {self.body}", "unit vectors", "others")
-            )
+            raise KinematicsError(Fault(f"the beam directions of body {self.body}", "unit vectors", "others"))
 
     def channel_name(self, channel: int) -> str:
         """Return ``body point (direction)`` for messages."""
@@ -194,17 +192,17 @@ class Measurement:
             want = (len(self.runs), len(body.points), len(self.freq_hz))
             if body.displacement.shape != want or (body.sd is not None and body.sd.shape != want):
                 faults.append(
-                    sentence(f"the data of body {body.body}", f"of shape {want}", body.displacement.shape)
+                    Fault(f"the data of body {body.body}", f"of shape {want}", body.displacement.shape)
                 )
         if np.any(self.freq_hz <= 0.0) or np.any(np.diff(self.freq_hz) <= 0.0):
-            faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+            faults.append(Fault("freq_hz", "positive and ascending", "another order"))
         if self.common_sd is not None and self.common_sd.shape != (len(self.runs), len(self.freq_hz)):
             shape = f"of shape {(len(self.runs), len(self.freq_hz))}"
-            faults.append(sentence("the noise of the reference", shape, self.common_sd.shape))
+            faults.append(Fault("the noise of the reference", shape, self.common_sd.shape))
         if not self.bodies:
-            faults.append(sentence("a measurement", "of one body at least", "none"))
+            faults.append(Fault("a measurement", "of one body at least", "none"))
         if self.takes and tuple(take.name for take in self.takes) != self.runs:
-            faults.append(sentence("runs", "the names of the takes", self.runs))
+            faults.append(Fault("runs", "the names of the takes", self.runs))
         raise_all(KinematicsError, faults)
 
     def mapped(self, to_from_here: RigidTransform) -> Measurement:
@@ -250,7 +248,7 @@ def mirror_sign(axis: str) -> tuple[float, float, float]:
         The axis is not x, y or z.
     """
     if axis not in MIRRORS:
-        raise KinematicsError(sentence("--mirror", "x, y or z", axis))
+        raise KinematicsError(Fault("--mirror", "x, y or z", axis))
     return MIRRORS[axis]
 
 

@@ -33,7 +33,7 @@ from kinematics.registration.placement import Placement, place
 from kinematics.registration.shared_errors import pose_derivatives, position_errors
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import pooled, separate, with_gain_errors
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES
@@ -83,13 +83,13 @@ class Options:
     def __post_init__(self) -> None:
         faults = []
         if self.robust not in ROBUST:
-            faults.append(sentence("--robust", f"one of {', '.join(ROBUST)}", self.robust))
+            faults.append(Fault("--robust", f"one of {', '.join(ROBUST)}", self.robust))
         if self.repeats not in REPEATS:
-            faults.append(sentence("--repeats", f"one of {', '.join(REPEATS)}", self.repeats))
+            faults.append(Fault("--repeats", f"one of {', '.join(REPEATS)}", self.repeats))
         if not 0.0 <= self.reference_noise < 1.0:
-            faults.append(sentence("--reference-noise", "from 0 to below 1", f"{self.reference_noise:g}"))
+            faults.append(Fault("--reference-noise", "from 0 to below 1", f"{self.reference_noise:g}"))
         if not self.dof or tuple(name for name in DOF_NAMES if name in self.dof) != self.dof:
-            faults.append(sentence("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
+            faults.append(Fault("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
         raise_all(KinematicsError, faults)
 
 
@@ -269,12 +269,13 @@ def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
     """Factorise every body; what any of them cannot observe is told in one message."""
-    made, faults = [], []
+    made: list[BeamSet] = []
+    faults: list[Fault] = []
     for body in placed.bodies:
         try:
             made.append(beam_set(body.body, body.positions_mm, body.directions, dof))
         except StapeskitError as fault:
-            faults.append(str(fault))
+            faults += fault.faults
     raise_all(KinematicsError, faults)
     return made
 
@@ -290,7 +291,7 @@ def _check_determined(motion: RigidMotion) -> None:
         if not np.any(np.isfinite(motion.q[:, number].real)):
             step = "Measure more channels at the same frequencies, or fit fewer with --dof"
             expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
-            faults.append(sentence(f"body {body}", expected, "too few channels at every line", "", step))
+            faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
     raise_all(KinematicsError, faults)
 
 

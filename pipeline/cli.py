@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from stapeskit.command import Outcome, Parser, run
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError
 
 if TYPE_CHECKING:
     from pipeline.scan2kd import StudyResult
@@ -68,7 +68,7 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome] | None:
 def _check(given: argparse.Namespace) -> None:
     if not given.studies:
         raise StapeskitError(
-            sentence(
+            Fault(
                 "scan2kd",
                 "given a study file",
                 "none",
@@ -76,12 +76,12 @@ def _check(given: argparse.Namespace) -> None:
             )
         )
     if given.jobs < 1:
-        raise StapeskitError(sentence("--jobs", "1 or more", given.jobs))
+        raise StapeskitError(Fault("--jobs", "1 or more", given.jobs))
     if given.out is not None and given.out.exists() and not given.out.is_dir():
-        raise StapeskitError(sentence("--out", "a folder", f"the file {given.out}"))
+        raise StapeskitError(Fault("--out", "a folder", f"the file {given.out}"))
     twice = sorted({str(path) for path in given.studies if given.studies.count(path) > 1})
     if twice:
-        raise StapeskitError(sentence("the study files", "all different", f"{', '.join(twice)} twice"))
+        raise StapeskitError(Fault("the study files", "all different", f"{', '.join(twice)} twice"))
 
 
 def _one(given: argparse.Namespace) -> Outcome:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 
 from pipeline.study import Fit, Ldv, Scan
+from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
@@ -69,6 +71,20 @@ def in_study_words(text: str, table: str = "scan") -> str:
         return found.group()
 
     return _OPTION.sub(key, text)
+
+
+def faults_in_study_words(faults: Iterable[Fault], table: str = "scan") -> list[Fault]:
+    """Name options in faults by their keys of the study file."""
+    return [
+        Fault(
+            in_study_words(fault.thing, table),
+            in_study_words(fault.expected, table),
+            in_study_words(str(fault.got), table),
+            fault.where,
+            in_study_words(fault.next_step, table),
+        )
+        for fault in faults
+    ]
 
 
 def section_in_study_words(section: Section, table: str) -> Section:
@@ -158,7 +174,7 @@ def _series_options(ldv: Ldv) -> SeriesOptions | None:
     from kinematics.readers.formats import describes_series
     from kinematics.signals.series_options import SeriesOptions
     from pipeline.errors import PipelineError
-    from stapeskit.faults import raise_all, sentence
+    from stapeskit.faults import Fault, raise_all
 
     values = {name: value for key, name in _SERIES.items() if (value := getattr(ldv, key)) is not None}
     if ldv.channels is not None or (values and any(describes_series(path) for path in ldv.files)):
@@ -166,7 +182,7 @@ def _series_options(ldv: Ldv) -> SeriesOptions | None:
     given = [key for key in _SERIES if getattr(ldv, key) is not None]
     step = "It says how time series become frequency responses"
     raise_all(
-        PipelineError, [sentence(f"ldv.{key}", "given with ldv.channels", "alone", "", step) for key in given]
+        PipelineError, [Fault(f"ldv.{key}", "given with ldv.channels", "alone", "", step) for key in given]
     )
     return None
 

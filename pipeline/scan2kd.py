@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import PipelineError
-from pipeline.options import in_study_words, section_in_study_words
+from pipeline.options import faults_in_study_words, in_study_words, section_in_study_words
 from pipeline.progress import Progress
 from pipeline.records import (
     FOLDER,
@@ -160,7 +160,7 @@ def _stage(
         except PipelineError:
             raise
         except StapeskitError as fault:
-            raise PipelineError(in_study_words(str(fault), stage.table)) from fault
+            raise PipelineError(*faults_in_study_words(fault.faults, stage.table)) from fault
         told = Told(
             tuple(section_in_study_words(one, stage.table) for one in told.sections),
             tuple(Notice(n.code, in_study_words(n.text, stage.table)) for n in told.notices),

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
-from pipeline.options import fit_options, in_study_words, input_options, mass_options, motion_options
+from pipeline.options import faults_in_study_words, fit_options, input_options, mass_options, motion_options
 from pipeline.records import Told
 from pipeline.study import Ldv, Study
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 
 if TYPE_CHECKING:
     from kinematics.measurement import Measurement
@@ -287,7 +287,7 @@ def check_inputs(study: Study) -> None:
     PipelineError
         Every fault of the options and of the vibrometer's files.
     """
-    faults: list[str] = []
+    faults: list[Fault] = []
     checks: tuple[tuple[str, Callable[[], object]], ...] = (
         ("scan", lambda: mass_options(study.scan)),
         ("ldv", lambda: motion_options(study.ldv)),
@@ -300,7 +300,7 @@ def check_inputs(study: Study) -> None:
         try:
             check()
         except StapeskitError as fault:
-            faults += in_study_words(str(fault), table).splitlines()
+            faults += faults_in_study_words(fault.faults, table)
     raise_all(PipelineError, dict.fromkeys(faults))
 
 
@@ -309,7 +309,7 @@ def _check_measurement(study: Study) -> None:
     bodies = [body.body for body in measurement.bodies]
     file = ", ".join(path.name for path in study.ldv.files)
     faults = [
-        sentence(
+        Fault(
             f"the body {name}",
             f"among those of the vibrometer table, {', '.join(bodies)}",
             "no row of it",
@@ -322,7 +322,7 @@ def _check_measurement(study: Study) -> None:
     wanted = [name for name in study.fit.dof if name not in study.ldv.dof]
     if wanted:
         faults.append(
-            sentence("fit.dof", f"among ldv.dof, {', '.join(study.ldv.dof)}", ", ".join(wanted), "study")
+            Fault("fit.dof", f"among ldv.dof, {', '.join(study.ldv.dof)}", ", ".join(wanted), "study")
         )
     raise_all(PipelineError, faults)
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline import fields
 from pipeline.errors import PipelineError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 _RAW = ("shape", "dtype", "byte_order", "header_bytes")
 _MASSES = ("density_kg_m3", "mass_mg", "calibration")
@@ -142,7 +142,7 @@ def read_study(path: Path) -> Study:
     path = Path(path)
     if not path.is_file():
         raise PipelineError(
-            sentence(
+            Fault(
                 "the study file",
                 "an existing TOML file",
                 path,
@@ -152,7 +152,7 @@ def read_study(path: Path) -> Study:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise PipelineError(sentence("the study file", "UTF-8 text", fault, path.name)) from fault
+        raise PipelineError(Fault("the study file", "UTF-8 text", fault, path.name)) from fault
     return parse_study(text, path.absolute().parent, path.name)
 
 
@@ -172,7 +172,7 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
         raise PipelineError(
-            sentence("the study file", "valid TOML", fault, name, "Texts and paths stand in quotes")
+            Fault("the study file", "valid TOML", fault, name, "Texts and paths stand in quotes")
         ) from fault
     faults = []
     study: Study | None = None
@@ -183,11 +183,11 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     faults += _contradictions(tables, name)
     raise_all(PipelineError, faults)
     if study is None:
-        raise PipelineError(f"{name} could not be read.")
+        raise PipelineError(Fault(name, "readable as a study file", "something else"))
     return study
 
 
-def _fault(error: dict[str, Any], name: str) -> str:
+def _fault(error: dict[str, Any], name: str) -> Fault:
     """Turn one finding of pydantic into a sentence that names table and key."""
     place = tuple(str(part) for part in error["loc"])
     key = ".".join(place)
@@ -195,14 +195,14 @@ def _fault(error: dict[str, Any], name: str) -> str:
     if error["type"] == "extra_forbidden":
         return _unknown(place, name)
     if error["type"] == "missing":
-        return sentence(thing, "given", "nothing", name, "scan2kd --template shows a whole study file")
+        return Fault(thing, "given", "nothing", name, "scan2kd --template shows a whole study file")
     if error["type"] == fields.EXPECTED:
         told = error["ctx"]
-        return sentence(thing, told["expected"], _shown(error["input"]), name, told["next_step"])
-    return sentence(thing, "a table of keys", _shown(error["input"]), name)
+        return Fault(thing, told["expected"], _shown(error["input"]), name, told["next_step"])
+    return Fault(thing, "a table of keys", _shown(error["input"]), name)
 
 
-def _unknown(place: tuple[str, ...], name: str) -> str:
+def _unknown(place: tuple[str, ...], name: str) -> Fault:
     """Name the nearest valid key, in its own table first."""
     tables: dict[str, type[BaseModel]] = {"study": About, "scan": Scan, "ldv": Ldv, "fit": Fit}
     if len(place) == 1:
@@ -212,7 +212,7 @@ def _unknown(place: tuple[str, ...], name: str) -> str:
         ]
         near = homes or difflib.get_close_matches(f"[{place[0]}]", known, 1)
         hint = f"Did you mean {near[0]}?" if near else ""
-        return sentence("a table", f"one of {', '.join(known)}", f"[{place[0]}]", name, hint)
+        return Fault("a table", f"one of {', '.join(known)}", f"[{place[0]}]", name, hint)
     own = list(tables[place[0]].model_fields)
     near = difflib.get_close_matches(place[1], own, 1, cutoff=0.5)
     if not near:
@@ -223,10 +223,10 @@ def _unknown(place: tuple[str, ...], name: str) -> str:
             if key == place[1]
         ]
     hint = f"Did you mean {near[0]}?" if near else f"Its keys are {', '.join(own)}"
-    return sentence(f"a key of [{place[0]}]", "a known one", place[1], name, hint)
+    return Fault(f"a key of [{place[0]}]", "a known one", place[1], name, hint)
 
 
-def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
+def _contradictions(tables: dict[str, Any], name: str) -> list[Fault]:
     """List choices that do not go together."""
     faults = []
     scan, ldv, fit = (
@@ -235,7 +235,7 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
     masses = [key for key in _MASSES if key in scan]
     if "scan" in tables and not masses:
         faults.append(
-            sentence(
+            Fault(
                 "the mass of the stapes in [scan]",
                 "given by at least one of density_kg_m3, mass_mg and calibration",
                 "none of them",
@@ -244,10 +244,10 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
             )
         )
     if "scan" in tables and "file" not in scan and "labels" not in scan:
-        faults.append(sentence("scan.file", "given, or scan.labels", "neither", name))
+        faults.append(Fault("scan.file", "given, or scan.labels", "neither", name))
     raw = [key for key in _RAW if key in scan]
     faults += [
-        sentence(
+        Fault(
             f"scan.{key}",
             f"given with scan.{raw[0]}, which speaks of raw voxels",
             "nothing",
@@ -259,7 +259,7 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
     ]
     if "fiducials" in ldv and "frame" in ldv:
         faults.append(
-            sentence(
+            Fault(
                 "ldv.frame",
                 "left out beside ldv.fiducials, which name their frame themselves",
                 ldv["frame"],
@@ -268,18 +268,18 @@ def _contradictions(tables: dict[str, Any], name: str) -> list[str]:
         )
     if "plate_points" in ldv and "frame" in ldv:
         expected = "left out beside ldv.plate_points, which tie the vibrometer to the scan"
-        faults.append(sentence("ldv.frame", expected, ldv["frame"], name))
+        faults.append(Fault("ldv.frame", expected, ldv["frame"], name))
     if not ldv.get("calibrate", False):
         faults += [
-            sentence(f"ldv.{key}", "given with ldv.calibrate = true only", ldv[key], name)
+            Fault(f"ldv.{key}", "given with ldv.calibrate = true only", ldv[key], name)
             for key in ("axes_sd_deg", "beam_sd_deg", "gain_sd_percent")
             if key in ldv
         ]
     if fit.get("robust", "none") != "none" and fit.get("estimator", "ml") != "ml":
-        faults.append(sentence("fit.robust", "none unless fit.estimator is ml", fit["robust"], name))
+        faults.append(Fault("fit.robust", "none unless fit.estimator is ml", fit["robust"], name))
     if ("lower" in fit or "upper" in fit) and fit.get("estimator", "ml") != "constrained":
         faults.append(
-            sentence(
+            Fault(
                 "fit.lower and fit.upper",
                 "left out unless fit.estimator is constrained",
                 fit.get("estimator", "ml"),

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-from stapeskit.faults import StapeskitError, collecting, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, collecting, raise_all
 from stapeskit.warnings import Notice
 
 _CHOICE = re.compile(r"argument (\S+): invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
@@ -71,20 +71,21 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Turn a usage fault into the one exception that ends with exit code 2."""
-        raise StapeskitError(self._told(message))
+        raise StapeskitError(self._fault(message))
 
-    def _told(self, message: str) -> str:
+    def _fault(self, message: str) -> Fault:
+        """Return what argparse says as a fault."""
         found = _CHOICE.fullmatch(message)
         if found:
             option, got, choices = found.groups()
             expected = "one of " + choices.replace("'", "")
-            return f"{self.prog}: " + sentence(option.split("/")[-1], expected, got)
+            return Fault(f"{self.prog}: {option.split('/')[-1]}", expected, got)
         found = _NO_NUMBER.fullmatch(message)
         if found:
             option, kind, got = found.groups()
             expected = "a whole number" if kind == "int" else "a number"
-            return f"{self.prog}: " + sentence(option.split("/")[-1], expected, got)
-        return f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
+            return Fault(f"{self.prog}: {option.split('/')[-1]}", expected, got)
+        return Fault(f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options.")
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """Parse a command line.
@@ -96,7 +97,7 @@ class Parser(argparse.ArgumentParser):
             them together.
         """
         words = _join_minus_lists(list(arguments), self._value_options())
-        faults: list[str] = []
+        faults: list[Fault] = []
         config = self._config_path(words)
         if config is not None:
             with collecting(faults):
@@ -108,12 +109,12 @@ class Parser(argparse.ArgumentParser):
             except argparse.ArgumentError as fault:
                 action = self._action_of(fault)
                 if action is None:
-                    faults.append(self._told(str(fault)))
+                    faults.append(self._fault(str(fault)))
                     break
                 action.required = False
                 words = self._without(words, action, fault, faults)
             except StapeskitError as fault:
-                faults.append(str(fault))
+                faults += fault.faults
                 break
         options = [word for word in unknown if word.startswith("-")]
         faults += [self._unknown(word) for word in options or unknown if word]
@@ -126,7 +127,7 @@ class Parser(argparse.ArgumentParser):
         return next((one for one in self._actions if set(names) & set(one.option_strings)), None)
 
     def _without(
-        self, words: list[str], action: argparse.Action, fault: argparse.ArgumentError, faults: list[str]
+        self, words: list[str], action: argparse.Action, fault: argparse.ArgumentError, faults: list[Fault]
     ) -> list[str]:
         """Take an option out of the words, and tell what is wrong with each time it is given."""
         left: list[str] = []
@@ -140,26 +141,26 @@ class Parser(argparse.ArgumentParser):
                 continue
             if not equals:
                 if action.nargs is not None or place == len(words) or words[place].startswith("--"):
-                    faults.append(self._told(str(fault)))
+                    faults.append(self._fault(str(fault)))
                     continue
                 value = words[place]
                 place += 1
             try:
                 self._get_values(action, [value])
             except argparse.ArgumentError as wrong:
-                faults.append(self._told(str(wrong)))
+                faults.append(self._fault(str(wrong)))
         if len(faults) == told:
-            faults.append(self._told(str(fault)))
+            faults.append(self._fault(str(fault)))
         return left
 
     def _value_options(self) -> set[str]:
         return {text for action in self._actions if action.nargs != 0 for text in action.option_strings}
 
-    def _unknown(self, word: str) -> str:
+    def _unknown(self, word: str) -> Fault:
         options = [text for action in self._actions for text in action.option_strings]
         near = _nearest(word.split("=")[0], options)
         hint = f"Did you mean {near[0]}?" if near else f"Run {self.prog} --help to see the options."
-        return f"{self.prog}: {word} must be a known option or argument; got an unknown one. {hint}"
+        return Fault(f"{self.prog}: {word}", "a known option or argument", "an unknown one", "", hint)
 
     def _config_path(self, words: list[str]) -> Path | None:
         for place, word in enumerate(words):
@@ -169,15 +170,15 @@ class Parser(argparse.ArgumentParser):
                 return Path(word.split("=", 1)[1])
         return None
 
-    def _config(self, path: Path, faults: list[str]) -> dict[str, Any]:
+    def _config(self, path: Path, faults: list[Fault]) -> dict[str, Any]:
         import tomllib
 
         if not path.is_file():
-            raise StapeskitError(sentence("--config", "an existing TOML file", path))
+            raise StapeskitError(Fault("--config", "an existing TOML file", path))
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-            raise StapeskitError(sentence("--config", "valid TOML", fault, path.name)) from fault
+            raise StapeskitError(Fault("--config", "valid TOML", fault, path.name)) from fault
         actions = {action.dest: action for action in self._actions if action.option_strings}
         defaults: dict[str, Any] = {}
         for key, value in table.items():
@@ -185,7 +186,7 @@ class Parser(argparse.ArgumentParser):
             if name not in actions or name in ("config", "help", "version"):
                 near = difflib.get_close_matches(name, actions, 1)
                 hint = f"Did you mean {near[0].replace('_', '-')}?" if near else ""
-                faults.append(sentence("a key of --config", "an option of the command", key, path.name, hint))
+                faults.append(Fault("a key of --config", "an option of the command", key, path.name, hint))
                 continue
             with collecting(faults):
                 defaults[name] = self._config_value(actions[name], value, key, path)
@@ -195,7 +196,7 @@ class Parser(argparse.ArgumentParser):
     def _config_value(self, action: argparse.Action, value: Any, key: str, path: Path) -> Any:
         if action.nargs == 0:
             if not isinstance(value, bool):
-                raise StapeskitError(sentence(key, "true or false", value, path.name))
+                raise StapeskitError(Fault(key, "true or false", value, path.name))
             return value
         repeated = isinstance(action, argparse._AppendAction)
         entries = value if isinstance(value, list) and (repeated and not _is_numbers(value)) else [value]
@@ -206,11 +207,11 @@ class Parser(argparse.ArgumentParser):
             found = _NO_NUMBER.fullmatch(str(fault))
             if found:
                 expected = "a whole number" if found[2] == "int" else "a number"
-                raise StapeskitError(sentence(key, expected, value, path.name)) from fault
+                raise StapeskitError(Fault(key, expected, value, path.name)) from fault
             raise StapeskitError(f"{fault} ({path.name}).") from fault
         if action.choices is not None and any(entry not in action.choices for entry in read):
             raise StapeskitError(
-                sentence(key, f"one of {', '.join(map(str, action.choices))}", value, path.name)
+                Fault(key, f"one of {', '.join(map(str, action.choices))}", value, path.name)
             )
         return read if repeated else read[0]
 

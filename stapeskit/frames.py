@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 
 Array = NDArray[np.float64]
 _ROTATION_TOLERANCE = 1e-6
@@ -53,7 +53,7 @@ def vector_from_rotation(rotation: ArrayLike) -> Array:
     return np.asarray(direction * angle)
 
 
-def transform_faults(matrix: Array, name: str, where: str = "") -> list[str]:
+def transform_faults(matrix: Array, name: str, where: str = "") -> list[Fault]:
     """List what keeps a matrix from being a proper rigid transform; empty when it is one.
 
     Parameters
@@ -65,18 +65,18 @@ def transform_faults(matrix: Array, name: str, where: str = "") -> list[str]:
         The file it stands in.
     """
     if matrix.shape != (4, 4):
-        return [sentence(name, "a finite 4x4 matrix", f"shape {matrix.shape}", where)]
+        return [Fault(name, "a finite 4x4 matrix", f"shape {matrix.shape}", where)]
     if not np.all(np.isfinite(matrix)):
-        return [sentence(name, "a finite 4x4 matrix", "NaN or infinity", where)]
+        return [Fault(name, "a finite 4x4 matrix", "NaN or infinity", where)]
     if np.max(np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0])) > _ROTATION_TOLERANCE:
-        return [sentence(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist(), where)]
+        return [Fault(f"the last row of {name}", "0, 0, 0, 1", matrix[3].tolist(), where)]
     rotation = matrix[:3, :3]
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > _ROTATION_TOLERANCE:
         step = "Give a rigid transform without scale or shear"
-        return [sentence(f"the rotation of {name}", "orthonormal", rotation.tolist(), where, step)]
+        return [Fault(f"the rotation of {name}", "orthonormal", rotation.tolist(), where, step)]
     if np.linalg.det(rotation) < 0.0:
         step = "Undo the mirrored axis with --mirror x, y or z"
-        return [sentence(name, "right-handed (determinant +1)", "a reflection", where, step)]
+        return [Fault(name, "right-handed (determinant +1)", "a reflection", where, step)]
     return []
 
 
@@ -200,10 +200,10 @@ def axes_matrix(x: Sequence[float] | Array, y: Sequence[float] | Array) -> Array
     x_axis = np.asarray(x, dtype=float)
     length = float(np.linalg.norm(y_axis))
     if not length > 0.0:
-        raise StapeskitError(sentence("the y direction", "a non-zero vector", y_axis.tolist()))
+        raise StapeskitError(Fault("the y direction", "a non-zero vector", y_axis.tolist()))
     y_axis = y_axis / length
     across = x_axis - (x_axis @ y_axis) * y_axis
     if not float(np.linalg.norm(across)) > 1e-9 * float(np.linalg.norm(x_axis)):
-        raise StapeskitError(sentence("the x direction", "not parallel to y", x_axis.tolist()))
+        raise StapeskitError(Fault("the x direction", "not parallel to y", x_axis.tolist()))
     across = across / np.linalg.norm(across)
     return np.column_stack([across, y_axis, np.cross(across, y_axis)])

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -47,7 +47,7 @@ def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = N
         stage = Path(tempfile.mkdtemp(prefix=".stapeskit-", dir=parent))
     except OSError as fault:
         raise StapeskitError(
-            sentence("the output folder", "writable", parent, next_step="Choose another place with --out")
+            Fault("the output folder", "writable", parent, next_step="Choose another place with --out")
         ) from fault
     try:
         yield stage
@@ -67,7 +67,7 @@ def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = N
         if not _disk_full(fault):
             raise
         raise StapeskitError(
-            sentence(
+            Fault(
                 "the output folder",
                 "on a disk with room for the outputs",
                 "no space left",
@@ -89,15 +89,15 @@ def _disk_full(fault: BaseException | None) -> bool:
     return False
 
 
-def _in_the_way(stage: Path, folder: Path) -> list[str]:
+def _in_the_way(stage: Path, folder: Path) -> list[Fault]:
     """Return a sentence on every folder that stands where a file shall appear, and the reverse."""
     faults = []
     for path in sorted(stage.rglob("*")):
         target = folder / path.relative_to(stage)
         if path.is_dir() and target.is_file():
-            faults.append(sentence(f"the output {target}", "a folder", "a file", "", "Move it away"))
+            faults.append(Fault(f"the output {target}", "a folder", "a file", "", "Move it away"))
         elif path.is_file() and target.is_dir():
-            faults.append(sentence(f"the output {target}", "a file", "a folder", "", "Move it away"))
+            faults.append(Fault(f"the output {target}", "a file", "a folder", "", "Move it away"))
     return faults
 
 
@@ -115,7 +115,7 @@ def existing_folder(folder: Path) -> Path:
             return candidate
         if candidate.exists():
             raise StapeskitError(
-                sentence(
+                Fault(
                     "the output folder",
                     "a folder",
                     f"the file {candidate}",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.outputs import existing_folder, staged
 from stapeskit.provenance import content_hash
 from stapeskit.warnings import Notice
@@ -110,7 +110,7 @@ class OutputSet:
         )
         return (Notice(FOREIGN_FILE_KEPT, text),)
 
-    def clashes(self, names: Collection[str] = ()) -> list[str]:
+    def clashes(self, names: Collection[str] = ()) -> list[Fault]:
         """Return a fault for every output, of these names or all, that is an input, also by a link."""
         read = self._files_read
         paths = [self.folder / name for name in (*(names or self.names), self._record_name)]
@@ -123,13 +123,13 @@ class OutputSet:
         faults = self.clashes(names)
         records = self.folder / RECORDS
         if os.path.lexists(records) and not records.is_dir():
-            faults.append(sentence(f"{records}", "the folder of records", "a file", "", "Move it away"))
+            faults.append(Fault(f"{records}", "the folder of records", "a file", "", "Move it away"))
         for name in names:
             path = self.folder / name
             if not os.path.lexists(path) or _inode(path) in read or self._own(name, recorded):
                 continue
             if path.is_dir():
-                faults.append(sentence(f"the output {path}", "a file", "a folder", "", "Move it away"))
+                faults.append(Fault(f"the output {path}", "a file", "a folder", "", "Move it away"))
             else:
                 foreign.append(name)
         if foreign and not self.force:
@@ -140,12 +140,12 @@ class OutputSet:
             faults += [self._is_input(path, within[_inode(path)]) for path in clashes]
         raise_all(StapeskitError, faults)
 
-    def _is_input(self, output: Path, given: Path) -> str:
+    def _is_input(self, output: Path, given: Path) -> Fault:
         same = given if str(given) == str(output) else f"{given}, which is the same file"
         step = "Choose another place with --out"
-        return sentence(f"the output {output}", "another file than the inputs", f"the input {same}", "", step)
+        return Fault(f"the output {output}", "another file than the inputs", f"the input {same}", "", step)
 
-    def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> str:
+    def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> Fault:
         edited = [name for name in names if name in recorded]
         others = [name for name in names if name not in recorded]
         got = [f"{_listed(edited)}, edited since"] if edited else []
@@ -153,7 +153,7 @@ class OutputSet:
         steps = [self.hints[name] for name in edited if name in self.hints]
         steps.append("Choose another place with --out, or let --force replace what stands there")
         thing = f"the files in {self.folder} at the names of outputs"
-        return sentence(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
+        return Fault(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
 
     def _own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
         """Tell whether a file is as the command wrote it."""

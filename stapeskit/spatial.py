@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import cross_matrix
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def parse_dof(text: str, option: str = "--dof") -> tuple[str, ...]:
     wrong = [name for name in names if name not in DOF_NAMES]
     if wrong or not names or len(set(names)) != len(names):
         raise StapeskitError(
-            sentence(
+            Fault(
                 option,
                 f"a list of different names out of {', '.join(DOF_NAMES)}, or all",
                 text or "nothing",
@@ -127,7 +127,7 @@ def parameter_basis() -> Array:
     return np.stack([matrix_from_parameters(row) for row in np.eye(10)])
 
 
-def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str = "") -> list[str]:
+def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str = "") -> list[Fault]:
     """List what makes a 6x6 spatial inertia physically impossible; empty when it is possible.
 
     Checks symmetry, the rigid-body pattern, a positive mass, a positive definite tensor about the centre
@@ -136,23 +136,23 @@ def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str 
     """
     m = np.asarray(matrix, dtype=float)
     if m.shape != (6, 6) or not np.all(np.isfinite(m)):
-        return [sentence(name, "a finite 6x6 matrix", f"shape {m.shape}", where)]
+        return [Fault(name, "a finite 6x6 matrix", f"shape {m.shape}", where)]
     diagonal = np.sqrt(np.abs(np.diag(m)))
     scale = np.outer(diagonal, diagonal)
     scale = np.where(scale > 0.0, scale, 1.0)
     if np.max(np.abs(m - m.T) / scale) > 1e-9:
-        return [sentence(name, "symmetric", "an asymmetric matrix", where)]
+        return [Fault(name, "symmetric", "an asymmetric matrix", where)]
     parameters = parameters_from_matrix(m)
     if np.max(np.abs(m - matrix_from_parameters(parameters)) / scale) > 1e-9:
         pattern = "the matrix of a rigid body ([[m 1, -m c x], [m c x, J]])"
-        return [sentence(name, pattern, "another pattern", where)]
+        return [Fault(name, pattern, "another pattern", where)]
     mass, tensor_about_com = central_tensor(parameters)
     if not mass > 0.0:
-        return [sentence(f"the mass in {name}", "positive", f"{mass:g} kg", where)]
+        return [Fault(f"the mass in {name}", "positive", f"{mass:g} kg", where)]
     moments = np.linalg.eigvalsh(tensor_about_com)
     if moments[0] <= 0.0:
         return [
-            sentence(
+            Fault(
                 f"the inertia in {name}",
                 "positive definite about the centre of mass",
                 f"a smallest principal moment of {moments[0]:g} kg m2",
@@ -162,7 +162,7 @@ def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str 
     if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
         listed = ", ".join(f"{value:g}" for value in moments)
         thing = f"the principal moments in {name}"
-        return [sentence(thing, "within the triangle inequality", f"{listed} kg m2", where)]
+        return [Fault(thing, "within the triangle inequality", f"{listed} kg m2", where)]
     return []
 
 
@@ -184,6 +184,4 @@ def check_inertia(matrix: ArrayLike, name: str = "the mass matrix") -> None:
     StapeskitError
         Any of inertia_faults.
     """
-    faults = inertia_faults(matrix, name)
-    if faults:
-        raise StapeskitError("\n".join(faults))
+    raise_all(StapeskitError, inertia_faults(matrix, name))

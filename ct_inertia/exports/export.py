@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports.body import body_of
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassResult
@@ -52,7 +52,7 @@ def parse_formats(text: str) -> tuple[str, ...]:
     wrong = sorted(names - set(FORMATS))
     if wrong or not names:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--export",
                 f"a list out of {', '.join(FORMATS)}, or all",
                 ", ".join(wrong) or "nothing",

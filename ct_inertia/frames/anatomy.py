@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class AnatomyHints:
             direction = np.asarray(self.anterior, dtype=float)
             if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
                 raise CtInertiaError(
-                    sentence(
+                    Fault(
                         "--anterior",
                         "a non-zero direction X,Y,Z in scan axes",
                         direction.tolist(),
@@ -59,13 +59,13 @@ class AnatomyHints:
             object.__setattr__(self, "anterior", direction / np.linalg.norm(direction))
         if self.side not in (None, "left", "right"):
             raise CtInertiaError(
-                sentence("--side", "left or right", self.side, next_step="Give --side left or --side right")
+                Fault("--side", "left or right", self.side, next_step="Give --side left or --side right")
             )
         points = {name: np.asarray(point, dtype=float) for name, point in self.landmarks.items()}
         for name, point in points.items():
             if point.shape != (3,) or not np.all(np.isfinite(point)):
                 raise CtInertiaError(
-                    sentence(
+                    Fault(
                         f"landmark {name}",
                         "three finite numbers in mm",
                         point.tolist(),
@@ -77,7 +77,7 @@ class AnatomyHints:
         lengthways = self.anterior is not None or bool({"anterior", "posterior"} & points.keys())
         if sideways and self.side is None and not lengthways:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     f"landmark {min(sideways)}",
                     "given together with the side of the ear",
                     "no --side",
@@ -141,7 +141,7 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
     if len(signs) > 1:
         told = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the anatomical hints",
                 "of one mind about which end of the footplate is anterior",
                 told,
@@ -169,7 +169,7 @@ def _votes(
         angle = float(np.degrees(np.arccos(np.clip(abs(hints.anterior @ x_axis), 0.0, 1.0))))
         if angle > _SQUARE_DEG:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--anterior",
                     f"within {_SQUARE_DEG:.0f} degrees of the long axis of the footplate",
                     f"{angle:.0f} degrees (long axis {_listed(x_axis)} in scan axes)",

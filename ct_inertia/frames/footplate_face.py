@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def _face(cone: _Cone, y_axis: Array, cosine: float) -> Face:
 
 def _no_face(found: str) -> CtInertiaError:
     return CtInertiaError(
-        sentence(
+        Fault(
             "the surface",
             "a stapes with a footplate: a near-planar face at one end",
             f"no object that can be a stapes: {found}",

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _HEAD_MM = 1.0
@@ -39,7 +39,7 @@ def check_head(vertices_mm: Array, faces: NDArray[np.integer], hints: AnatomyHin
     distance = float(np.min(np.linalg.norm(nearest - head, axis=1)))
     if distance > _HEAD_MM:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "landmark head",
                 f"within {_HEAD_MM:g} mm of the surface of the stapes",
                 f"{distance:.2f} mm",
@@ -48,7 +48,7 @@ def check_head(vertices_mm: Array, faces: NDArray[np.integer], hints: AnatomyHin
         )
 
 
-def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> str | None:
+def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> Fault | None:
     """Return what landmarks say against a footplate, or None.
 
     Parameters
@@ -63,7 +63,7 @@ def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> str | N
     if head is not None:
         height = float((head - origin_mm) @ axes[:, 1])
         if height < 0.3:
-            return sentence(
+            return Fault(
                 "landmark head",
                 "on the lateral side of the footplate, at least 0.3 mm above its centre",
                 f"{height:.2f} mm along the found lateral direction",
@@ -73,7 +73,7 @@ def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> str | N
     if centre is not None:
         distance = float(np.linalg.norm(centre - origin_mm))
         if distance > 1.0:
-            return sentence(
+            return Fault(
                 "landmark footplate_centre",
                 "within 1 mm of the found footplate centre",
                 f"{distance:.2f} mm",

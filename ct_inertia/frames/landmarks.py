@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.readers.checks import mm_per_unit
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import read_table
 
 Array = NDArray[np.float64]
@@ -51,9 +51,7 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(
-            sentence("the landmark file", "an existing file", path, next_step="Check the path")
-        )
+        raise CtInertiaError(Fault("the landmark file", "an existing file", path, next_step="Check the path"))
     name = path.name.lower()
     readers: dict[str, Callable[[Path], Named]] = {
         ".json": _slicer_json,
@@ -64,7 +62,7 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     reader = next((read for ending, read in readers.items() if name.endswith(ending)), None)
     if reader is None:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the landmark file",
                 "a .mrk.json, .fcsv, .pp or .csv file",
                 path.name,
@@ -87,7 +85,7 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
         name = normal_name(label)
         if not np.all(np.isfinite(point)):
             faults.append(
-                sentence(
+                Fault(
                     f"landmark {label}",
                     "three finite numbers",
                     point.tolist(),
@@ -97,7 +95,7 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
             )
         elif name in found:
             faults.append(
-                sentence(
+                Fault(
                     f"landmark {label}",
                     "named once",
                     "a second point of that name",
@@ -109,7 +107,7 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
     raise_all(CtInertiaError, faults)
     if not found.keys() & set(LANDMARK_NAMES):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the landmarks",
                 f"named out of {', '.join(LANDMARK_NAMES)}",
                 ", ".join(found) or "no point at all",
@@ -125,7 +123,7 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the landmark file",
                 "text in UTF-8",
                 "another encoding",
@@ -140,7 +138,7 @@ def _signs(system: object, file: str) -> Array:
     told = {"0": "RAS", "1": "LPS"}.get(str(system), str(system)).upper()
     if told not in _LPS_FROM:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the coordinate system",
                 "LPS or RAS",
                 system,
@@ -164,7 +162,7 @@ def _slicer_json(path: Path) -> Named:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the landmark file",
                 "a markups file of 3D Slicer",
                 "a file without a list of markups",
@@ -185,7 +183,7 @@ def _mm_per_unit(told: object, file: str) -> float:
     factor = mm_per_unit(units.pop()) if len(units) == 1 else None
     if factor is None:
         raise CtInertiaError(
-            sentence("coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm")
+            Fault("coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm")
         )
     return factor
 
@@ -197,7 +195,7 @@ def _point(values: Any, file: str) -> Array:
         point = np.zeros(0)
     if point.shape != (3,):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "a landmark's position",
                 "three numbers",
                 values,
@@ -226,7 +224,7 @@ def _slicer_fcsv(path: Path) -> Named:
         cells = dict(zip(columns, next(csv.reader([line])), strict=False))
         if "label" not in cells:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "a row of an .fcsv file",
                     "complete up to its label",
                     line,
@@ -246,7 +244,7 @@ def _meshlab(path: Path) -> Named:
         root = ElementTree.fromstring(_text(path))
     except ElementTree.ParseError as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the landmark file",
                 "XML of MeshLab",
                 fault,
@@ -266,7 +264,7 @@ def _csv(path: Path) -> Named:
         missing = [column for column in ("name", *_COLUMNS) if column not in header]
         if missing:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the columns",
                     "name, x_mm, y_mm, z_mm",
                     f"no {', '.join(missing)}",

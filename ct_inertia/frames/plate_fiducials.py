@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_frame import PlateFrame, positive_sense
 from stapeskit.alignment.registration import fit_rigid
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
 from stapeskit.tables.csv_table import read_table
 from stapeskit.warnings import Notice
@@ -59,7 +59,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
         missing = [name for name in ("name", *wanted) if name not in header]
         if missing:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the columns of --plate-fiducials",
                     "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm",
                     f"no {', '.join(missing)}",
@@ -73,9 +73,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     faults = list(table.faults)
     for column, values in table.numbers.items():
         faults += [
-            sentence(
-                column, "a finite number", "nothing", table.where(int(row)), next_step="Fill in the cell"
-            )
+            Fault(column, "a finite number", "nothing", table.where(int(row)), next_step="Fill in the cell")
             for row in np.flatnonzero(~np.isfinite(values))
         ]
     raise_all(CtInertiaError, faults)
@@ -83,7 +81,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
     if len(set(names)) != len(names):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the names of --plate-fiducials",
                 "different",
                 ", ".join(names),
@@ -93,7 +91,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
         )
     if len(names) < 3:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--plate-fiducials",
                 "at least 3 points",
                 len(names),
@@ -106,7 +104,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     sd = table.numbers.get("sd_mm")
     if sd is not None and np.any(sd <= 0.0):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "sd_mm",
                 "positive",
                 float(sd.min()),
@@ -154,7 +152,7 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     _, size, axes = np.linalg.svd(points - centre)
     if size[1] < 1e-3 * size[0]:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the points of --plate-fiducials",
                 "corners of a face",
                 "points on a line",

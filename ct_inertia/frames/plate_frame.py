@@ -21,7 +21,7 @@ from ct_inertia.frames.plane_fit import fitted_to_grey
 from ct_inertia.frames.plate_covered import covered_face
 from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform, axes_matrix, vector_from_rotation
 from stapeskit.warnings import Notice
 
@@ -152,7 +152,7 @@ def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
         if not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
             return face
     raise CtInertiaError(
-        sentence(
+        Fault(
             "the plate",
             "a solid with a plane face towards the stapes",
             f"{len(faces)} plane faces, none of which has the stapes on its outer side",
@@ -282,7 +282,7 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
             polygon, owners = _clipped(polygon, owners, across, offset, -1)
     if len(polygon) < 3:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the sides of the plate",
                 "planes around its face",
                 "planes that leave nothing of it",

@@ -23,7 +23,7 @@ from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
     """
     labels = options.labels
     if labels is None:
-        raise CtInertiaError("the label volume must be given; got none. Give it with --labels.")
+        raise CtInertiaError(Fault("the label volume", "given", "none", "", "Give it with --labels"))
     _check_labels(labels, options)
     if volume is None:
         return _labels_alone(labels, options)
@@ -57,7 +57,7 @@ def _check_labels(labels: Volume, options: SearchOptions) -> None:
     name = "the label volume" if labels.source is None else Path(labels.source).name
     if array.dtype.kind == "f" and any(np.any(piece != np.rint(piece)) for piece in array):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the label volume",
                 "whole numbers, one for each body",
                 "grey values",
@@ -69,7 +69,7 @@ def _check_labels(labels: Volume, options: SearchOptions) -> None:
     if count < _LEAST_VOXELS:
         present = sorted({int(v) for piece in array[:: max(1, len(array) // 64)] for v in np.unique(piece)})
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the label volume",
                 f"one with voxels of the stapes (number {options.stapes_label})",
                 f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
@@ -225,7 +225,7 @@ def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
     if np.array_equal(labels.size, volume.size) and not labels.handedness_confirmed:
         return np.zeros(3, dtype=np.int64)
     raise CtInertiaError(
-        sentence(
+        Fault(
             "the label volume",
             f"on the voxels of the scan ({_grid(volume)})",
             _grid(labels),
@@ -320,7 +320,7 @@ def _guess(
     bone = float(np.median(grey[deep]))
     if not bone - air > 4.0 * spread:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the stapes of the label volume",
                 "brighter than the air around it",
                 f"grey values about {bone:.6g} inside and {air:.6g} outside",

@@ -29,6 +29,7 @@ from ct_inertia.volume.coarse import Glance, calmed, take_glance
 from ct_inertia.volume.progress import Tell, untold
 from ct_inertia.volume.volume import Volume
 from stapeskit.background import Later
+from stapeskit.faults import Fault
 from stapeskit.warnings import unique
 
 Array = NDArray[np.float64]
@@ -70,7 +71,7 @@ def find_bodies(
 
         return bodies_from_labels(volume, options)
     if volume is None:
-        raise CtInertiaError("the scan must be given; got none. Give a volume or labels.")
+        raise CtInertiaError(Fault("the scan", "given", "none", "", "Give a volume or labels"))
     if options.box_mm is not None:
         volume, glance = volume.cropped(options.box_mm), None
     glance = glance or Later(take_glance, volume)

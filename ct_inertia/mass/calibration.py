@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.records.mass_record import parameter_transfer
 
 Array = NDArray[np.float64]
@@ -63,18 +63,18 @@ def read_calibration(path: Path) -> Calibration:
     path = Path(path)
     if not path.is_file():
         raise CtInertiaError(
-            sentence("--calibration", "an existing TOML file", path, next_step="Check the path")
+            Fault("--calibration", "an existing TOML file", path, next_step="Check the path")
         )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
         raise CtInertiaError(
-            sentence("--calibration", "valid TOML", fault, path.name, next_step="Correct the file")
+            Fault("--calibration", "valid TOML", fault, path.name, next_step="Correct the file")
         ) from fault
     unknown = sorted(set(table) - set(_KEYS))
     if unknown:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "a key of --calibration",
                 f"one of {', '.join(_KEYS)}",
                 unknown[0],
@@ -85,7 +85,7 @@ def read_calibration(path: Path) -> Calibration:
     mineral = "points_mg_ha_cm3" in table
     if mineral == ("points" in table):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--calibration",
                 "a file with either points or points_mg_ha_cm3",
                 "both" if mineral else "neither",
@@ -100,7 +100,7 @@ def read_calibration(path: Path) -> Calibration:
     slope, intercept = np.polyfit(points[:, 0], points[:, 1], 1)
     if not slope > 0.0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the calibration line",
                 "rising with the grey value",
                 f"slope {slope:g}",
@@ -119,7 +119,7 @@ def _points(value: Any, file: str) -> Array:
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(np.unique(points[:, 0])) < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the calibration points",
                 "at least two pairs [grey, density]",
                 value,
@@ -133,7 +133,7 @@ def _points(value: Any, file: str) -> Array:
 def _number(table: dict[str, Any], key: str, file: str) -> float:
     value = table.get(key)
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
-        raise CtInertiaError(sentence(key, "a number", value, file, next_step="Correct it in the file"))
+        raise CtInertiaError(Fault(key, "a number", value, file, next_step="Correct it in the file"))
     return float(value)
 
 
@@ -170,7 +170,7 @@ def from_calibration(
     density = (inner * grey.volume_mm3 + rest * shape.volume_mm3) / shape.volume_mm3
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--calibration",
                 "a line that gives the stapes a density of 500 to 4000 kg/m3",
                 f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PointMass
 from ct_inertia.surface.surface import SURFACE_SUFFIXES
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw import RawLayout
@@ -77,13 +77,11 @@ class MassOptions:
     def __post_init__(self) -> None:
         if self.scan is None and self.labels is None:
             raise CtInertiaError(
-                sentence(
-                    "the scan", "given as the first argument", "none", next_step="Or give --labels alone"
-                )
+                Fault("the scan", "given as the first argument", "none", next_step="Or give --labels alone")
             )
         if self.density is None and self.mass_mg is None and self.calibration is None:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the mass of the stapes",
                     "given by at least one of --density, --mass-mg and --calibration",
                     "none of them",
@@ -96,7 +94,7 @@ class MassOptions:
             unused = [name for name, value in self._volume_options() if value]
             if unused:
                 raise CtInertiaError(
-                    sentence(
+                    Fault(
                         unused[0],
                         "left out when the input is a surface mesh",
                         "it",
@@ -114,7 +112,7 @@ class MassOptions:
         ):
             if value is not None:
                 raise CtInertiaError(
-                    sentence(
+                    Fault(
                         name,
                         "left out when --labels says where the stapes is",
                         "both",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
@@ -41,7 +41,7 @@ class PointMass:
         object.__setattr__(self, "position_mm", np.asarray(self.position_mm, dtype=float))
         if not (np.isfinite(self.mass_kg) and self.mass_kg > 0.0):
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--add-mass",
                     "a positive mass in mg",
                     f"{self.mass_kg * 1e6:g} mg",
@@ -117,7 +117,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
     """
     if not PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--density",
                 "between 500 and 4000 kg/m3",
                 f"{density_kg_m3:g}",
@@ -155,7 +155,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
     density = mass_kg / (moments.volume_mm3 * 1e-9)
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--mass-mg",
                 f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
                 "(500 to 4000 kg/m3)",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.warnings import Notice
 
@@ -104,7 +104,7 @@ def masses_by_way(
 
         if bodies is None or bodies.levels is None or calibration is None:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--calibration",
                     "used with grey values",
                     "labels alone",

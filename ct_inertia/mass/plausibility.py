@@ -10,7 +10,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.graphs import graph_pieces
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 # Real ones: 2.9 to 3.9 mm high, footplate 2.4 to 3.4 by 1.1 to 1.7 mm, 0.9 to 2.6 mm3.
@@ -47,18 +47,19 @@ def implausible(footplate: FootplateFrame, volume_mm3: float) -> list[str]:
 
 def unsuitable(found: Sequence[str], notices: Sequence[Notice]) -> CtInertiaError:
     """Return the refusal of a body that nobody named, with what the notices tell of the scan's border."""
-    border = " ".join(notice.text for notice in notices if notice.code == "touches_border")
+    border = [notice.text for notice in notices if notice.code == "touches_border"]
     step = (
         "Name the stapes with --seed X,Y,Z (a point inside it, scan mm) or --labels, leave other bone out "
         "with --box or --threshold, and check the voxel spacing"
     )
-    fault = sentence(
-        "the scan",
-        "one with a body that can be a stapes",
-        f"no object that can be a stapes: the likeliest has {', '.join(found)}",
-        next_step=step,
+    return CtInertiaError(
+        Fault(
+            "the scan",
+            "one with a body that can be a stapes",
+            f"no object that can be a stapes: the likeliest has {', '.join(found)}",
+            next_step=" ".join([f"{step}.", *border]),
+        )
     )
-    return CtInertiaError(f"{fault} {border}".strip())
 
 
 def size_notice(found: Sequence[str]) -> Notice:
@@ -90,7 +91,7 @@ def check_mesh(surface: Surface, name: str) -> None:
     if len(bodies) > 1:
         listed = ", ".join(f"{volume:.3g}" for volume in sorted(bodies, reverse=True)[:4])
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the mesh",
                 "one closed body, the stapes",
                 f"{len(bodies)} bodies (of {listed}{' ...' if len(bodies) > 4 else ''} mm3)",
@@ -106,7 +107,7 @@ def check_mesh(surface: Surface, name: str) -> None:
     probable = f"it is probably in {unit}" if known else "its unit may be that of the voxels"
     step = f"Export it in mm (multiply it by {factor:g})" if known else "Export it in mm"
     raise CtInertiaError(
-        sentence("the mesh", "in mm: a stapes is 3 to 4 mm long", f"{size:.3g} mm; {probable}", name, step)
+        Fault("the mesh", "in mm: a stapes is 3 to 4 mm long", f"{size:.3g} mm; {probable}", name, step)
     )
 
 

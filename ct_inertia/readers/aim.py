@@ -17,7 +17,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_positive, density_notice, header_fault
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def read_aim(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
         log = stream.read(min(_LONGEST_LOG, max(0, found.data - found.log))).decode("latin-1")
     if found.kind not in _TYPES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the AIM data",
                 "8-bit, 16-bit, 32-bit or float voxels, not packed",
                 f"type {found.kind:#x}",

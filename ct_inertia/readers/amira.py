@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
 _HEADER_BYTES = 1 << 20
@@ -38,7 +38,7 @@ def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
         raise header_fault(path, "Amira lattice", "a file that does not begin as one")
     if "BINARY" not in first.upper() and "RAW" not in first.upper():
         raise CtInertiaError(
-            sentence("the lattice", "binary", "text (ASCII)", path.name, "Save it as AmiraMesh binary")
+            Fault("the lattice", "binary", "text (ASCII)", path.name, "Save it as AmiraMesh binary")
         )
     end = re.search(rb"^@1[ \t]*\r?\n", start, re.M)
     if end is None:
@@ -48,7 +48,7 @@ def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1(\(\w+)?", text)
     if field is None or field[1] not in _TYPES or field[2] not in (None, "[1]"):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the lattice",
                 "one grey value per voxel",
                 field[0] if field else "none",
@@ -58,7 +58,7 @@ def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
         )
     if field[3]:
         raise CtInertiaError(
-            sentence("the lattice", "not packed", field[3][1:], path.name, "Save it as AmiraMesh binary")
+            Fault("the lattice", "not packed", field[3][1:], path.name, "Save it as AmiraMesh binary")
         )
     order = "<" if "LITTLE" in first.upper() else ">"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def settle_spacing(
         values = np.asarray(given, dtype=float).ravel()
         if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--spacing",
                     "one or three positive numbers in mm (H or DX,DY,DZ)",
                     values.tolist(),
@@ -76,7 +76,7 @@ def settle_spacing(
         return spacing, ()
     if from_file is None:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the voxel spacing",
                 "in the file or given",
                 f"none{': ' + known if known else ''}",
@@ -121,7 +121,7 @@ def check_size(
     size = " x ".join(str(int(n)) for n in reversed(list(shape)))
     if claimed > stored_bytes * (_MOST_PACKED if packed else 1):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 f"as large as its header says ({size} voxels, {amount(claimed)})",
                 f"{amount(stored_bytes)} in the file",
@@ -131,7 +131,7 @@ def check_size(
         )
     if packed and held and claimed > _memory():
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 f"small enough to unpack in memory ({amount(_memory())})",
                 amount(claimed),
@@ -145,11 +145,11 @@ def existing_file(path: Path) -> Path:
     """Return the path when it is a file with content."""
     if not path.exists():
         raise CtInertiaError(
-            sentence("the scan", "an existing file or folder", path, next_step="Check the path")
+            Fault("the scan", "an existing file or folder", path, next_step="Check the path")
         )
     if path.is_file() and path.stat().st_size == 0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the scan",
                 "a file with content",
                 "an empty file",
@@ -163,24 +163,20 @@ def existing_file(path: Path) -> Path:
 def no_data_file(path: Path, data: Path) -> CtInertiaError:
     """Make the error for a header whose data file is not there."""
     return CtInertiaError(
-        sentence(
-            "the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together"
-        )
+        Fault("the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together")
     )
 
 
 def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:
     """Make the error for a header that says something impossible or leaves out something needed."""
-    return CtInertiaError(
-        sentence("the scan", f"a readable {kind}", what, path.name, "Copy or export it again")
-    )
+    return CtInertiaError(Fault("the scan", f"a readable {kind}", what, path.name, "Copy or export it again"))
 
 
 def check_positive(size: Sequence[int], name: str) -> None:
     """Refuse a size with a number of voxels that is not positive."""
     if min(size) <= 0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the size in the header",
                 "positive",
                 " x ".join(map(str, size)),
@@ -219,7 +215,7 @@ def numbered_names(words: Sequence[str], path: Path, kind: str) -> list[str]:
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
     """Make the error for a file that its library cannot read."""
     return CtInertiaError(
-        sentence(
+        Fault(
             "the scan",
             f"a readable {kind}",
             f"a file that {'ends too early' if isinstance(fault, EOFError) else 'cannot be read as one'}",

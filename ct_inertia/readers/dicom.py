@@ -15,7 +15,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable, settle_spacing
 from ct_inertia.volume.blocks import BlockArray
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
     series = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the folder",
                 "one DICOM series",
                 f"{len(series)} series{_listed(folder, series)}",
@@ -122,7 +122,7 @@ def read_dicom_file(path: Path, spacing_mm: Sequence[float] | None = None) -> Vo
     head = _slice(str(path))
     if len(head.size) < 3 or head.size[2] < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the DICOM file",
                 "one of several frames",
                 "a single slice",
@@ -156,7 +156,7 @@ def _slice(name: str) -> _Slice:
     kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
     if reader.GetNumberOfComponents() > 1 or kind not in _TYPES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the DICOM file",
                 "grey values",
                 f"{reader.GetNumberOfComponents()} values per voxel ({kind})",
@@ -180,7 +180,7 @@ def _check_alike(slices: Sequence[_Slice], folder: Path) -> None:
         turned = np.max(np.abs(other.direction - first.direction)) > 1e-4
         if other.size != first.size or turned or np.max(np.abs(other.spacing - first.spacing)[:2]) > 1e-6:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     f"slice {Path(other.file).name}",
                     f"of the size, pixel spacing and orientation of {Path(first.file).name}",
                     f"{other.size[0]} x {other.size[1]} at {other.spacing[0]:.6g} mm",
@@ -196,7 +196,7 @@ def _even_step(places: Array, folder: Path) -> float:
     worst = int(np.argmax(np.abs(steps - middle)))
     if abs(steps[worst] - middle) > _UNEVEN * abs(middle):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the distance of DICOM slices",
                 f"even ({middle:.6g} mm)",
                 f"{steps[worst]:.6g} mm after slice {worst + 1}",

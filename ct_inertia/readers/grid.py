@@ -15,7 +15,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, no_data_file, not_readable, settle_spacing
 from ct_inertia.volume.blocks import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -145,7 +145,7 @@ def check_dimensions(size: Sequence[int], name: str) -> None:
     """Refuse sizes that are not those of a volume."""
     if len(size) != 3 or min(size) < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "three-dimensional",
                 f"an image of shape {' x '.join(map(str, size))}",
@@ -163,7 +163,7 @@ def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
     rest = nz - (count - 1) * depth
     if not 0 < rest <= depth or (rest != depth and not grid.slab) or grid.packing != "raw" or grid.layers > 1:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the list of data files",
                 f"uncompressed files of equal numbers of the {nz} slices",
                 f"{count} files",
@@ -193,7 +193,7 @@ def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: P
         raise not_readable(path, f"{grid.packing} file", fault) from fault
     if filled < len(room):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the compressed volume",
                 f"complete ({len(room)} bytes of voxels)",
                 f"{filled} bytes",

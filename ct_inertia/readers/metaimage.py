@@ -16,7 +16,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 META_SUFFIXES = (".mha", ".mhd")
@@ -64,7 +64,7 @@ def read_metaimage(
     channels = int(channels_told)
     if channels > 1:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "one grey value per voxel",
                 f"{channels} (a colour or vector image)",
@@ -119,7 +119,7 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
     kind = fields.get("ElementType", "")
     if kind not in _TYPES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "integers or floating point numbers",
                 f"ElementType {kind or 'not told'}",
@@ -129,7 +129,7 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
         )
     if fields.get("BinaryData", "True").lower() == "false":
         raise CtInertiaError(
-            sentence("BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data")
+            Fault("BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data")
         )
     order = ">" if _true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     unit = mm_per_unit(fields.get("DistanceUnits", "mm")) or 1.0
@@ -173,7 +173,7 @@ def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> l
     ]
     if pictures or not names:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the data files",
                 "raw voxels",
                 pictures[0] if pictures else "an empty list",

@@ -19,7 +19,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def read_nifti(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
         size.pop()
     if len(size) > 3 and min(size[:3]) > 1:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "one grey value per voxel",
                 f"{int(np.prod(size[3:]))} (a vector or time image)",
@@ -155,7 +155,7 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
     if header.datatype not in _TYPES:
         complex_or_colour = {32: "complex numbers", 1792: "complex numbers", 128: "a colour (RGB) image"}
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "integers or floating point numbers",
                 complex_or_colour.get(header.datatype, f"data type {header.datatype}"),

@@ -17,7 +17,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "one grey value per voxel",
                 f"{count} (a colour, vector or time image)",
@@ -143,7 +143,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
     kind = fields.get("type", "").lower()
     if kind not in _TYPES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "integers or floating point numbers",
                 f"type {kind or 'not told'}",
@@ -154,7 +154,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
     packing = _PACKINGS.get(fields.get("encoding", "").lower())
     if packing is None:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the encoding",
                 "raw, gzip or bzip2",
                 fields.get("encoding", "none"),
@@ -165,7 +165,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
     if len(axes) != 3 or min(sizes) < 1 or min(sizes[k] for k in axes) < 2:
         shape = " x ".join(map(str, sizes))
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "three-dimensional",
                 f"an image of shape {shape}",
@@ -237,7 +237,7 @@ def _signs(space: str, path: Path) -> tuple[Array, bool]:
         return np.array([told[word] for word in words]), True
     if space == "3d-left-handed":
         raise CtInertiaError(
-            sentence("the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS")
+            Fault("the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS")
         )
     return np.ones(3), False
 

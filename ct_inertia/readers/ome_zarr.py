@@ -18,7 +18,7 @@ from ct_inertia.readers.grid import check_dimensions
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
 from ct_inertia.volume.blocks import BlockArray, Level
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
     extra = [f"{n} {axis}" for axis, n in zip(axes, array.shape, strict=True) if axis not in _SPACE and n > 1]
     if extra:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "one stack",
                 f"{', '.join(extra)} (channels or times)",
@@ -149,7 +149,7 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
     check_dimensions([array.shape[k] for k in reversed(order)], folder.name)
     if array.dtype.kind not in "uif":
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "integers or floating point numbers",
                 array.dtype,

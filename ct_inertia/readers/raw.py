@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 RAW_SUFFIXES = (".raw", ".vol", ".bin", ".dat", ".img")
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
@@ -47,7 +47,7 @@ class RawLayout:
     def __post_init__(self) -> None:
         if len(self.shape) != 3 or min(self.shape) < 2 or any(int(n) != n for n in self.shape):
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--shape",
                     "three whole numbers NX,NY,NZ of at least 2",
                     ",".join(f"{n:g}" for n in self.shape),
@@ -60,11 +60,11 @@ class RawLayout:
         ):
             if value not in known:
                 raise CtInertiaError(
-                    sentence(option, f"one of {', '.join(known)}", value, next_step="Choose one of them")
+                    Fault(option, f"one of {', '.join(known)}", value, next_step="Choose one of them")
                 )
         if self.header_bytes < 0:
             raise CtInertiaError(
-                sentence("--header-bytes", "0 or more", self.header_bytes, next_step="Count from the start")
+                Fault("--header-bytes", "0 or more", self.header_bytes, next_step="Count from the start")
             )
 
     @property
@@ -93,7 +93,7 @@ def read_raw(path: Path, layout: RawLayout, spacing_mm: Sequence[float] | None =
             surplus = layout.header_bytes + stored - needed
             guess += f"; --header-bytes {surplus} would fit if the surplus is a header"
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the raw file",
                 f"as long as {told} voxels of {layout.dtype} ({amount(needed)}, {needed} bytes)",
                 f"{stored} bytes after the header",
@@ -121,7 +121,7 @@ def companion(path: Path) -> Path | None:
 def layout_missing(path: Path) -> CtInertiaError:
     """Make the error for a raw file with neither a header beside it nor a layout given."""
     return CtInertiaError(
-        sentence(
+        Fault(
             "raw voxels",
             "beside a header (.mhd, .nhdr, .vgi) or described by --shape and --dtype",
             "neither",

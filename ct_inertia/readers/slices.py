@@ -19,7 +19,7 @@ from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
 from ct_inertia.volume.blocks import BlockArray, turned
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
@@ -78,7 +78,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
             series[(match[1] + "#" + match[3], path.suffix.lower())].append((int(match[2]), path))
     if not series or max(len(v) for v in series.values()) < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the folder",
                 "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series",
                 f"{len(images)} image files",
@@ -90,7 +90,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the folder",
                 "one series of numbered slices",
                 listed,
@@ -103,7 +103,7 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the slice numbers",
                 "unique",
                 f"number {doubled[0]} twice",
@@ -159,7 +159,7 @@ def _different(
     path: Path, shape: tuple[int, ...], dtype: np.dtype, other: Path, expected: _Look
 ) -> CtInertiaError:
     return CtInertiaError(
-        sentence(
+        Fault(
             f"slice {path.name}",
             f"{expected.shape[1]} x {expected.shape[0]} {expected.dtype.newbyteorder('=')} like {other.name}",
             f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
@@ -230,13 +230,11 @@ def _slice(path: Path) -> NDArray[Any]:
         if np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 0], image[..., 2]):
             return np.ascontiguousarray(image[..., 0])
         raise CtInertiaError(
-            sentence(
-                f"slice {path.name}", "grey values", "a colour (RGB) image", next_step="Export grey values"
-            )
+            Fault(f"slice {path.name}", "grey values", "a colour (RGB) image", next_step="Export grey values")
         )
     if image.ndim != 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 f"slice {path.name}",
                 "one two-dimensional image",
                 f"shape {image.shape}",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 
@@ -19,12 +19,12 @@ class _Listener(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self.faults: list[str] = []
+        self.damage: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage().lower()
         if any(word in text for word in _WORDS):
-            self.faults.append(text)
+            self.damage.append(text)
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def listening(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except CtInertiaError as fault:
-        if told.faults:
+        if told.damage:
             raise _damaged(path, kind) from fault
         raise
     except Exception as fault:
@@ -50,13 +50,13 @@ def listening(path: Path, kind: str) -> Iterator[None]:
     finally:
         logger.removeHandler(told)
         logger.propagate = propagate
-    if told.faults:
+    if told.damage:
         raise _damaged(path, kind)
 
 
 def _damaged(path: Path, kind: str) -> CtInertiaError:
     return CtInertiaError(
-        sentence(
+        Fault(
             f"the {kind}",
             "complete",
             f"a truncated or damaged file of {path.stat().st_size} bytes",

@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable
 from ct_inertia.readers.grid import mapped
 from ct_inertia.volume.blocks import BlockArray
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -144,22 +144,18 @@ def _evenly_stepped(
 def _check_kind(series: Any, page: Any, path: Path) -> None:
     if page.photometric is not None and page.photometric.name in ("RGB", "PALETTE", "YCBCR", "CMYK"):
         raise CtInertiaError(
-            sentence(
-                "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
-            )
+            Fault("the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values")
         )
     axes, shape = series.axes, series.shape
     if "S" in axes and shape[axes.index("S")] > 1:
         raise CtInertiaError(
-            sentence(
-                "the volume", "grey values", "several samples per voxel", path.name, "Export one channel"
-            )
+            Fault("the volume", "grey values", "several samples per voxel", path.name, "Export one channel")
         )
     extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
     kept = tuple(n for n in shape if n > 1)
     if extra and (len(kept) > 3 or "Z" in axes):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "one stack",
                 f"{', '.join(extra)} (channels or times)",
@@ -169,7 +165,7 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
         )
     if len(kept) != 3:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "three-dimensional",
                 f"an image of shape {' x '.join(map(str, reversed(kept)))}",
@@ -184,12 +180,12 @@ def _check_pages(series: Any, files: list[Path], path: Path) -> None:
     for page, file in zip(series.pages, files, strict=True):
         if page is None:
             raise CtInertiaError(
-                sentence("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
+                Fault("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
             )
         ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
         if ends and max(ends) > sizes[file]:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the TIFF",
                     f"as long as its pages say ({max(ends)} bytes)",
                     f"{sizes[file]} bytes",

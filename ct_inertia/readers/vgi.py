@@ -13,7 +13,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
@@ -48,7 +48,7 @@ def read_vgi(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
     unpacked = first.get("fileformat", "raw").lower()
     if unpacked != "raw":
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "FileFormat",
                 "raw",
                 unpacked,

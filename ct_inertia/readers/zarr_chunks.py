@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _MOST_FILES = 4e6
 _ABSENT = (1 << 64) - 1
@@ -231,7 +231,7 @@ def _shaped(data: bytes, dtype: np.dtype, chunks: tuple[int, ...], file: Path) -
     needed = int(np.prod(chunks)) * dtype.itemsize
     if len(data) != needed:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the Zarr chunk",
                 f"of {needed} bytes",
                 f"{len(data)} bytes",
@@ -298,7 +298,7 @@ def _fill(value: object) -> float:
 
 def _unknown(what: str, name: str, folder: Path) -> CtInertiaError:
     return CtInertiaError(
-        sentence(
+        Fault(
             f"the Zarr {what}",
             "one of blosc, zstd, lz4, zlib, gzip, bz2, lzma",
             name,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Body:
         vertices, faces = np.asarray(self.vertices_mm), np.asarray(self.faces)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
             raise CtInertiaError(
-                sentence("a body to draw", "(n, 3) vertices and (m, 3) faces", (vertices.shape, faces.shape))
+                Fault("a body to draw", "(n, 3) vertices and (m, 3) faces", (vertices.shape, faces.shape))
             )
         if len(faces) == 0 or not np.all(np.isfinite(vertices)):
             raise CtInertiaError(
-                sentence("a body to draw", "at least one face and finite vertices", f"{len(faces)} faces")
+                Fault("a body to draw", "at least one face and finite vertices", f"{len(faces)} faces")
             )
         if np.min(faces) < 0 or np.max(faces) >= len(vertices):
             raise CtInertiaError(
-                sentence("the faces of a body to draw", f"indices below {len(vertices)}", int(np.max(faces)))
+                Fault("the faces of a body to draw", f"indices below {len(vertices)}", int(np.max(faces)))
             )

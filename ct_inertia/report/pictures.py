@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.report.drawn_body import Body
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice, unique
 
@@ -114,7 +114,7 @@ def render_scenes(scenes: Sequence[Scene]) -> tuple[list[bytes], tuple[Notice, .
     from ct_inertia.report.offscreen import draw_offscreen
 
     if any(not scene.bodies for scene in scenes):
-        raise CtInertiaError(sentence("a picture", "of at least one body", "none"))
+        raise CtInertiaError(Fault("a picture", "of at least one body", "none"))
     framings = [_framing(scene) for scene in scenes]
     panels = [
         (scene.bodies, _picture_from_scan(scene.frame, view), centre, half)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, Piece
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
     ]
     if len(rivals) > 1:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the scan",
                 "a scan with one body that can be the stapes",
                 f"{len(rivals)}: {'; '.join(rivals[:_SHOWN])}",

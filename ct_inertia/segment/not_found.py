@@ -11,18 +11,18 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, labelled_pieces
 from ct_inertia.segment.sight import Sight, between_levels, readings, with_holes
 from ct_inertia.volume.coarse import CoarseScan, material_levels
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _SHOWN = 4
 
 
-def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> str:
+def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> Fault:
     """Say why no stapes was found, naming a wrong voxel size or inverted grey values when it is that."""
     wrong_size = _by_size(tried)
     if wrong_size:
         return wrong_size
     if not seeded and _inverted(scan):
-        return sentence(
+        return Fault(
             "the grey values",
             "brighter in bone than in air",
             "a stapes that is darker than what surrounds it: they are inverted",
@@ -32,7 +32,7 @@ def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> str
         (p for sight in tried for p in (sight.stapes, *sight.others)), key=lambda p: -p.volume_mm3
     )[:_SHOWN]
     listed = "; ".join(f"{p.volume_mm3:.2f} mm3, {p.length_mm:.1f} mm long" for p in seen) or "no bone"
-    return sentence(
+    return Fault(
         "the scan",
         "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
         listed,
@@ -40,7 +40,7 @@ def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> str
     )
 
 
-def _by_size(tried: Sequence[Sight]) -> str:
+def _by_size(tried: Sequence[Sight]) -> Fault | None:
     """Recognise a body of the right shape and the wrong size."""
     for sight in tried:
         for piece in (sight.stapes, *sight.others)[:6]:
@@ -51,13 +51,13 @@ def _by_size(tried: Sequence[Sight]) -> str:
                 piece, volume_mm3=piece.volume_mm3 / scale**3, extents_mm=piece.extents_mm / scale
             )
             if shrunk.oddness < 0.2 and with_holes(sight, piece).holes == 1:
-                return sentence(
+                return Fault(
                     "the voxel spacing",
                     "right: a stapes is 3 to 4 mm high",
                     f"a body of its shape {piece.length_mm:.3g} mm high",
                     next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
                 )
-    return ""
+    return None
 
 
 def _inverted(scan: CoarseScan) -> bool:

@@ -16,7 +16,7 @@ from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judge
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
 from ct_inertia.volume.grids import dilated
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _ODD = 0.3
@@ -183,7 +183,7 @@ def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
     index = np.stack(np.nonzero(np.isin(near, list(known))), axis=1)
     if len(index) == 0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--seed",
                 "a point inside the stapes, scan coordinates in mm",
                 "a point without bone around it",
@@ -209,7 +209,7 @@ def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[
         low, high = corners.min(axis=0), corners.max(axis=0)
         reach = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "--seed",
                 f"inside the scan ({reach} mm)",
                 ", ".join(f"{v:g}" for v in np.asarray(point_mm)),

@@ -13,7 +13,7 @@ from ct_inertia.segment.parting import Markers
 from ct_inertia.volume.coarse import CoarseScan, calmed
 from ct_inertia.volume.grids import dilated
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def readings(levels: Array, threshold: float | None) -> list[tuple[float, float 
         below, above = levels[levels < threshold], levels[levels >= threshold]
         if below.size == 0 or above.size == 0:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--threshold",
                     f"between the grey levels of air and bone ({levels[0]:.6g} and {levels[-1]:.6g})",
                     f"{threshold:g}",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface import Surface
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.spatial import matrix_from_parameters
 
 Array = NDArray[np.float64]
@@ -139,11 +139,11 @@ def check_request(smooth: int | None, faces: int | None) -> None:
     """
     if smooth is not None and not 0 <= smooth <= 500:
         raise CtInertiaError(
-            sentence("--smooth", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface")
+            Fault("--smooth", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface")
         )
     if faces is not None and faces < _LEAST_FACES:
         raise CtInertiaError(
-            sentence("--faces", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature")
+            Fault("--faces", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature")
         )
     if smooth or faces is not None:
         _pymeshlab("--smooth" if smooth else "--faces")
@@ -154,7 +154,7 @@ def _pymeshlab(option: str) -> Any:
         import pymeshlab
     except (ImportError, OSError) as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 option,
                 "used where pymeshlab works",
                 f"{type(fault).__name__}: {fault}",
@@ -177,7 +177,7 @@ def _filtered(surface: Surface, option: str, name: str, **values: Any) -> Surfac
         return Surface(found.vertex_matrix() + middle, found.face_matrix().astype(np.int64))
     except CtInertiaError as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 option, "weak enough to leave the surface closed", f"{fault}", next_step="Ask for less of it"
             )
         ) from fault

@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
 from ct_inertia.volume.graphs import graph_pieces
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _TINY_SHARE = 1e-3
@@ -148,7 +148,7 @@ def _sides(part: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
 def _nothing(level: float) -> CtInertiaError:
     return CtInertiaError(
-        sentence(
+        Fault(
             "the body",
             "visible above its grey level",
             f"nothing above {level:g}",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 MOMENT_NAMES = ("V", "cx", "cy", "cz", "Sxx", "Syy", "Szz", "Sxy", "Syz", "Sxz")
@@ -43,7 +43,7 @@ class Moments:
     def __post_init__(self) -> None:
         if not self.volume_mm3 > 0.0:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the volume of the body",
                     "positive",
                     f"{self.volume_mm3:g} mm3",
@@ -52,7 +52,7 @@ class Moments:
             )
         if np.linalg.eigvalsh(self.second_mm5)[0] <= 0.0:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the second moments of the body",
                     "positive definite",
                     "others",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Surface:
         open_edges = count_open_edges(faces)
         if open_edges:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the surface",
                     "closed and consistently oriented",
                     f"{open_edges} edges without a partner",
@@ -65,7 +65,7 @@ class Surface:
         volume = self.volume_mm3
         if not volume > 0.0:
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the surface",
                     "oriented outward around a positive volume",
                     f"{volume:g} mm3",
@@ -162,17 +162,17 @@ def read_surface(path: Path | str) -> Surface:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(sentence("the surface", "an existing file", path, next_step="Check the path"))
+        raise CtInertiaError(Fault("the surface", "an existing file", path, next_step="Check the path"))
     if path.suffix.lower() not in SURFACE_SUFFIXES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface", "a STL, PLY, OBJ or GLB file", path.name, next_step="Use one of these formats"
             )
         )
     vertices, faces = _load(path)
     if len(faces) == 0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface",
                 "a mesh with triangles",
                 f"{len(vertices)} points without any",
@@ -191,7 +191,7 @@ def read_surface(path: Path | str) -> Surface:
             )
         return Surface(vertices, faces, tuple(notices))
     except CtInertiaError as fault:
-        raise CtInertiaError(f"{path.name}: {fault}") from None
+        raise CtInertiaError(*(replace(one, where=one.where or path.name) for one in fault.faults)) from None
 
 
 def write_surface(path: Path | str, surface: Surface) -> None:
@@ -206,7 +206,7 @@ def write_surface(path: Path | str, surface: Surface) -> None:
     suffix = path.suffix.lower()
     if suffix not in SURFACE_SUFFIXES:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface file",
                 "a STL, PLY, OBJ or GLB file",
                 path.name,
@@ -226,7 +226,7 @@ def write_surface(path: Path | str, surface: Surface) -> None:
 def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface",
                 "vertices (n, 3) and faces (m, 3)",
                 f"{vertices.shape} and {faces.shape}",
@@ -235,7 +235,7 @@ def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
         )
     if len(vertices) == 0 or len(faces) == 0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface",
                 "a mesh with triangles",
                 f"{len(vertices)} points, {len(faces)} faces",
@@ -244,7 +244,7 @@ def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
         )
     if not np.all(np.isfinite(vertices)):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the corners of the surface",
                 "finite",
                 "NaN or infinity",
@@ -253,7 +253,7 @@ def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the faces of the surface",
                 f"indices below {len(vertices)}",
                 int(faces.max()),
@@ -273,7 +273,7 @@ def _load(path: Path) -> tuple[Array, NDArray[np.int64]]:
         faces = np.asarray(getattr(mesh, "faces", []), dtype=np.int64).reshape(-1, 3)
     except Exception as fault:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the surface",
                 f"a readable {path.suffix[1:].upper()} file with triangles",
                 f"{type(fault).__name__}: {fault}",

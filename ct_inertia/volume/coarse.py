@@ -14,7 +14,7 @@ from ct_inertia.volume.blocks import sampled
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.interior import Interior, interior
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 # Squares of larger values, summed over a scan, overflow in single precision.
@@ -115,7 +115,7 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     largest = float(np.max(np.abs(part), where=np.isfinite(part), initial=0.0))
     if largest > _LARGEST:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 f"smaller than {_LARGEST:g}",
                 f"{largest:.3g}",
@@ -126,7 +126,7 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
         return grey
     if not volume.nan_as_air:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "finite",
                 f"{int(bad.sum())} voxels of NaN or infinity",
@@ -189,7 +189,7 @@ def material_levels(scan: CoarseScan) -> Array:
         levels = np.append(levels, top)
     if levels.size < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the scan",
                 "a picture of bone in air",
                 "one material only, and noise",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.blocks import part_of
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Volume:
         spacing = np.array(self.spacing_mm, dtype=float)
         if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the voxel spacing",
                     "three positive numbers in mm",
                     spacing.tolist(),
@@ -74,7 +74,7 @@ class Volume:
         origin = np.array(self.origin_mm, dtype=float)
         if origin.shape != (3,) or not np.all(np.isfinite(origin)):
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "the origin of the volume",
                     "three numbers in mm",
                     origin.tolist(),
@@ -130,7 +130,7 @@ class Volume:
         if np.any(high - low < 2):
             far = self.scan_points(self.size - 1)
             raise CtInertiaError(
-                sentence(
+                Fault(
                     "--box",
                     f"a box that overlaps the scan ({_listed(self.origin_mm)} to {_listed(far)} mm)",
                     f"{_listed(corners[0])} to {_listed(corners[1])} mm",
@@ -179,7 +179,7 @@ def unmirrored_frame(
 def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     """Return a view of an array [z, y, x] with its x, y or z axis reversed."""
     if axis not in tuple(_AXES):
-        raise CtInertiaError(sentence("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
+        raise CtInertiaError(Fault("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
     every = [slice(None)] * 3
     every[2 - _AXES.index(axis)] = slice(None, None, -1)
     return part_of(array, (every[0], every[1], every[2]))
@@ -192,15 +192,15 @@ def _listed(values: Array) -> str:
 def _check_array(array: NDArray[Any], where: str) -> None:
     if np.iscomplexobj(array):
         raise CtInertiaError(
-            sentence("the volume", "real grey values", "complex numbers", where, "Export the magnitude")
+            Fault("the volume", "real grey values", "complex numbers", where, "Export the magnitude")
         )
     if array.ndim == 4 and array.shape[-1] in (3, 4) and array.dtype == np.uint8:
         raise CtInertiaError(
-            sentence("the volume", "grey values", "a colour (RGB) image", where, "Export it as grey values")
+            Fault("the volume", "grey values", "a colour (RGB) image", where, "Export it as grey values")
         )
     if array.ndim != 3 or min(array.shape) < 2:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the volume",
                 "three-dimensional",
                 f"an image of shape {' x '.join(map(str, array.shape[::-1]))}",
@@ -210,7 +210,7 @@ def _check_array(array: NDArray[Any], where: str) -> None:
         )
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the grey values",
                 "integers or floating point numbers",
                 array.dtype,
@@ -223,13 +223,13 @@ def _check_array(array: NDArray[Any], where: str) -> None:
 def _right_handed(direction: Array, where: str) -> Array:
     if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the direction matrix", "a finite 3x3 matrix", direction, where, next_step="Export it again"
             )
         )
     if np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the direction matrix",
                 "orthonormal (no shear)",
                 np.round(direction, 6).tolist(),
@@ -239,7 +239,7 @@ def _right_handed(direction: Array, where: str) -> Array:
         )
     if np.linalg.det(direction) < 0.0:
         raise CtInertiaError(
-            sentence(
+            Fault(
                 "the direction matrix",
                 "right-handed (determinant +1)",
                 f"the left-handed {np.round(direction, 6).tolist()}",

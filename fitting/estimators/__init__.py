@@ -30,8 +30,8 @@ def estimator(name: str) -> Method:
     """
     if name not in ESTIMATORS:
         from fitting.errors import FittingError
-        from stapeskit.faults import sentence
+        from stapeskit.faults import Fault
 
-        raise FittingError(sentence("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
+        raise FittingError(Fault("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
     found: Method = import_module(f"fitting.estimators.{name}").METHOD
     return found

@@ -199,10 +199,10 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
         if inside(trial, problem.n):
             return trial
     from fitting.errors import FittingError
-    from stapeskit.faults import sentence
+    from stapeskit.faults import Fault
 
     raise FittingError(
-        sentence(
+        Fault(
             "the bounds",
             "wide enough for positive semidefinite K and D",
             "bounds that exclude them",

@@ -28,7 +28,7 @@ from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expand
 from fitting.estimators.interior import active_names, inside, minimise, pull_inside
 from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
 from fitting.model.symmetric import join
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -247,7 +247,7 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
     usable = [start for start in pulled if np.isfinite(value(start))]
     if not usable:
         raise FittingError(
-            sentence(
+            Fault(
                 "the motions",
                 "such that K and D have a likelihood",
                 "none, for any start",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.symmetric import basis, split
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _MOST_STEPS = 60
@@ -80,7 +80,7 @@ def nearest(
         return _path(hessian, linear, start, n, gap, signs, limits)
     except np.linalg.LinAlgError as fault:
         raise FittingError(
-            sentence(
+            Fault(
                 "the equations",
                 "numerically solvable for K >= 0 and D >= 0",
                 "equations that rounding makes singular",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.model.model import state_matrix
 from fitting.model.symmetric import basis, split
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.
@@ -152,7 +152,7 @@ def stable_start(problem: Objective, begin: Array) -> Array:
     if np.isfinite(height(begin, problem)):
         return begin
     raise FittingError(
-        sentence(
+        Fault(
             "the bounds",
             "wide enough for a stable model",
             "bounds that leave none",

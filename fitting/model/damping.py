@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from fitting.errors import FittingError
 from fitting.model.laws import LAWS, law_of
 from fitting.model.laws.law import Law
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 ComplexArray = NDArray[np.complex128]
 
@@ -38,11 +38,11 @@ class DampingLaw:
 
     def __post_init__(self) -> None:
         if self.name not in LAWS:
-            raise FittingError(sentence("the damping law", f"one of {', '.join(LAWS)}", self.name))
+            raise FittingError(Fault("the damping law", f"one of {', '.join(LAWS)}", self.name))
         if not self.estimated:
             object.__setattr__(self, "exponent", self.law.exponent)
         elif not 0.0 < self.exponent < 2.0:
-            raise FittingError(sentence("the damping exponent", "between 0 and 2", self.exponent))
+            raise FittingError(Fault("the damping exponent", "between 0 and 2", self.exponent))
 
     @property
     def law(self) -> Law:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.inertia import check_mass
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
 def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     if not path.is_file():
         raise FittingError(
-            sentence(
+            Fault(
                 "--mass", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
             )
         )
@@ -59,7 +59,7 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
         raise FittingError(
-            sentence(
+            Fault(
                 "--mass",
                 "a text file of numbers or a mass.json",
                 "a binary file",
@@ -73,12 +73,12 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
             numbers, wrong = _row(words, line, path.name)
             values.append(numbers)
             faults += wrong
-    raise_all(FittingError, faults, most=5)
+    raise_all(FittingError, faults)
     n = len(dof)
     if len(values) != n or any(len(row) != n for row in values):
         widths = sorted({len(row) for row in values}) or [0]
         raise FittingError(
-            sentence(
+            Fault(
                 "M.csv",
                 f"{n} x {n} for --dof {','.join(dof)}",
                 f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
@@ -89,7 +89,7 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     return np.array(values)
 
 
-def _row(words: str, line: int, name: str) -> tuple[list[float], list[str]]:
+def _row(words: str, line: int, name: str) -> tuple[list[float], list[Fault]]:
     """Return the numbers of a row and the faults of its cells."""
     numbers, faults = [], []
     for column, cell in enumerate(words.split(","), 1):
@@ -98,11 +98,11 @@ def _row(words: str, line: int, name: str) -> tuple[list[float], list[str]]:
         except ValueError:
             shown = cell.strip() if len(cell) <= 40 else f"{cell.strip()[:37]}..."
             faults.append(
-                sentence(
+                Fault(
                     "M.csv",
                     "numbers separated by commas, without a header",
                     f'"{shown}"' if shown else "an empty cell",
-                    f"{name}, row {line}, column {column}",
+                    Place(name, "row", (line,), f"column {column}"),
                     "Write SI numbers with decimal points and commas between them",
                 )
             )

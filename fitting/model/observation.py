@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.records.motion import RigidMotion
 
 Array = NDArray[np.float64]
@@ -176,12 +176,12 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
     faults = []
     if structure == base:
         faults.append(
-            sentence("--structure and --base", "two different bodies", structure, "", "Name both bodies")
+            Fault("--structure and --base", "two different bodies", structure, "", "Name both bodies")
         )
     missing = [name for name in dof if name not in motion.dof]
     if missing:
         faults.append(
-            sentence(
+            Fault(
                 "--dof",
                 f"degrees of freedom that were measured ({', '.join(motion.dof)})",
                 ", ".join(missing),
@@ -194,7 +194,7 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
     ):
         if value != wanted:
             faults.append(
-                sentence(f"the motion's {name}", wanted, value, "", "Make the file with points2dof anew")
+                Fault(f"the motion's {name}", wanted, value, "", "Make the file with points2dof anew")
             )
     raise_all(FittingError, faults)
 
@@ -209,12 +209,10 @@ def _check_lines(
             step = "Widen --band, exclude less or use another file"
         else:
             step = "Measure structure and base at common frequencies"
-        raise FittingError(
-            sentence("the band", "one with measured lines of both bodies", "none", where, step)
-        )
+        raise FittingError(Fault("the band", "one with measured lines of both bodies", "none", where, step))
     if 2 * n * lines < n * (n + 1) or len(np.unique(observation.freq_hz)) < 2:
         raise FittingError(
-            sentence(
+            Fault(
                 "the data",
                 f"at least {n * (n + 1)} equations at 2 or more frequencies for {n * (n + 1)} unknowns",
                 f"{2 * n * lines} equations at {len(np.unique(observation.freq_hz))} frequencies",
@@ -238,7 +236,7 @@ def _check_lines(
         else:
             continue
         faults.append(
-            sentence(
+            Fault(
                 f"the noise variances of {name}",
                 "positive at every line",
                 got,
@@ -262,7 +260,7 @@ def _check_deflection(observation: Observation) -> None:
     rest = ",".join(name for name in observation.dof if name not in still)
     step = f"Give --dof {rest}, or excite" if rest else "Excite"
     raise FittingError(
-        sentence(
+        Fault(
             "the motion of structure and base",
             "different in every degree of freedom of --dof",
             f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable",

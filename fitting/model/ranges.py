@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.observation import Observation
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 Array = NDArray[np.float64]
 # Of one line to the median of all lines: a resonance reaches 1e3, a vibrometer's dynamic range is 1e6.
@@ -39,7 +39,7 @@ def check_motion(observation: Observation) -> None:
         unit = "rad" if turns[column] else "m"
         run = f", run {observation.runs[observation.run[line]]}" if len(observation.runs) > 1 else ""
         faults.append(
-            sentence(
+            Fault(
                 names[column],
                 f"of a size like at the other lines, {middle[column]:.3g} {unit} in the median",
                 f"{size[line, column]:.3g} {unit}",
@@ -66,7 +66,7 @@ def check_result(*results: Array) -> None:
 def unsolvable() -> FittingError:
     """Return the error on equations that have no finite solution."""
     return FittingError(
-        sentence(
+        Fault(
             "motion and mass",
             "of sizes from which stiffness and damping follow",
             "equations without a finite solution",

@@ -19,7 +19,7 @@ from fitting.model.laws import LAWS, law_of
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
@@ -58,12 +58,12 @@ def read_plan(path: Path) -> tuple[Plan, Path | None]:
     path = Path(path)
     if not path.is_file():
         raise FittingError(
-            sentence("--plan", "an existing TOML file", path, next_step="dof2kd --help shows an example")
+            Fault("--plan", "an existing TOML file", path, next_step="dof2kd --help shows an example")
         )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise FittingError(sentence("--plan", "valid TOML", fault, path.name)) from fault
+        raise FittingError(Fault("--plan", "valid TOML", fault, path.name)) from fault
     return _plan(table, path)
 
 
@@ -71,14 +71,14 @@ class _Faults:
     """Gathers the faults of the parts of a file."""
 
     def __init__(self) -> None:
-        self.found: list[str] = []
+        self.found: list[Fault] = []
 
     def of(self, read: Callable[..., Any], *given: Any) -> Any:
         """Return what a part reads, or None and keep its faults."""
         try:
             return read(*given)
         except StapeskitError as fault:
-            self.found += str(fault).splitlines()
+            self.found += fault.faults
             return None
 
 
@@ -124,35 +124,35 @@ def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
     return plan, mass[1]
 
 
-def _key_faults(table: Mapping[str, Any], where: str) -> list[str]:
+def _key_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
     """Return a sentence for every key that is unknown."""
     found = []
     for key in table:
         if key not in KEYS:
             near = difflib.get_close_matches(key, KEYS, 1)
             hint = f"Did you mean {near[0]}" if near else f"Known keys are {', '.join(KEYS)}"
-            found.append(sentence("a key of the plan", "a known one", key, where, hint))
+            found.append(Fault("a key of the plan", "a known one", key, where, hint))
     return found
 
 
-def _value_faults(table: Mapping[str, Any], where: str) -> list[str]:
+def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
     """Return a sentence for every single value that is none."""
     found = []
     law = table.get("damping_law", VISCOUS.name)
     known = [name for name in LAWS if law_of(name).search is None]
     if law not in known:
-        found.append(sentence("damping_law", " or ".join(known), law, where))
+        found.append(Fault("damping_law", " or ".join(known), law, where))
     lines = table.get("lines", 200)
     if not isinstance(lines, int) or isinstance(lines, bool) or not 2 <= lines <= 100_000:
-        found.append(sentence("lines", "a whole number from 2 to 100000", lines, where))
+        found.append(Fault("lines", "a whole number from 2 to 100000", lines, where))
     if "noise_m_s" in table and "noise_relative" in table:
-        found.append(sentence("the noise", "given as noise_m_s or as noise_relative", "both", where))
+        found.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
     for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking"):
         value, zero = table.get(key, 1.0), key == "rocking"
         number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
         if not number or value < 0.0 or (value == 0.0 and not zero):
             wanted = "a number, zero or positive" if zero else "a positive number"
-            found.append(sentence(key, wanted, value, where))
+            found.append(Fault(key, wanted, value, where))
     return found
 
 
@@ -162,7 +162,7 @@ def _list(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: s
     if isinstance(raw, str):
         raw = raw.split(",")
     if not isinstance(raw, list) or not raw or not all(isinstance(name, str) for name in raw):
-        raise FittingError(sentence(key, 'names of degrees of freedom, e.g. ["y", "alpha"]', raw, where))
+        raise FittingError(Fault(key, 'names of degrees of freedom, e.g. ["y", "alpha"]', raw, where))
     return [name.strip().lower() for name in raw]
 
 
@@ -173,7 +173,7 @@ def _dof(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
         hint = ", ".join(f'"{name}"' for name in known or PAPER_DOF)
         wanted = f"different names in the order {', '.join(DOF_NAMES)}"
         step = f"Write dof = [{hint}] and order the matrices so"
-        raise FittingError(sentence("dof", wanted, ", ".join(raw), where, step))
+        raise FittingError(Fault("dof", wanted, ", ".join(raw), where, step))
     return known
 
 
@@ -183,7 +183,7 @@ def _directions(table: Mapping[str, Any], dof: tuple[str, ...] | None, where: st
     if len(set(names)) != len(names) or not set(names) <= set(allowed):
         wanted = f"different names out of the plan's dof, {', '.join(allowed)}"
         step = 'Write for example directions = ["y"], one for each run'
-        raise FittingError(sentence("directions", wanted, ", ".join(names), where, step))
+        raise FittingError(Fault("directions", wanted, ", ".join(names), where, step))
     return tuple(names)
 
 
@@ -195,7 +195,7 @@ def _mass(table: Mapping[str, Any], dof: tuple[str, ...], path: Path) -> tuple[A
     if raw is None:
         if dof != PAPER_DOF:
             raise FittingError(
-                sentence(
+                Fault(
                     "mass",
                     f"given when dof is not {', '.join(PAPER_DOF)}",
                     "nothing",
@@ -215,7 +215,7 @@ def _matrix(raw: Any, key: str, n: int, where: str) -> Array:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (n, n) or not np.all(np.isfinite(matrix)):
-        raise FittingError(sentence(key, f"a {n} x {n} matrix in SI, in the order of dof", raw, where))
+        raise FittingError(Fault(key, f"a {n} x {n} matrix in SI, in the order of dof", raw, where))
     return matrix
 
 
@@ -224,12 +224,12 @@ def _expected(table: Mapping[str, Any], key: str, dof: tuple[str, ...], default:
     if raw is None and dof != PAPER_DOF:
         wanted = f"given when dof is not {', '.join(PAPER_DOF)}"
         step = f"Write {key} = [[...], ...], {len(dof)} x {len(dof)} in SI"
-        raise FittingError(sentence(key, wanted, "nothing", where, step))
+        raise FittingError(Fault(key, wanted, "nothing", where, step))
     matrix = default if raw is None else _matrix(raw, key, len(dof), where)
     root = np.sqrt(np.abs(np.diag(matrix)))
     symmetric = np.all(np.abs(matrix - matrix.T) <= 1e-6 * np.outer(root, root) + 1e-300)
     if not symmetric or not passive(matrix) or np.any(root == 0.0):
-        raise FittingError(sentence(key, "symmetric and positive (semi)definite", raw, where))
+        raise FittingError(Fault(key, "symmetric and positive (semi)definite", raw, where))
     return matrix
 
 
@@ -237,7 +237,7 @@ def _band(table: Mapping[str, Any], where: str) -> tuple[float, float]:
     raw = table.get("band_hz", [400.0, 5000.0])
     good = isinstance(raw, list) and len(raw) == 2 and all(isinstance(one, int | float) for one in raw)
     if not good or not 0.0 < raw[0] < raw[1] < np.inf:
-        raise FittingError(sentence("band_hz", "two frequencies in Hz, low before high", raw, where))
+        raise FittingError(Fault("band_hz", "two frequencies in Hz, low before high", raw, where))
     return float(raw[0]), float(raw[1])
 
 
@@ -249,9 +249,7 @@ def _points(table: Mapping[str, Any], key: str, default: Array, where: str) -> A
     except (TypeError, ValueError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
-        raise FittingError(
-            sentence(key, "a list of points [x, y, z] in mm, footplate axes", table[key], where)
-        )
+        raise FittingError(Fault(key, "a list of points [x, y, z] in mm, footplate axes", table[key], where))
     return points
 
 
@@ -261,7 +259,7 @@ def _check_layout(key: str, points: Array, dof: tuple[str, ...], where: str) -> 
 
     if not Layout(points).determines(dof):
         raise FittingError(
-            sentence(
+            Fault(
                 key,
                 f"enough points, well apart, for {', '.join(dof)}",
                 f"{len(points)} that leave a motion unseen",

@@ -11,7 +11,7 @@ from kinematics.fit.beams import observability
 from kinematics.fit.line_kernels import all_finite, all_whole
 from kinematics.fit.line_noise import blocks
 from kinematics.measurement import BodyChannels, Measurement
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
@@ -69,7 +69,7 @@ def is_whole(body: BodyChannels) -> bool:
     return True
 
 
-def empty_faults(measurement: Measurement) -> list[str]:
+def empty_faults(measurement: Measurement) -> list[Fault]:
     """List the bodies that hold nothing to fit: no usable value, or zeros throughout and no sd."""
     faults = []
     file = ", ".join(path.name for role, path in measurement.inputs.items() if role.startswith("ldv"))
@@ -79,7 +79,7 @@ def empty_faults(measurement: Measurement) -> list[str]:
         if not any(np.any(_usable(body, place)) for place in places):
             step = "Check the export, or leave the rows of this body out"
             got = "empty or NaN cells throughout"
-            faults.append(sentence(thing, "numbers in some rows at least", got, file, step))
+            faults.append(Fault(thing, "numbers in some rows at least", got, file, step))
             continue
         if body.sd is not None and not body.relative:
             continue
@@ -91,7 +91,7 @@ def empty_faults(measurement: Measurement) -> list[str]:
                 where = f"run {name}" if len(measurement.runs) > 1 else ""
                 step = "Give an sd column if the body stood still, or leave its rows out"
                 expected = "other than zero in some rows, or given with their sd"
-                faults.append(sentence(thing, expected, "zeros throughout", where, step))
+                faults.append(Fault(thing, expected, "zeros throughout", where, step))
     return faults
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 
 Array = NDArray[np.float64]
@@ -204,7 +204,7 @@ def _refuse(body: str, arms: Array, directions: Array, dof: tuple[str, ...]) -> 
         f"Choose --dof {','.join(subset)} or measure with more beams" if subset else "Measure with more beams"
     )
     raise KinematicsError(
-        sentence(
+        Fault(
             f"the degrees of freedom {', '.join(dof)} of body {body}",
             f"observable from its {len(arms)} beams",
             f"unobservable: {blind}",

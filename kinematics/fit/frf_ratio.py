@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
@@ -33,7 +33,7 @@ def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) ->
     body, _, name = text.rpartition(":")
     if body not in bodies or name not in dof:
         raise KinematicsError(
-            sentence(
+            Fault(
                 "--reference",
                 f"BODY:DOF with a body out of {', '.join(bodies)} and a fitted degree of freedom "
                 f"out of {', '.join(dof)}",

@@ -19,7 +19,7 @@ from kinematics.measurement import Measurement
 from kinematics.readers.input_options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 __all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
 
@@ -54,7 +54,7 @@ def read_measurement(
     paths, options = [Path(path) for path in paths], options or InputOptions()
     _check_names(paths)
     kinds: list[str] = []
-    unknown: list[str] = []
+    unknown: list[Fault] = []
     for path in paths:
         with collecting(unknown), openable(path):
             kinds.append(kind_of(path))
@@ -65,7 +65,7 @@ def read_measurement(
         return replace(measurement, inputs=inputs_of(paths, points))
     raise_all(KinematicsError, _unused(options, kinds))
     files: list[Recordings] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for path, kind in zip(paths, kinds, strict=True):
         with collecting(faults), openable(path):
             tidy = kind == TIDY
@@ -81,7 +81,7 @@ def read_measurement(
         with collecting(faults):
             listed = read_points(points)
     if options.series is not None and not faults and not any(one.from_series for one in files):
-        faults.append(sentence(SERIES, "left out: no file holds time series", "them"))
+        faults.append(Fault(SERIES, "left out: no file holds time series", "them"))
     raise_all(KinematicsError, dict.fromkeys(faults))
     said = tuple(f"{one.file}: {one.frame_units}" for one in files if one.frame_units)
     return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=said)
@@ -99,23 +99,23 @@ def _check_names(paths: Sequence[Path]) -> None:
     if twice:
         step = "Rename one of them: runs and bodies are told by the names of files"
         raise KinematicsError(
-            sentence("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
+            Fault("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
         )
 
 
-def _unused(options: InputOptions, kinds: Sequence[str]) -> list[str]:
+def _unused(options: InputOptions, kinds: Sequence[str]) -> list[Fault]:
     """List options on time series and variables that no file is for."""
     faults = []
     listed = options.series is not None and options.series.channels is not None
     if options.series is not None and options.series.channels is not None:
         if not {"time", "matlab", "hdf5"} & set(kinds):
             want = "left out: no file holds time series that need it"
-            faults.append(sentence("--channels", want, options.series.channels.name))
+            faults.append(Fault("--channels", want, options.series.channels.name))
     elif options.series is not None and "uff" not in kinds:
-        faults.append(sentence(SERIES, "given with --channels FILE", "alone"))
+        faults.append(Fault(SERIES, "given with --channels FILE", "alone"))
     if options.mapping is not None and (listed or not {"matlab", "hdf5"} & set(kinds)):
         want = "left out: no MATLAB or HDF5 file with spectra is read"
-        faults.append(sentence("--mapping", want, options.mapping.name))
+        faults.append(Fault("--mapping", want, options.mapping.name))
     return faults
 
 
@@ -135,7 +135,7 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
     raise_all(
         KinematicsError,
         [
-            sentence(name, f"left out for a tidy table, whose {columns[name]}", "it", path.name, step)
+            Fault(name, f"left out for a tidy table, whose {columns[name]}", "it", path.name, step)
             for name in options.said
         ],
     )

@@ -14,7 +14,7 @@ from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.unit_labels import LENGTHS
 from kinematics.readers.value_checks import scaled
 from kinematics.tidy.points_csv import Points
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
 DEFAULT_RUN = "1"
@@ -51,7 +51,7 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
             made.append((one.file, _said(recording, one, options)))
     step = "Leave it out, or correct the file"
     faults = [
-        sentence(option, "left out where the files say it themselves", "it", "", step)
+        Fault(option, "left out where the files say it themselves", "it", "", step)
         for option, needed in silent.items()
         if option in options.said and not needed
     ]
@@ -99,7 +99,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         by_point.setdefault(point, []).append(body)
     used: set[str] = set()
     made: list[Entry] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     without: dict[str, list[str]] = {}
     for file, one in entries:
         rules = [name for name, items in options.bodies if any(item.holds(file, one.point) for item in items)]
@@ -109,7 +109,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
             names = by_point.get(one.point, [])
         if len(names) > 1:
             step = "Name each point once, by file where numbers repeat: --body base=base.uff:1-9"
-            faults.append(sentence(f"point {one.point}", "of one body", " and ".join(names), one.where, step))
+            faults.append(Fault(f"point {one.point}", "of one body", " and ".join(names), one.where, step))
         elif not names:
             without.setdefault(file, []).append(one.point)
         else:
@@ -118,13 +118,11 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         lost = list(dict.fromkeys(lost))
         shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
         step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
-        faults.append(sentence(f"points {shown}", "of a body", "none", file, step))
+        faults.append(Fault(f"points {shown}", "of a body", "none", file, step))
     known = ", ".join(dict.fromkeys(one.point for _, one in entries))
     known = known if len(known) < 120 else f"{known[:117]}..."
     faults += [
-        sentence(
-            f"--body {name}", f"points that were measured ({known})", "others", "", "Correct the numbers"
-        )
+        Fault(f"--body {name}", f"points that were measured ({known})", "others", "", "Correct the numbers")
         for name in dict.fromkeys(name for name, _ in options.bodies)
         if name not in used
     ]

@@ -19,7 +19,7 @@ from kinematics.readers.reported_noise import body_noise
 from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def assemble(
     notices += said
     if not recordings:
         step = "Export the points with their spectra"
-        raise KinematicsError(sentence("the vibrometer files", "with values of one point", "none", "", step))
+        raise KinematicsError(Fault("the vibrometer files", "with values of one point", "none", "", step))
     named, said = with_runs(with_bodies(recordings, points, options), options)
     notices += said
     flat = [one for _, one in named]
@@ -124,7 +124,7 @@ def without_dc(
     kept, dropped, empty = [], Counter[str](), []
     step = "Export the lines above 0 Hz"
     below = [
-        sentence("the frequencies", "positive", f"{np.min(one.freq_hz):g} Hz", one.where, step)
+        Fault("the frequencies", "positive", f"{np.min(one.freq_hz):g} Hz", one.where, step)
         for _, one in recordings
         if np.any(one.freq_hz < 0.0)
     ]
@@ -148,7 +148,7 @@ def without_dc(
         )
         kept.append((file, made))
     if empty and not kept:
-        raise KinematicsError(sentence("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
+        raise KinematicsError(Fault("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
     if not dropped:
         return kept, []
     listed = ", ".join(f"{count} spectra of {file}" for file, count in dropped.items())
@@ -158,7 +158,7 @@ def without_dc(
 def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     """Refuse points without position or direction, and points with two positions."""
     faults = []
-    positions: dict[tuple[str, str], tuple[Array, str]] = {}
+    positions: dict[tuple[str, str], tuple[Array, Place | str]] = {}
     lost: dict[str, list[str]] = {}
     blind: dict[str, list[str]] = {}
     for one in recordings:
@@ -172,7 +172,7 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
                 step = "Correct it; --length-unit says the unit where a file does not"
                 got = f"{_shown(first)} and {_shown(one.position_mm)} mm"
                 thing = f"the position of point {one.point} of body {one.body}"
-                fault = sentence(thing, "one", got, f"{where} and {one.where}", step)
+                fault = Fault(thing, "one", got, f"{where} and {one.where}", step)
                 faults.append(fault)
                 positions[key] = (one.position_mm, one.where)
         if not np.all(np.isfinite(one.direction)):
@@ -183,12 +183,12 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     for body, names in lost.items():
         step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
-            sentence(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
+            Fault(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
         )
     for body, names in blind.items():
         thing = f"points {_listed(names)} of body {body}"
         step = "Say the direction towards the laser head with --beam z, -y or X,Y,Z"
-        faults.append(sentence(thing, "given with the direction of the beam", "none", "", step))
+        faults.append(Fault(thing, "given with the direction of the beam", "none", "", step))
     raise_all(KinematicsError, faults)
 
 
@@ -203,7 +203,7 @@ def _listed(names: Sequence[str]) -> str:
 
 def _per(recordings: Sequence[Recording]) -> list[Notice]:
     """Refuse responses to different quantities in one run; tell what the motion is a response to."""
-    by_run: dict[str, dict[str, str]] = {}
+    by_run: dict[str, dict[str, Place | str]] = {}
     for one in recordings:
         by_run.setdefault(one.run, {}).setdefault(one.per, one.where)
     faults = []
@@ -212,7 +212,7 @@ def _per(recordings: Sequence[Recording]) -> list[Notice]:
             got = " and ".join(f"{_per_name(per)} ({where})" for per, where in list(found.items())[:3])
             step = "Export all points as responses to one reference, or all as amplitudes"
             where = f"run {run}" if len(by_run) > 1 else ""
-            faults.append(sentence("the values of one run", "of one unit", got, where, step))
+            faults.append(Fault("the values of one run", "of one unit", got, where, step))
     raise_all(KinematicsError, faults)
     units = {per for found in by_run.values() for per in found} - {""}
     if not units:
@@ -228,7 +228,7 @@ def _per_name(per: str) -> str:
     return f"responses per {per}" if per else "amplitudes"
 
 
-def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[str]]:
+def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; tell how lines were matched."""
     takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
     bodies = list(dict.fromkeys(one.body for one in recordings))
@@ -263,7 +263,7 @@ def _channel(one: Recording) -> Channel:
     return one.body, one.point, (x, y, z)
 
 
-def _twice(recordings: Sequence[Recording], places: _Places) -> list[str]:
+def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
     """List the values that two recordings give for one channel, run and line."""
     seen: dict[tuple[int, int], list[int]] = {}
     faults = []
@@ -274,7 +274,7 @@ def _twice(recordings: Sequence[Recording], places: _Places) -> list[str]:
                 name = f"{one.body} {one.point} ({direction_name(one.direction)})"
                 step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
                 got = f"two that share frequencies ({recordings[other].where} and {one.where})"
-                faults.append(sentence(f"the channel {name}", "there once in a run", got, "", step))
+                faults.append(Fault(f"the channel {name}", "there once in a run", got, "", step))
                 break
         seen.setdefault(key, []).append(number)
     return faults

@@ -14,7 +14,7 @@ from kinematics.readers.psv.per_point import looks_like_points
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff.datasets import looks_like_uff, plain_content
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 TIDY = "tidy"
 _HEAD = 1 << 16
@@ -55,7 +55,7 @@ def kind_of(path: Path) -> str:
     if path.is_dir():
         return _kind_of_folder(path)
     if not path.is_file():
-        raise KinematicsError(sentence("the vibrometer file", "an existing file", path, "", "Check its name"))
+        raise KinematicsError(Fault("the vibrometer file", "an existing file", path, "", "Check its name"))
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
     suffix = path.suffix.lower()
@@ -69,10 +69,10 @@ def kind_of(path: Path) -> str:
         return "time"
     if head.startswith(_ZIP):
         step = "Unpack it, and give the files or folders in it"
-        raise KinematicsError(sentence("the vibrometer file", READ, "a ZIP archive", path.name, step))
+        raise KinematicsError(Fault("the vibrometer file", READ, "a ZIP archive", path.name, step))
     if not head and _BY_SUFFIX.get(suffix) != TIDY:
         step = "Export or copy it again"
-        raise KinematicsError(sentence("the vibrometer file", "one with content", "0 bytes", path.name, step))
+        raise KinematicsError(Fault("the vibrometer file", "one with content", "0 bytes", path.name, step))
     if looks_like_uff(plain_content(head)):
         return "uff"
     text = decoded(head if head[:2] not in (b"\xff\xfe", b"\xfe\xff") else head[: len(head) // 2 * 2])
@@ -85,7 +85,7 @@ def kind_of(path: Path) -> str:
     if suffix in _BY_SUFFIX:
         return _BY_SUFFIX[suffix]
     raise KinematicsError(
-        sentence("the vibrometer file", READ, path.name, next_step="See points2dof --help for the layouts")
+        Fault("the vibrometer file", READ, path.name, next_step="See points2dof --help for the layouts")
     )
 
 
@@ -108,7 +108,7 @@ def _kind_of_folder(path: Path) -> str:
         return "vendor"
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
-    raise KinematicsError(sentence("a vibrometer folder", expected, path.name, next_step=step))
+    raise KinematicsError(Fault("a vibrometer folder", expected, path.name, next_step=step))
 
 
 def describes_series(path: Path) -> bool:

@@ -54,7 +54,7 @@ from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import number_faults, scaled
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
@@ -99,7 +99,7 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     for name, node in group.items():
         if not isinstance(name, str):
-            raise KinematicsError(sentence("the names in the file", "text in UTF-8", "others", where))
+            raise KinematicsError(Fault("the names in the file", "text in UTF-8", "others", where))
         if isinstance(node, h5py.Group):
             if depth < _DEEPEST:
                 tree[name] = plain_tree(node, f"{where}, {name}", depth + 1)
@@ -112,7 +112,7 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
 
 
 def _own(file: Any, name: str) -> Recordings:
-    faults: list[str] = []
+    faults: list[Fault] = []
     freq = np.empty(0)
     value, turned = np.empty((0, 0, 0), dtype=complex), False
     with collecting(faults):
@@ -123,15 +123,15 @@ def _own(file: Any, name: str) -> Recordings:
     if unit.order < 0:
         got = shown(_attribute(file, "unit")) if "unit" in file.attrs else "none"
         step = "Write the attribute unit, m/s for velocities"
-        faults.append(sentence("the attribute unit", "; ".join(MOTIONS), got, name, step))
+        faults.append(Fault("the attribute unit", "; ".join(MOTIONS), got, name, step))
     schema, amplitude = _attribute(file, "schema"), _attribute(file, "amplitude")
     if schema not in ("", SCHEMA):
-        faults.append(sentence("the attribute schema", SCHEMA, schema, name))
+        faults.append(Fault("the attribute schema", SCHEMA, schema, name))
     if amplitude not in ("", "peak", "rms"):
-        faults.append(sentence("the attribute amplitude", "peak or rms", amplitude, name))
+        faults.append(Fault("the attribute amplitude", "peak or rms", amplitude, name))
     sign = _attribute(file, "convention") or "+"
     if sign not in ("+", "-"):
-        faults.append(sentence("the attribute convention", "+ or -", sign, name))
+        faults.append(Fault("the attribute convention", "+ or -", sign, name))
     if not value.size:
         raise_all(KinematicsError, faults)
     points = _texts(file, "point", channels, name, faults)
@@ -144,14 +144,14 @@ def _own(file: Any, name: str) -> Recordings:
     count = _like(file, "n_avg", (1, channels, 1), turned, name, faults)
     if not points and "point" not in file and "point" not in file.attrs:
         step = "Write it as a data set of texts, or as an attribute with semicolons"
-        faults.append(sentence("point", f"the names of {channels} channels", "none", name, step))
+        faults.append(Fault("point", f"the names of {channels} channels", "none", name, step))
     if faults:
         faults += number_faults("freq_hz", freq, (freq < 0.0), "positive", name)
         faults += number_faults("the values", value, np.isinf(value), "finite, or NaN where missing", name)
     with np.errstate(over="ignore"):
         size = np.sqrt(np.sum(direction**2, axis=1))
     faults += [
-        sentence("direction", "a unit vector (within 1e-3)", f"length {one:g}", f"{name}, channel {k}")
+        Fault("direction", "a unit vector (within 1e-3)", f"length {one:g}", f"{name}, channel {k}")
         for k, one in enumerate(size, 1)
         if abs(one - 1.0) > 1e-3
     ]
@@ -197,7 +197,7 @@ def _real(file: Any, key: str, name: str) -> Array:
     """Return a data set of real numbers."""
     found = array_of(file[key], f"{name}, {key}")
     if found.dtype.kind not in "fiu":
-        raise KinematicsError(sentence(key, "real numbers", f"values of type {found.dtype}", name))
+        raise KinematicsError(Fault(key, "real numbers", f"values of type {found.dtype}", name))
     return found.astype(float)
 
 
@@ -213,33 +213,33 @@ def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bo
         parts = [_real(file, part, name) for part in ("re", "im")]
         if parts[0].shape != parts[1].shape:
             got = f"{parts[0].shape} and {parts[1].shape}"
-            raise KinematicsError(sentence("re and im", "of one shape", got, name))
+            raise KinematicsError(Fault("re and im", "of one shape", got, name))
         found = np.empty(parts[0].shape, dtype=complex)
         found.real, found.imag = parts
     else:
         step = "Write the imaginary part: without phase there is no motion"
-        raise KinematicsError(sentence("the data set im", "in the file", "re alone", name, step))
+        raise KinematicsError(Fault("the data set im", "in the file", "re alone", name, step))
     if found.dtype.kind not in "c":
-        raise KinematicsError(sentence("value", "complex", "real numbers", name, "Write re and im"))
+        raise KinematicsError(Fault("value", "complex", "real numbers", name, "Write re and im"))
     dims = _attribute(file, "dims").replace(" ", "")
     if dims not in ("", "channel,freq", "run,channel,freq", "freq,channel", "freq,channel,run"):
-        raise KinematicsError(sentence("the attribute dims", "channel,freq or freq,channel", dims, name))
+        raise KinematicsError(Fault("the attribute dims", "channel,freq or freq,channel", dims, name))
     if found.ndim not in (2, 3) or lines not in (found.shape[0], found.shape[-1]):
         want = f"of shape (channel, freq) with {lines} frequencies"
-        raise KinematicsError(sentence("the values", want, found.shape, name))
+        raise KinematicsError(Fault("the values", want, found.shape, name))
     if not dims and found.shape[0] == found.shape[-1]:
         step = 'Write the attribute dims, "channel,freq" or (MATLAB) "freq,channel"'
         raise KinematicsError(
-            sentence("the order of dimensions", "clear", "as many channels as lines", name, step)
+            Fault("the order of dimensions", "clear", "as many channels as lines", name, step)
         )
     turned = dims.startswith("freq") if dims else found.shape[-1] != lines
     found = found.T if turned else found
     if found.shape[-1] != lines:
-        raise KinematicsError(sentence("the values", f"as dims says, {dims}", found.shape, name))
+        raise KinematicsError(Fault("the values", f"as dims says, {dims}", found.shape, name))
     return np.asarray(found[None] if found.ndim == 2 else found, dtype=complex), turned
 
 
-def _texts(file: Any, key: str, count: int, name: str, faults: list[str]) -> list[str]:
+def _texts(file: Any, key: str, count: int, name: str, faults: list[Fault]) -> list[str]:
     if key in file:
         node = file[key]
         values = array_of(node, f"{name}, {key}")
@@ -253,38 +253,38 @@ def _texts(file: Any, key: str, count: int, name: str, faults: list[str]) -> lis
     if len(texts) == 1 and key == "body":
         texts = texts * count
     if len(texts) != count or not all(texts):
-        faults.append(sentence(key, f"{count} names", f"{len([t for t in texts if t])}", name))
+        faults.append(Fault(key, f"{count} names", f"{len([t for t in texts if t])}", name))
         return []
     return texts
 
 
-def _vectors(file: Any, key: str, count: int, turned: bool, name: str, faults: list[str]) -> Array:
+def _vectors(file: Any, key: str, count: int, turned: bool, name: str, faults: list[Fault]) -> Array:
     unknown = np.tile(unknown_vector(), (count, 1))
     if key not in file:
         return unknown
     found = array_of(file[key], f"{name}, {key}")
     found = found.T if turned else found
     if found.shape != (count, 3) or found.dtype.kind not in "fiu":
-        faults.append(sentence(key, f"numbers of shape ({count}, 3)", found.shape, name))
+        faults.append(Fault(key, f"numbers of shape ({count}, 3)", found.shape, name))
         return unknown
     return found.astype(float)
 
 
 def _like(
-    file: Any, key: str, shape: tuple[int, ...], turned: bool, name: str, faults: list[str]
+    file: Any, key: str, shape: tuple[int, ...], turned: bool, name: str, faults: list[Fault]
 ) -> Array | None:
     if key not in file:
         return None
     found = array_of(file[key], f"{name}, {key}")
     if found.dtype.kind not in "fiu":
-        faults.append(sentence(key, "real numbers", f"values of type {found.dtype}", name))
+        faults.append(Fault(key, "real numbers", f"values of type {found.dtype}", name))
         return None
     found = found.T if turned else found
     found = found.reshape(1, -1, 1) if found.ndim == 1 and found.size == shape[1] else found
     try:
         return np.broadcast_to(found.astype(float), shape)
     except ValueError:
-        faults.append(sentence(key, f"of shape {shape[1:]} or ({shape[1]},)", found.shape, name))
+        faults.append(Fault(key, f"of shape {shape[1:]} or ({shape[1]},)", found.shape, name))
         return None
 
 

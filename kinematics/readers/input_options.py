@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.signals.series_options import SeriesOptions
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")
@@ -93,18 +93,18 @@ class InputOptions:
     direction: Array | None = field(init=False, default=None, compare=False)
 
     def __post_init__(self) -> None:
-        faults: list[str] = []
+        faults: list[Fault] = []
         bodies = [_body(text, faults) for text in self.body]
         object.__setattr__(self, "bodies", tuple(rule for rule in bodies if rule is not None))
         runs = [_run(text, faults) for text in self.run]
         object.__setattr__(self, "runs", tuple(rule for rule in runs if rule is not None))
         object.__setattr__(self, "direction", _direction(self.beam, faults) if self.beam else None)
         if self.amplitude not in ("", *AMPLITUDES):
-            faults.append(sentence("--amplitude", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
+            faults.append(Fault("--amplitude", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
         if self.length_unit not in ("", *LENGTH_UNITS):
-            faults.append(sentence("--length-unit", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
+            faults.append(Fault("--length-unit", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
         if self.n_avg is not None and not 1.0 <= self.n_avg < float("inf"):
-            faults.append(sentence("--n-avg", "a number of averages, 1 or more", f"{self.n_avg:g}"))
+            faults.append(Fault("--n-avg", "a number of averages, 1 or more", f"{self.n_avg:g}"))
         raise_all(KinematicsError, faults)
 
     @property
@@ -126,12 +126,12 @@ class InputOptions:
         return named
 
 
-def _body(text: str, faults: list[str]) -> tuple[str, tuple[Chosen, ...]] | None:
+def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | None:
     """Read ``NAME=POINTS``."""
     name, mark, points = (part.strip() for part in text.partition("="))
     step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
     if not mark or not name or not points:
-        faults.append(sentence("--body", "NAME=POINTS", text, "", step))
+        faults.append(Fault("--body", "NAME=POINTS", text, "", step))
         return None
     chosen: list[Chosen] = []
     file = ""
@@ -140,7 +140,7 @@ def _body(text: str, faults: list[str]) -> tuple[str, tuple[Chosen, ...]] | None
         file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
         made = _points(file, item)
         if made is None:
-            faults.append(sentence("the points of --body", "numbers, ranges or names", f"{text}", "", step))
+            faults.append(Fault("the points of --body", "numbers, ranges or names", f"{text}", "", step))
             return None
         chosen.append(made)
     return name, tuple(chosen)
@@ -156,17 +156,17 @@ def _points(file: str, item: str) -> Chosen | None:
     return Chosen(file, "", first, last) if first <= last else None
 
 
-def _run(text: str, faults: list[str]) -> tuple[str, str] | None:
+def _run(text: str, faults: list[Fault]) -> tuple[str, str] | None:
     """Read ``NAME=FILE``."""
     name, mark, file = (part.strip() for part in text.partition("="))
     if not mark or not name or not file:
         step = "Write it like --run push=first.uff"
-        faults.append(sentence("--run", "NAME=FILE", text, "", step))
+        faults.append(Fault("--run", "NAME=FILE", text, "", step))
         return None
     return name, file
 
 
-def _direction(text: str, faults: list[str]) -> Array | None:
+def _direction(text: str, faults: list[Fault]) -> Array | None:
     """Read ``-z`` or ``0,0.34,0.94``."""
     if text.strip().lower() in _AXES:
         sign, axis = _AXES[text.strip().lower()]
@@ -178,14 +178,12 @@ def _direction(text: str, faults: list[str]) -> Array | None:
     length = float(np.linalg.norm(numbers))
     if numbers.shape != (3,) or not abs(length - 1.0) < 1e-3:
         expected = "x, y, z, -x, -y, -z or three numbers of length 1 (within 1e-3)"
-        faults.append(
-            sentence("--beam", expected, text, "", "It points from the sample towards the laser head")
-        )
+        faults.append(Fault("--beam", expected, text, "", "It points from the sample towards the laser head"))
         return None
     return np.asarray(numbers / length)
 
 
-def check_used(options: InputOptions, files: Sequence[str]) -> list[str]:
+def check_used(options: InputOptions, files: Sequence[str]) -> list[Fault]:
     """List the files that rules name and nobody gave."""
     faults = []
     known = ", ".join(files)
@@ -193,5 +191,5 @@ def check_used(options: InputOptions, files: Sequence[str]) -> list[str]:
     named += [(f"--body {name}", item.file) for name, items in options.bodies for item in items if item.file]
     for thing, file in named:
         if not any(is_file(file, one) for one in files):
-            faults.append(sentence(f"the file of {thing}", f"one of {known}", file, "", "Correct its name"))
+            faults.append(Fault(f"the file of {thing}", f"one of {known}", file, "", "Correct its name"))
     return faults

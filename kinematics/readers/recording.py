@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Recording:
         SI, peak amplitude, e^{+iwt}; NaN where missing.
     order : int
         0 displacement (m), 1 velocity (m/s), 2 acceleration (m/s2).
-    where : str
+    where : Place or str
         Place for messages: file, data set or variable.
     run : str
         The excitation; empty when the file does not say.
@@ -85,7 +85,7 @@ class Recording:
     freq_hz: Array
     value: ComplexArray
     order: int
-    where: str
+    where: Place | str
     run: str = ""
     body: str = ""
     position_mm: Array = field(default_factory=unknown_vector)
@@ -106,24 +106,22 @@ class Recording:
         for name in ("value", "sd", "coherence", "common_sd"):
             column = getattr(self, name)
             if column is not None and column.shape != count:
-                faults.append(
-                    sentence(name, f"as long as the frequencies, {count}", column.shape, self.where)
-                )
+                faults.append(Fault(name, f"as long as the frequencies, {count}", column.shape, self.where))
         if self.order not in (0, 1, 2):
             step = "A vibrometer measures one of them"
             faults.append(
-                sentence("the quantity", ", ".join(QUANTITIES), f"order {self.order}", self.where, step)
+                Fault("the quantity", ", ".join(QUANTITIES), f"order {self.order}", self.where, step)
             )
         if self.freq_hz.ndim != 1 or not np.all(np.diff(self.freq_hz) > 0.0):
             faults.append(
-                sentence("the frequencies", "ascending", "equal or descending ones", self.where, "Sort them")
+                Fault("the frequencies", "ascending", "equal or descending ones", self.where, "Sort them")
             )
         if self.position_mm.shape != (3,) or self.direction.shape != (3,):
-            faults.append(sentence("position and direction", "three numbers each", "others", self.where))
+            faults.append(Fault("position and direction", "three numbers each", "others", self.where))
         elif np.all(np.isfinite(self.direction)) and not _is_unit(self.direction):
             got = ", ".join(f"{value:g}" for value in self.direction)
             step = "Divide the direction by its length"
-            faults.append(sentence("the direction", "a unit vector (within 1e-3)", got, self.where, step))
+            faults.append(Fault("the direction", "a unit vector (within 1e-3)", got, self.where, step))
         raise_all(KinematicsError, faults)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 SUFFIXES = (".svd", ".pvd", ".set")
 COMPOUND = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
@@ -25,7 +25,7 @@ def read(path: Path) -> NoReturn:
         "geometry) or as ASCII (Real & Imag.), and give that file or folder"
     )
     raise KinematicsError(
-        sentence(
+        Fault(
             "the vibrometer file",
             "UFF or ASCII",
             "a scan file that only its own program reads",

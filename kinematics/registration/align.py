@@ -16,7 +16,7 @@ from kinematics.registration.mesh_distance import TriangleSurface
 from kinematics.registration.placement import Placement, place, place_on_surface, scan_guess
 from kinematics.registration.sample_moved import check_surfaces, clouds
 from kinematics.registration.scan_surfaces import ScanSurfaces
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 
@@ -73,7 +73,7 @@ def _on_plate(
     mesh = None if surfaces is None else surfaces.mesh("plate")
     if mass is None or surfaces is None or mesh is None:
         raise KinematicsError(
-            sentence(
+            Fault(
                 "--plate-points",
                 "given with a mass.json that has a plate.ply beside it",
                 "no plate.ply",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.warnings import Notice
 
@@ -111,7 +111,7 @@ def calibrate(
     model = GeometryModel.of(placed, priors)
     if not model.names:
         raise KinematicsError(
-            sentence(
+            Fault(
                 "--calibrate",
                 "used with something to estimate",
                 "--axes-sd 0, --beam-sd 0, --gain-sd 0 and no sd_mm of any point",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.measurement import mirror_sign
 from kinematics.tidy.points_csv import finite_faults, require, sd_faults
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
@@ -92,14 +92,14 @@ def read_fiducials(path: Path) -> Fiducials:
     return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
 
 
-def _spread(table: Table, faults: list[str]) -> dict[str, Array]:
+def _spread(table: Table, faults: list[Fault]) -> dict[str, Array]:
     """Return the columns of standard deviations that hold something, and add their faults."""
     found = {name: table.numbers[name] for name in _SD if name in table.numbers}
     found = {name: values for name, values in found.items() if not np.all(np.isnan(values))}
     for name, values in found.items():
         faults += sd_faults(table, values, name)
         faults += [
-            sentence(
+            Fault(
                 name,
                 "stated for all fiducials or for none",
                 "an empty cell",
@@ -112,19 +112,19 @@ def _spread(table: Table, faults: list[str]) -> dict[str, Array]:
     if axes and (len(axes) < 3 or "sd_mm" in found):
         got = ", ".join(name for name in (*axes, "sd_mm") if name in found)
         step = "Give one sd_mm, or one column for each axis"
-        faults.append(sentence("the sd of the fiducials", "sd_mm, or all three of " + ", ".join(_SD_AXES),
+        faults.append(Fault("the sd of the fiducials", "sd_mm, or all three of " + ", ".join(_SD_AXES),
                                got, table.file, step))  # fmt: skip
     return found
 
 
-def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _words(table: Table, faults: list[Fault]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     column = table.texts["name"]
     names = tuple(column.names[code] if code >= 0 else "" for code in column.codes)
     for row, name in enumerate(names):
         if not name or name in names[:row]:
             got = f"{name} again" if name else "an empty cell"
             faults.append(
-                sentence("name", "given, and different for each fiducial", got, table.where(row), "Name it")
+                Fault("name", "given, and different for each fiducial", got, table.where(row), "Name it")
             )
     if "frame" not in table.texts:
         return names, ("plate",) * len(names)
@@ -133,6 +133,6 @@ def _words(table: Table, faults: list[str]) -> tuple[tuple[str, ...], tuple[str,
     for row, frame in enumerate(frames):
         if frame not in FRAMES:
             faults.append(
-                sentence("frame", "plate, scan or footplate", frame, table.where(row, "frame"), "Correct it")
+                Fault("frame", "plate, scan or footplate", frame, table.where(row, "frame"), "Correct it")
             )
     return names, frames

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
 from stapeskit.spatial import point_rows
 
@@ -51,7 +51,7 @@ class GeometryPriors:
         raise_all(
             KinematicsError,
             [
-                sentence(name, "a number from 0 to 20 (degrees, percent of gain)", f"{value:g}")
+                Fault(name, "a number from 0 to 20 (degrees, percent of gain)", f"{value:g}")
                 for name, value in options.items()
                 if not 0.0 <= value <= 20.0
             ],

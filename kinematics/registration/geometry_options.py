@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from kinematics.registration.geometry_model import GeometryPriors
@@ -62,13 +62,13 @@ def add_options(made: Parser) -> None:
     )
 
 
-def faults(options: argparse.Namespace) -> list[str]:
+def faults(options: argparse.Namespace) -> list[Fault]:
     """List what contradicts itself among the options."""
     found = []
     for name in ("plate_points", "bone_points"):
         if getattr(options, name) is not None and options.mass is None:
             found.append(
-                sentence(
+                Fault(
                     f"--{name.replace('_', '-')}",
                     "given with --mass mass.json, whose folder holds the surfaces of the scan",
                     "no --mass",
@@ -77,10 +77,10 @@ def faults(options: argparse.Namespace) -> list[str]:
             )
     if options.plate_points is not None and options.frame is not None:
         step = "Leave one of the two out"
-        found.append(sentence("--frame", "left out beside --plate-points", options.frame, next_step=step))
+        found.append(Fault("--frame", "left out beside --plate-points", options.frame, next_step=step))
     if not options.calibrate:
         found += [
-            sentence(
+            Fault(
                 f"--{name.replace('_', '-')}",
                 "given with --calibrate only",
                 f"{getattr(options, name):g} alone",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import MIRRORS, Measurement
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.warnings import Notice
@@ -85,7 +85,7 @@ def check_axes(
         return [Notice("mirrored_axes", text)]
     before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
     raise KinematicsError(
-        sentence(
+        Fault(
             "the positions of the points",
             "in the same axes as the beam directions",
             f"positions that agree with the beams only when their {best} is turned round (residuals "

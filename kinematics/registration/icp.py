@@ -26,7 +26,7 @@ from kinematics.registration.icp_search import Candidate, candidates, separation
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.fiducial_faults import inconsistent, unit_hint
 from stapeskit.alignment.registration import Registration
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
@@ -172,7 +172,7 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
     least = 7 if alone else 1
     if len(cloud.points_mm) < least:
         raise KinematicsError(
-            sentence(
+            Fault(
                 thing,
                 f"at least {least}, on three faces that are not parallel",
                 str(len(cloud.points_mm)),
@@ -180,7 +180,7 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
             )
         )
     if not np.all(np.isfinite(cloud.points_mm)):
-        raise KinematicsError(sentence(thing, "finite", "NaN or infinity"))
+        raise KinematicsError(Fault(thing, "finite", "NaN or infinity"))
     extent = float(np.linalg.norm(np.ptp(cloud.points_mm, axis=0)))
     ratio = extent / surface.diagonal_mm
     if (len(cloud.points_mm) > 6 and ratio < 0.02) or ratio > 1.5:
@@ -190,7 +190,7 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
         elif ratio > 50.0:
             hint = f"The {source} coordinates seem to be in um"
         raise KinematicsError(
-            sentence(
+            Fault(
                 f"{thing} (x_mm, y_mm, z_mm)",
                 f"spread over a good part of the {cloud.kind}, which is {surface.diagonal_mm:.3g} mm across",
                 f"points {extent:.3g} mm across",
@@ -233,7 +233,7 @@ def _chosen(
     turn = alike[1].pose.rotation @ best.pose.rotation.T
     angle = np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     raise KinematicsError(
-        sentence(
+        Fault(
             f"the {cloud.kind} points",
             "such that one placement fits best",
             f"{len(alike)} that fit alike (mean distance {best.pose.miss_mm * 1e3:.2g} and "
@@ -268,7 +268,7 @@ def _finished(
     open_ = undetermined(rows[used], local[used], fit.pose.rotation, fit.pose.points(middle[None])[0], axes)
     if open_ and guess is None:
         raise KinematicsError(
-            sentence(
+            Fault(
                 f"the {cloud.kind} points",
                 "on at least three faces that are not parallel, spread over each",
                 f"points that leave open: {'; '.join(open_)}",
@@ -319,7 +319,7 @@ def _finished(
 
 def _refuse_off(fit: Refined, cloud: Cloud, surface: TriangleSurface) -> None:
     raise KinematicsError(
-        sentence(
+        Fault(
             f"the {cloud.kind} points",
             f"on the {surface.name} of the scan",
             f"{int(np.sum(fit.near))} of {len(fit.near)} that fit, {fit.scale:.2g} mm rms off it",
@@ -379,7 +379,7 @@ def _check_mirror(fit: SurfaceFit, cloud: Cloud, surface: TriangleSurface, sourc
     if other > 0.4 * proper or (known and proper < 2.0 * scale):
         return
     raise KinematicsError(
-        sentence(
+        Fault(
             f"the coordinates of the {source} frame",
             "right-handed",
             f"{cloud.kind} points that fit only as a mirror image (mean distance {proper:.2g} mm as given, "

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,7 +59,7 @@ class TriangleSurface:
             faces = faces[area > 1e-9 * np.max(area)] if np.max(area) > 0.0 else faces[:0]
         if not fine or len(faces) == 0:
             raise KinematicsError(
-                sentence(
+                Fault(
                     f"the {self.name}",
                     "made of triangles with finite corners",
                     "none",

@@ -17,7 +17,7 @@ from kinematics.registration.placement import Placement
 from kinematics.registration.scan_surfaces import ScanSurfaces
 from kinematics.registration.surface_check import SurfaceCheck, shift_words
 from stapeskit.alignment.paired_points import pose_rows
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.warnings import Notice
@@ -112,7 +112,7 @@ def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface
         return
     few = len(bone.points_mm) < LEAST
     raise KinematicsError(
-        sentence(
+        Fault(
             "--bone-points",
             "at least 3 points" if few else f"points within {_NEAR_MM:g} mm of other bone in labels.nrrd",
             f"{len(bone.points_mm)}"
@@ -145,7 +145,7 @@ def _check_mirror(
     proper, other = (float(np.median(np.concatenate(part))) for part in (given, mirrored))
     if proper > _SURE_MM and other < 0.3 * proper:
         raise KinematicsError(
-            sentence(
+            Fault(
                 "the coordinates of the vibrometer frame",
                 "right-handed",
                 f"points that lie {proper:.2g} mm off the surfaces of the scan as given and {other:.2g} mm "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.registration.mesh_distance import TriangleSurface
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError
 
 if TYPE_CHECKING:
     from stapeskit.records.mass_record import MassRecord
@@ -89,7 +89,7 @@ def read_mesh(path: Path, name: str) -> TriangleSurface:
     path = Path(path)
     if not path.is_file():
         raise KinematicsError(
-            sentence(f"the surface of the {name}", "an existing mesh", path, "", "Run ct2mass first")
+            Fault(f"the surface of the {name}", "an existing mesh", path, "", "Run ct2mass first")
         )
     import trimesh
 
@@ -100,7 +100,7 @@ def read_mesh(path: Path, name: str) -> TriangleSurface:
         raise
     except Exception as fault:
         raise KinematicsError(
-            sentence(
+            Fault(
                 f"the surface of the {name}",
                 "a triangle mesh",
                 str(fault)[:80],
@@ -166,7 +166,7 @@ def read_labels(path: Path) -> Labels:
     except (KeyError, ValueError, OSError, EOFError, zlib.error) as fault:
         got = f"no field {fault}" if isinstance(fault, KeyError) else str(fault)[:80]
         raise KinematicsError(
-            sentence(
+            Fault(
                 "the label volume", "an NRRD as ct2mass writes it", got, Path(path).name, "Run ct2mass anew"
             )
         ) from fault

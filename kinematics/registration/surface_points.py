@@ -12,7 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.measurement import mirror_sign
 from kinematics.registration.icp_refine import Cloud
 from kinematics.tidy.points_csv import finite_faults, require, sd_faults
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
 _PLACE = ("x_mm", "y_mm", "z_mm")
@@ -46,7 +46,7 @@ def read_surface_points(path: Path, kind: str) -> Cloud:
     if sd is not None:
         step = "Fill it in, or leave the column out"
         found += [
-            sentence(
+            Fault(
                 "sd_mm", "stated for all points or for none", "an empty cell", table.where(int(rows[k])), step
             )
             for k in np.flatnonzero(np.isnan(sd))
@@ -76,11 +76,11 @@ def _rows(table: Table, kind: str) -> np.ndarray:
     if not len(rows):
         step = f"Name the body {kind} in the rows of these points, or leave the column body out"
         got = ", ".join(column.names) or "empty cells"
-        raise KinematicsError(sentence("the column body", f"{kind} in some rows", got, table.file, step))
+        raise KinematicsError(Fault("the column body", f"{kind} in some rows", got, table.file, step))
     return rows
 
 
-def _names(table: Table, rows: np.ndarray, found: list[str]) -> tuple[str, ...]:
+def _names(table: Table, rows: np.ndarray, found: list[Fault]) -> tuple[str, ...]:
     column = table.texts.get("name") or table.texts.get("point")
     if column is None:
         return tuple(f"line {int(table.lines[row])}" for row in rows)
@@ -89,5 +89,5 @@ def _names(table: Table, rows: np.ndarray, found: list[str]) -> tuple[str, ...]:
         if not name or name in names[:place]:
             got = f"{name} again" if name else "an empty cell"
             where = table.where(int(rows[place]))
-            found.append(sentence("the name of a point", "given, and different", got, where, "Name it"))
+            found.append(Fault("the name of a point", "given, and different", got, where, "Name it"))
     return tuple(names)

@@ -30,7 +30,7 @@ from kinematics.signals.frf_noise import (
 from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
 from kinematics.signals.series_options import ESTIMATORS, WINDOWS
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -78,15 +78,15 @@ class Welch:
     def __post_init__(self) -> None:
         faults = []
         if self.estimator not in ESTIMATORS:
-            faults.append(sentence("the estimator", ", ".join(ESTIMATORS), self.estimator))
+            faults.append(Fault("the estimator", ", ".join(ESTIMATORS), self.estimator))
         if self.window not in WINDOWS:
-            faults.append(sentence("the window", ", ".join(WINDOWS), self.window))
+            faults.append(Fault("the window", ", ".join(WINDOWS), self.window))
         if not 0.0 <= self.overlap <= 0.95:
-            faults.append(sentence("the overlap", "between 0 and 0.95", self.overlap))
+            faults.append(Fault("the overlap", "between 0 and 0.95", self.overlap))
         if self.segment < 8:
-            faults.append(sentence("a segment", "of 8 samples at least", self.segment))
+            faults.append(Fault("a segment", "of 8 samples at least", self.segment))
         if self.noise_ratio is not None and not (np.isfinite(self.noise_ratio) and self.noise_ratio > 0.0):
-            faults.append(sentence("the noise ratio", "positive", self.noise_ratio))
+            faults.append(Fault("the noise ratio", "positive", self.noise_ratio))
         raise_all(KinematicsError, faults)
 
     @property
@@ -182,7 +182,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     if sum(counts) < _FEWEST:
         step = "Take shorter segments (a coarser resolution) or record longer"
         got = f"{sum(counts)} of {how.segment} samples"
-        raise KinematicsError(sentence("the records", f"{_FEWEST} segments long at least", got, where, step))
+        raise KinematicsError(Fault("the records", f"{_FEWEST} segments long at least", got, where, step))
     first = 1 if how.window == "none" else 2
     lines = slice(first, (how.segment + 1) // 2)
     freq = np.arange(how.segment)[lines] * sample_rate_hz / how.segment
@@ -203,7 +203,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         gxy += x.conj() * y / total
     if np.any(gxx == 0.0):
         step = "Restrict the band to where the reference has power"
-        raise KinematicsError(sentence("the reference", "of some power at every line", 0, where, step))
+        raise KinematicsError(Fault("the reference", "of some power at every line", 0, where, step))
     tiny = np.finfo(float).tiny
     value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
     left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
@@ -339,12 +339,12 @@ def checked_records(records: Records, sample_rate_hz: float, where: str) -> list
         No record, records of different channels, or what check_signals says.
     """
     if not records:
-        raise KinematicsError(sentence("the records", "one at least", "none", where))
+        raise KinematicsError(Fault("the records", "one at least", "none", where))
     made = []
     for reference, responses in records:
         x, y = np.asarray(reference, dtype=float), np.asarray(responses, dtype=float)
         check_signals(x, y, sample_rate_hz, where)
         made.append((x, y))
     if len({len(y) for _, y in made}) != 1:
-        raise KinematicsError(sentence("the records", "of the same channels", "others", where))
+        raise KinematicsError(Fault("the records", "of the same channels", "others", where))
     return made

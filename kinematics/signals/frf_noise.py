@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -186,17 +186,14 @@ def check_signals(reference: Array, responses: Array, sample_rate_hz: float, whe
     """
     faults = []
     if not (np.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
-        faults.append(sentence("the sampling rate", "positive", sample_rate_hz, where))
+        faults.append(Fault("the sampling rate", "positive", sample_rate_hz, where))
     if reference.ndim != 1 or responses.ndim != 2 or responses.shape[1] != len(reference):
         got = f"{reference.shape} and {responses.shape}"
-        faults.append(
-            sentence("reference and responses", "of shapes (sample,), (channel, sample)", got, where)
-        )
+        faults.append(Fault("reference and responses", "of shapes (sample,), (channel, sample)", got, where))
     elif not (np.all(np.isfinite(reference)) and np.all(np.isfinite(responses))):
         step = "Cut the record where samples are missing"
-        faults.append(sentence("the samples", "finite numbers", "NaN or infinite ones", where, step))
+        faults.append(Fault("the samples", "finite numbers", "NaN or infinite ones", where, step))
     elif not np.any(reference != reference[0]):
         step = "Check that the reference was connected, or name another one"
-        faults.append(sentence("the reference", "a signal", "one value in all samples", where, step))
-    if faults:
-        raise KinematicsError("\n".join(faults))
+        faults.append(Fault("the reference", "a signal", "one value in all samples", where, step))
+    raise_all(KinematicsError, faults)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -47,11 +47,11 @@ class Periodic:
     def __post_init__(self) -> None:
         faults = []
         if not (np.isfinite(self.period_s) and self.period_s > 0.0):
-            faults.append(sentence("the period", "positive, in s", self.period_s))
+            faults.append(Fault("the period", "positive, in s", self.period_s))
         if self.skip < 0:
-            faults.append(sentence("the skipped periods", "0 or more", self.skip))
+            faults.append(Fault("the skipped periods", "0 or more", self.skip))
         if not 0.0 <= self.threshold < 1.0:
-            faults.append(sentence("the threshold of excited lines", "from 0 to below 1", self.threshold))
+            faults.append(Fault("the threshold of excited lines", "from 0 to below 1", self.threshold))
         raise_all(KinematicsError, faults)
 
     def block(self, sample_rate_hz: float, where: str = "") -> tuple[int, int]:
@@ -69,7 +69,7 @@ class Periodic:
                 return whole, periods
         step = "Give the exact period, or sample in step with the generator"
         raise KinematicsError(
-            sentence("the period", "whole samples", f"{samples:.6g} samples of the record", where, step)
+            Fault("the period", "whole samples", f"{samples:.6g} samples of the record", where, step)
         )
 
 
@@ -106,7 +106,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     if np.any(counts < 2):
         got = f"{int(np.min(counts))} blocks of {samples} samples after {how.skip} skipped periods"
         step = "Record more periods, or skip fewer"
-        raise KinematicsError(sentence("a record", "two blocks of periods long at least", got, where, step))
+        raise KinematicsError(Fault("a record", "two blocks of periods long at least", got, where, step))
     means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
     lines = _excited(stacks, means, how.threshold, where)
     freq = (lines + 1) * sample_rate_hz / samples
@@ -170,7 +170,7 @@ def _excited(
     if not len(lines):
         step = "Check the period and the reference; random excitation has no period"
         raise KinematicsError(
-            sentence("the reference", "periodic, with lines above its noise", "none", where, step)
+            Fault("the reference", "periodic, with lines above its noise", "none", where, step)
         )
     return lines
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -99,11 +99,11 @@ class SteppedSine:
     def __post_init__(self) -> None:
         faults = []
         if not 0.0 <= self.settle <= 0.9:
-            faults.append(sentence("the share that settles", "from 0 to 0.9", self.settle))
+            faults.append(Fault("the share that settles", "from 0 to 0.9", self.settle))
         if not 1 <= self.harmonics <= 20:
-            faults.append(sentence("the highest harmonic", "from 1 to 20", self.harmonics))
+            faults.append(Fault("the highest harmonic", "from 1 to 20", self.harmonics))
         if not 0 <= self.drift <= 5:
-            faults.append(sentence("the degree of the drift", "from 0 to 5", self.drift))
+            faults.append(Fault("the degree of the drift", "from 0 to 5", self.drift))
         raise_all(KinematicsError, faults)
 
 
@@ -137,11 +137,11 @@ def fit_sine(
     if not 0.0 < freq_hz < 0.499 * sample_rate_hz:
         step = "Sample faster, or correct the table of steps"
         want = f"above 0 and below half the sampling rate ({0.5 * sample_rate_hz:g} Hz)"
-        raise KinematicsError(sentence("the frequency of a step", want, f"{freq_hz:g} Hz", where, step))
+        raise KinematicsError(Fault("the frequency of a step", want, f"{freq_hz:g} Hz", where, step))
     if count * freq_hz / sample_rate_hz < _FEWEST_CYCLES or count < 16:
         got = f"{count * freq_hz / sample_rate_hz:.3g} cycles, {count} samples"
         step = "Record longer steps or let less settle"
-        raise KinematicsError(sentence("a step", "four cycles and 16 samples long", got, where, step))
+        raise KinematicsError(Fault("a step", "four cycles and 16 samples long", got, where, step))
     if how.refine:
         freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
@@ -223,7 +223,7 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
     if abs(found - freq) > 4.0 * apart:
         step = "Correct the table of steps"
         want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
-        raise KinematicsError(sentence("the sine of a step", want, f"{found:.6g} Hz", where, step))
+        raise KinematicsError(Fault("the sine of a step", want, f"{found:.6g} Hz", where, step))
     return found
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 ESTIMATORS = ("h1", "h2", "hv")
 LOCAL = "lpm"
@@ -67,30 +67,30 @@ class SeriesOptions:
     def __post_init__(self) -> None:
         faults = []
         if self.estimator not in CHOICES:
-            faults.append(sentence("--frf", ", ".join(CHOICES), self.estimator))
+            faults.append(Fault("--frf", ", ".join(CHOICES), self.estimator))
         if self.window not in WINDOWS:
-            faults.append(sentence("--window", ", ".join(WINDOWS), self.window))
+            faults.append(Fault("--window", ", ".join(WINDOWS), self.window))
         if not 0.0 <= self.overlap <= 0.95:
-            faults.append(sentence("--overlap", "between 0 and 0.95", self.overlap))
+            faults.append(Fault("--overlap", "between 0 and 0.95", self.overlap))
         if self.averages < 3:
-            faults.append(sentence("--averages", "3 at least", self.averages))
+            faults.append(Fault("--averages", "3 at least", self.averages))
         if not math.isnan(self.resolution_hz) and not 0.0 < self.resolution_hz < math.inf:
-            faults.append(sentence("--resolution", "positive, in Hz", self.resolution_hz))
+            faults.append(Fault("--resolution", "positive, in Hz", self.resolution_hz))
         if not math.isnan(self.period_s) and not 0.0 < self.period_s < math.inf:
-            faults.append(sentence("--period", "positive, in s", self.period_s))
+            faults.append(Fault("--period", "positive, in s", self.period_s))
         if not math.isnan(self.period_s) and self.steps is not None:
             step = "Excitation is periodic or stepped"
-            faults.append(sentence("--steps", "left out beside --period", self.steps, "", step))
+            faults.append(Fault("--steps", "left out beside --period", self.steps, "", step))
         if self.skip_periods < 0:
-            faults.append(sentence("--skip-periods", "0 or more", self.skip_periods))
+            faults.append(Fault("--skip-periods", "0 or more", self.skip_periods))
         if not 0.0 <= self.settle <= 0.9:
-            faults.append(sentence("--settle", "from 0 to 0.9", self.settle))
+            faults.append(Fault("--settle", "from 0 to 0.9", self.settle))
         if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
-            faults.append(sentence("--frf-band", "two frequencies, the lower first", self.band_hz))
+            faults.append(Fault("--frf-band", "two frequencies, the lower first", self.band_hz))
         if self.steps is not None and not self.steps.is_file():
-            faults.append(sentence("--steps", "an existing file", self.steps, "", "Check its name"))
+            faults.append(Fault("--steps", "an existing file", self.steps, "", "Check its name"))
         if self.channels is not None and not self.channels.is_file():
-            faults.append(sentence("--channels", "an existing file", self.channels, "", "Check its name"))
+            faults.append(Fault("--channels", "an existing file", self.channels, "", "Check its name"))
         raise_all(KinematicsError, faults)
 
 
@@ -166,7 +166,7 @@ def series_options(given: argparse.Namespace, described: bool = False) -> Series
     faults = []
     if "channels" not in values and not described:
         want = "given with --channels FILE"
-        faults = [sentence(_FLAGS.get(name, f"--{name}"), want, "alone") for name in values]
+        faults = [Fault(_FLAGS.get(name, f"--{name}"), want, "alone") for name in values]
     made = None
     with collecting(faults):
         made = SeriesOptions(**values) if values else None

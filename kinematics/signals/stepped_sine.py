@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def stepped_frf(
     """
     how = how or SteppedSine()
     fits: list[_Fitted] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for one, place in _named(steps, where):
         with collecting(faults):
             cut = int(how.settle * len(one.reference))
@@ -99,7 +99,7 @@ def stepped_amplitudes(
     """
     how = how or SteppedSine()
     fits: list[_Fitted] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for one, place in _named(steps, where):
         with collecting(faults):
             signals = one.responses[:, int(how.settle * one.responses.shape[1]) :]
@@ -127,7 +127,7 @@ class _Fitted:
 def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
     if not steps:
         step = "Give the steps as a column freq_hz or a table"
-        raise KinematicsError(sentence("a stepped sine", "of one step at least", "none", where, step))
+        raise KinematicsError(Fault("a stepped sine", "of one step at least", "none", where, step))
     start = f"{where}, " if where else ""
     return [(one, f"{start}step {k} at {one.freq_hz:g} Hz") for k, one in enumerate(steps, start=1)]
 
@@ -135,7 +135,7 @@ def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
 def _check_lead(fit: SineFit, lead: int, place: str) -> None:
     if not (abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead] and fit.share[lead] > _LEAST_SHARE):
         step = "Check the table of steps and that the reference was connected"
-        raise KinematicsError(sentence("the reference", "a sine well above its noise", "noise", place, step))
+        raise KinematicsError(Fault("the reference", "a sine well above its noise", "noise", place, step))
 
 
 def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
@@ -185,7 +185,7 @@ def steps_of(column: Array, reference: Array, responses: Array, where: str = "")
     ]
     if not steps:
         step = "Write the set frequency of every sample into it"
-        raise KinematicsError(sentence("the column freq_hz", "positive in some samples", "0", where, step))
+        raise KinematicsError(Fault("the column freq_hz", "positive in some samples", "0", where, step))
     return steps
 
 

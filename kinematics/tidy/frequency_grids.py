@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class Grid:
 
 def join_lines(
     freq_hz: Array, channel: Index, body: Index, names: Sequence[str], where: str = ""
-) -> tuple[Grid, list[str]]:
+) -> tuple[Grid, list[Fault]]:
     """Number the lines of rows whose frequencies may differ a little between channels.
 
     Parameters
@@ -127,7 +127,7 @@ def _presence(grid: Grid, body: Index, count: int) -> NDArray[np.bool_]:
 
 def grid_faults(
     freq_hz: Array, present: NDArray[np.bool_], names: Sequence[str], where: str = ""
-) -> list[str]:
+) -> list[Fault]:
     """List the bodies that share less than half of the lines that they could share with the first one.
 
     Parameters
@@ -151,7 +151,7 @@ def grid_faults(
         if common and common >= _SHARE * within:
             continue
         faults.append(
-            sentence(
+            Fault(
                 f"the frequencies of bodies {names[first]} and {names[number]}",
                 "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured",
                 f"{_described(freq_hz[one])} and {_described(freq_hz[two])}, {common} of them in common",

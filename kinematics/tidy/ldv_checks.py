@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.tidy.ldv_columns import DIRECTION, Columns
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.tables.csv_table import Table
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
@@ -28,15 +28,15 @@ def each(
     expected: str,
     got: Callable[[int], str],
     table: Table,
-    faults: list[str],
+    faults: list[Fault],
     step: str = "Correct the cell",
 ) -> None:
     """Add one sentence for each bad row (rows,) of a table."""
     for row in np.flatnonzero(bad)[:_MOST].tolist():
-        faults.append(sentence(column, expected, got(row), table.where(row, column), step))
+        faults.append(Fault(column, expected, got(row), table.where(row, column), step))
 
 
-def check_frequencies(table: Table, faults: list[str]) -> NDArray[np.bool_]:
+def check_frequencies(table: Table, faults: list[Fault]) -> NDArray[np.bool_]:
     """Return which rows (rows,) have a positive and finite frequency, and add the others' faults."""
     freq = table.numbers["freq_hz"]
     usable = (freq >= LOWEST_HZ) & (freq <= HIGHEST_HZ)
@@ -60,7 +60,7 @@ def check_frequencies(table: Table, faults: list[str]) -> NDArray[np.bool_]:
     return usable
 
 
-def check_values(table: Table, columns: Columns, faults: list[str]) -> None:
+def check_values(table: Table, columns: Columns, faults: list[Fault]) -> None:
     """Add the faults of values, phases, standard deviations, averages, coherences and levels."""
     numbers = table.numbers
 
@@ -85,7 +85,7 @@ def check_values(table: Table, columns: Columns, faults: list[str]) -> None:
             step = "Leave the column out to have the noise estimated from the residuals"
             got = "NaN or empty cells throughout"
             where = f"{table.file}, lines {table.lines[0]} to {table.lines[-1]}, {columns.sd}"
-            faults.append(sentence(columns.sd, "a number in some row at least", got, where, step))
+            faults.append(Fault(columns.sd, "a number in some row at least", got, where, step))
     if "n_avg" in columns.extra:
         values = numbers["n_avg"]
         check((values < 1.0) | np.isinf(values), "n_avg", "1 or more")
@@ -101,7 +101,7 @@ def check_values(table: Table, columns: Columns, faults: list[str]) -> None:
             check((level <= 0.0) | np.isinf(level), columns.level, "positive and finite", step)
 
 
-def check_takes(table: Table, columns: Columns, faults: list[str]) -> None:
+def check_takes(table: Table, columns: Columns, faults: list[Fault]) -> None:
     """Add the faults of runs, repeats and levels that some rows name and others do not."""
     empty = {name: table.texts[name].codes < 0 for name in ("run", "repeat") if name in table.texts}
     if columns.level:
@@ -113,7 +113,7 @@ def check_takes(table: Table, columns: Columns, faults: list[str]) -> None:
             each(rows, name, expected, lambda _row: "an empty cell", table, faults, "Fill it in")
 
 
-def check_directions(table: Table, columns: Columns, faults: list[str]) -> tuple[Array, Index]:
+def check_directions(table: Table, columns: Columns, faults: list[Fault]) -> tuple[Array, Index]:
     """Return the unit direction (rows, 3) of every row and a number (rows,) for each different one."""
     if columns.direction == ("dir",):
         column = table.texts["dir"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.units import SUFFIXES, Unit, unit_of
 from stapeskit.warnings import Notice
 
@@ -97,8 +97,8 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     KinematicsError
         A column is missing, has an unknown unit, or stands beside one that contradicts it.
     """
-    place = f"{file}, line 1"
-    faults: list[str] = []
+    place = Place(file, "line", (1,))
+    faults: list[Fault] = []
     units = _units(header, place, faults)
     missing = [name for name in ("body", "point", "freq_hz") if name not in header]
     direction = ("dir",) if "dir" in header else DIRECTION
@@ -110,10 +110,10 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         step = "Add the column, or correct its name in the header (points2dof --help lists them)"
         if POSITION[0] in missing:
             step = "Give the positions in the table or with --points"
-        faults.append(sentence("the table", "complete", f"no column {', '.join(missing)}", place, step))
+        faults.append(Fault("the table", "complete", f"no column {', '.join(missing)}", place, step))
     if "dir" in header and any(name in header for name in DIRECTION):
         faults.append(
-            sentence("the direction", "given once", "dir and dir_x, dir_y, dir_z", place, "Remove one")
+            Fault("the direction", "given once", "dir and dir_x, dir_y, dir_z", place, "Remove one")
         )
     first, second, polar = _value_pair(units, header, place, faults)
     sd = _sd(units, first, place, faults)
@@ -151,15 +151,15 @@ def ignored_notice(columns: Columns, file: str) -> list[Notice]:
     return [Notice("columns_ignored", f"columns of {file} that are not used: {', '.join(said[:6])}{more}.")]
 
 
-def _level(header: Sequence[str], place: str, faults: list[str]) -> str:
+def _level(header: Sequence[str], place: Place, faults: list[Fault]) -> str:
     names = [name for name in header if name == "level" or name.startswith("level_")]
     if len(names) > 1:
         step = "Remove the others"
-        faults.append(sentence("the level of excitation", "given once", ", ".join(names), place, step))
+        faults.append(Fault("the level of excitation", "given once", ", ".join(names), place, step))
     return names[0] if names else ""
 
 
-def _units(header: Sequence[str], place: str, faults: list[str]) -> dict[str, Unit]:
+def _units(header: Sequence[str], place: Place, faults: list[Fault]) -> dict[str, Unit]:
     found: dict[str, Unit] = {}
     for name in header:
         unit = unit_of(name)
@@ -168,20 +168,20 @@ def _units(header: Sequence[str], place: str, faults: list[str]) -> dict[str, Un
         elif name.startswith(("re_", "im_", "amp_", "sd_")) or name in ("re", "im", "amp", "sd"):
             step = "Convert the values, and name their unit in the header"
             thing = f"the unit of column {name}"
-            faults.append(sentence(thing, f"one of {SUFFIXES}", "an unknown one", place, step))
+            faults.append(Fault(thing, f"one of {SUFFIXES}", "an unknown one", place, step))
         elif name.startswith("freq") and name != "freq_hz":
             faults.append(
-                sentence(f"the frequency column {name}", "freq_hz", "an unknown unit", place, "Give Hz")
+                Fault(f"the frequency column {name}", "freq_hz", "an unknown unit", place, "Give Hz")
             )
         elif name.startswith("phase") and name != "phase_deg":
             faults.append(
-                sentence(f"the phase column {name}", "phase_deg", "an unknown unit", place, "Give degrees")
+                Fault(f"the phase column {name}", "phase_deg", "an unknown unit", place, "Give degrees")
             )
     return found
 
 
 def _value_pair(
-    units: dict[str, Unit], header: Sequence[str], place: str, faults: list[str]
+    units: dict[str, Unit], header: Sequence[str], place: Place, faults: list[Fault]
 ) -> tuple[str, str, bool]:
     by_part = {
         part: [name for name, unit in units.items() if unit.part == part] for part in ("re", "im", "amp")
@@ -191,36 +191,36 @@ def _value_pair(
         by_part["amp"] and (by_part["re"] or by_part["im"])
     ):
         got = ", ".join(name for names in by_part.values() for name in names)
-        faults.append(sentence("the value", f"given once, as {pairs}", got, place, "Remove the others"))
+        faults.append(Fault("the value", f"given once, as {pairs}", got, place, "Remove the others"))
     elif by_part["re"] and by_part["im"]:
         first, second = by_part["re"][0], by_part["im"][0]
         if units[first].scale == units[second].scale and units[first].order == units[second].order:
             return first, second, False
         got = f"{first} and {second}"
-        faults.append(sentence("real and imaginary part", "in one unit", got, place, "Convert one of them"))
+        faults.append(Fault("real and imaginary part", "in one unit", got, place, "Convert one of them"))
     elif by_part["amp"] and "phase_deg" in header:
         return by_part["amp"][0], "phase_deg", True
-    elif not any("the unit of column" in fault for fault in faults):
+    elif not any(fault.thing.startswith("the unit of column") for fault in faults):
         alone = [name for names in by_part.values() for name in names]
         alone += ["phase_deg"] if "phase_deg" in header else []
         got = f"{', '.join(alone)} alone" if alone else "none of them"
-        faults.append(sentence("the value columns", pairs, got, place, "Add the missing column"))
+        faults.append(Fault("the value columns", pairs, got, place, "Add the missing column"))
     return "", "", False
 
 
-def _sd(units: dict[str, Unit], first: str, place: str, faults: list[str]) -> str:
+def _sd(units: dict[str, Unit], first: str, place: Place, faults: list[Fault]) -> str:
     names = [name for name, unit in units.items() if unit.part == "sd"]
     if not names or not first:
         return ""
     value = units[first]
     if len(names) > 1:
         faults.append(
-            sentence("the standard deviation", "given once", ", ".join(names), place, "Remove the others")
+            Fault("the standard deviation", "given once", ", ".join(names), place, "Remove the others")
         )
         return ""
     sd = units[names[0]]
     if sd.order != value.order or sd.rms != value.rms:
         want = f"sd_{first.split('_', 1)[1]}, in the unit of its value"
-        faults.append(sentence("the standard deviation", want, names[0], place, "Convert it"))
+        faults.append(Fault("the standard deviation", want, names[0], place, "Convert it"))
         return ""
     return names[0]

@@ -15,7 +15,7 @@ from kinematics.tidy.few_averages import steadied
 from kinematics.tidy.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tidy.ldv_rows import Rows, rows_of
 from kinematics.tidy.points_csv import read_points
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.warnings import Notice
 
@@ -51,17 +51,17 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
         found.append(columns_of(header, file, points is not None))
         return found[0].numbers, found[0].texts
 
-    others: list[str] = []
+    others: list[Fault] = []
     listed = None
     if points is not None:
         try:
             listed = read_points(points)
         except StapeskitError as fault:
-            others = str(fault).splitlines()
+            others = list(fault.faults)
     try:
         table = read_table(path, choose)
     except StapeskitError as fault:
-        raise_all(KinematicsError, [*str(fault).splitlines(), *others])
+        raise_all(KinematicsError, [*fault.faults, *others])
         raise
     columns = found[0]
     rows = rows_of(table, columns, listed, others)
@@ -78,7 +78,7 @@ def _check_kind(path: Path) -> None:
     if path.is_dir() or (path.exists() and path.suffix.lower() not in (".csv", ".txt", ".tsv")):
         step = "Export the spectra as a tidy CSV table (see points2dof --help)"
         raise KinematicsError(
-            sentence(
+            Fault(
                 "the vibrometer file",
                 "a CSV table (.csv, .tsv or .txt), which is what is read now",
                 path.name,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from kinematics.tidy.ldv_checks import each
 from kinematics.tidy.ldv_columns import POSITION, Columns
 from kinematics.tidy.points_csv import Points
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault, Place
 from stapeskit.tables.csv_table import Table
 from stapeskit.warnings import Notice
 
@@ -18,7 +18,7 @@ _SAME_MM = 1e-6
 
 
 def check_positions(
-    table: Table, columns: Columns, listed: Points | None, place: Index, first: Index, faults: list[str]
+    table: Table, columns: Columns, listed: Points | None, place: Index, first: Index, faults: list[Fault]
 ) -> tuple[Array, Array]:
     """Return the position of every point and its standard deviation, and add the faults.
 
@@ -107,7 +107,7 @@ def alike_notice(table: Table) -> list[Notice]:
 
 
 def _each_position(
-    bad: NDArray[np.bool_], name: str, rows: Array, table: Table, faults: list[str], step: str
+    bad: NDArray[np.bool_], name: str, rows: Array, table: Table, faults: list[Fault], step: str
 ) -> None:
     each(
         bad,
@@ -120,7 +120,7 @@ def _each_position(
     )
 
 
-def _not_listed(key: tuple[str, str], listed: Points, where: str) -> str:
+def _not_listed(key: tuple[str, str], listed: Points, where: Place) -> Fault:
     bodies = {name for name, _ in listed.positions}
     wanted = (key[0].casefold(), key[1].casefold())
     near = [f"{b} {p}" for b, p in listed.positions if (b.casefold(), p.casefold()) == wanted]
@@ -129,11 +129,11 @@ def _not_listed(key: tuple[str, str], listed: Points, where: str) -> str:
         got, step = f"no row of that name there, but {near[0]}", "Write both names alike"
     elif key[0] not in bodies:
         got = f"no point of that body there, only of {', '.join(sorted(bodies)[:6])}"
-    return sentence(f"point {key[1]} of body {key[0]}", f"listed in {listed.file}", got, where, step)
+    return Fault(f"point {key[1]} of body {key[0]}", f"listed in {listed.file}", got, where, step)
 
 
-def _two_positions(key: tuple[str, str], old: str, new: Array, where: str) -> str:
-    return sentence(
+def _two_positions(key: tuple[str, str], old: str, new: Array, where: Place) -> Fault:
+    return Fault(
         f"the position of point {key[1]} of body {key[0]}",
         "one",
         f"{old} and {new.tolist()}",

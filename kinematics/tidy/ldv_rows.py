@@ -22,7 +22,7 @@ from kinematics.tidy.ldv_checks import (
 from kinematics.tidy.ldv_columns import POSITION, Columns
 from kinematics.tidy.ldv_positions import alike_notice, check_positions, unmeasured_notice
 from kinematics.tidy.points_csv import Points
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import Table, TextColumn
 from stapeskit.tables.csv_text import no_rows
 from stapeskit.warnings import Notice
@@ -67,7 +67,7 @@ class _Blocks:
     place: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
-def rows_of(table: Table, columns: Columns, listed: Points | None, others: Sequence[str] = ()) -> Rows:
+def rows_of(table: Table, columns: Columns, listed: Points | None, others: Sequence[Fault] = ()) -> Rows:
     """Check every row and number its take, channel and line.
 
     Parameters
@@ -125,7 +125,7 @@ def _placed(
     listed: Points | None,
     blocks: _Blocks,
     usable: NDArray[np.bool_],
-    faults: list[str],
+    faults: list[Fault],
 ) -> Rows | None:
     """Number takes, channels and lines; None when no row can be placed."""
     short = blocks.table
@@ -195,7 +195,7 @@ def _takes(table: Table, columns: Columns) -> tuple[Index, tuple[Take, ...]]:
 
 def _lines(
     table: Table, rows: Index, channel: Index, take: Index, body: TextColumn, first: Index
-) -> tuple[Grid, list[str]]:
+) -> tuple[Grid, list[Fault]]:
     """Number the lines of the rows; sweeps over one grid, row after row, need no sorting."""
     freq = table.numbers["freq_hz"]
     width = int(np.argmax(freq[1:] <= freq[:-1])) + 1 if len(freq) > 1 else 1
@@ -210,7 +210,7 @@ def _lines(
     return join_lines(freq[rows], sweep, body.codes[first][channel[rows]], body.names, table.file)
 
 
-def _duplicates(whole: Index, rows: Index, table: Table, faults: list[str]) -> None:
+def _duplicates(whole: Index, rows: Index, table: Table, faults: list[Fault]) -> None:
     """Note the rows whose place, numbered by ``whole``, another one has already."""
     seen = np.zeros(int(whole.max()) + 1, dtype=bool)
     seen[whole] = True
@@ -224,7 +224,7 @@ def _duplicates(whole: Index, rows: Index, table: Table, faults: list[str]) -> N
     for number in np.flatnonzero(twice)[:_MOST]:
         row, earlier = int(rows[number]), int(rows[first[codes[number]]])
         faults.append(
-            sentence(
+            Fault(
                 "a row",
                 "the only one of its run, body, point, direction and frequency",
                 f"the same as in line {table.lines[earlier]}",

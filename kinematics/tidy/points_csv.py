@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.units import FARTHEST_MM, NEAREST_MM
 
@@ -51,7 +51,7 @@ def read_points(path: Path) -> Points:
     for row in range(len(table)):
         if body.codes[row] < 0 or point.codes[row] < 0:
             faults.append(
-                sentence(
+                Fault(
                     "body and point",
                     "names",
                     "an empty cell",
@@ -65,7 +65,7 @@ def read_points(path: Path) -> Points:
             old, new = positions[key].tolist(), xyz[row].tolist()
             what = "the same point again" if old == new else f"a second position, {new} after {old}"
             faults.append(
-                sentence(
+                Fault(
                     f"point {key[1]} of body {key[0]}", "listed once", what, table.where(row), "Keep one row"
                 )
             )
@@ -85,17 +85,17 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
     missing = [name for name in names if name not in header]
     if missing:
         raise KinematicsError(
-            sentence(
+            Fault(
                 "the table",
                 "complete",
                 f"no column {', '.join(missing)}",
-                f"{file}, line 1",
+                Place(file, "line", (1,)),
                 "Add the column, or correct its name in the header",
             )
         )
 
 
-def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
+def finite_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
     """List the cells of number columns that are empty, infinite or, in mm, no place on earth."""
     faults = []
     for name in columns:
@@ -104,21 +104,21 @@ def finite_faults(table: Table, columns: Sequence[str]) -> list[str]:
             value = table.numbers[name][row]
             got = "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
             step = "Give the number, or leave the row out"
-            faults.append(sentence(name, "a finite number", got, table.where(int(row)), step))
+            faults.append(Fault(name, "a finite number", got, table.where(int(row)), step))
         if name.endswith("_mm"):
             values = table.numbers[name]
             for row in np.flatnonzero((np.abs(values) > FARTHEST_MM) & np.isfinite(values)):
                 want, got = f"within {FARTHEST_MM:g} mm", f"{values[row]:g}"
-                faults.append(sentence(name, want, got, table.where(int(row)), "Give the position in mm"))
+                faults.append(Fault(name, want, got, table.where(int(row)), "Give the position in mm"))
     return faults
 
 
-def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[str]:
+def sd_faults(table: Table, sd: Array, name: str = "sd_mm") -> list[Fault]:
     """List the standard deviations that are not positive and finite, or beyond all positions."""
     rows = np.flatnonzero((sd < NEAREST_MM) | (sd > FARTHEST_MM))
     step = "Give the standard deviation per coordinate in mm"
     wanted = {True: f"within {NEAREST_MM:g} and {FARTHEST_MM:g} mm", False: "positive and finite"}
     return [
-        sentence(name, wanted[bool(0.0 < sd[row] < np.inf)], f"{sd[row]:g}", table.where(int(row)), step)
+        Fault(name, wanted[bool(0.0 < sd[row] < np.inf)], f"{sd[row]:g}", table.where(int(row)), step)
         for row in rows
     ]

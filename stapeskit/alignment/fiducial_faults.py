@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.alignment.paired_points import kabsch
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def check_size(a: Array, b: Array, source: str, to: str) -> None:
     if 1.0 / 1.5 < ratio < 1.5:
         return
     raise StapeskitError(
-        sentence(
+        Fault(
             f"the fiducials of the {source} and {to} frames",
             "both in mm, with the same distances between them",
             f"distances that are {ratio:.4g} times as large in the {source} frame",
@@ -282,7 +282,7 @@ def refuse_mirrored(
     rivals = [names[one.members[0]] for one in alike if one.kind == "wrong"]
     also = f"; or correct fiducial {' or '.join(rivals)}, which alone says so" if len(rivals) == 1 else ""
     raise StapeskitError(
-        sentence(
+        Fault(
             f"the coordinates of the {source} frame",
             "right-handed",
             f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "

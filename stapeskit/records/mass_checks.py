@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform, transform_faults
 from stapeskit.spatial import (
     DOF_NAMES,
@@ -54,7 +54,7 @@ class Checked:
 
     raw: Mapping[str, Any]
     file: str
-    faults: list[str] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
     parameters: Array | None = None
     covariance: Array | None = None
     contributions: dict[str, Array] = field(default_factory=dict)
@@ -63,7 +63,7 @@ class Checked:
 
     def fault(self, thing: str, expected: str, got: object) -> None:
         """Note one fault."""
-        self.faults.append(sentence(thing, expected, got, self.file, MADE_BY))
+        self.faults.append(Fault(thing, expected, got, self.file, MADE_BY))
 
     def get(self, path: str, optional: bool = False) -> Any:
         """Return the value at a dotted path; None, and a fault unless optional, when null or missing."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.records.mass_checks import MADE_BY, check
 from stapeskit.spatial import (
@@ -56,14 +56,12 @@ class MassMatrix:
     def __post_init__(self) -> None:
         parameters = np.asarray(self.parameters, dtype=float)
         if parameters.shape != (10,):
-            raise StapeskitError(
-                sentence("the inertial parameters", "10 numbers", f"shape {parameters.shape}")
-            )
+            raise StapeskitError(Fault("the inertial parameters", "10 numbers", f"shape {parameters.shape}"))
         check_inertia(matrix_from_parameters(parameters))
         for name, covariance in self.contributions.items():
             if np.shape(covariance) != (10, 10) or not np.all(np.isfinite(covariance)):
                 raise StapeskitError(
-                    sentence(f"the covariance {name}", "a finite 10x10 matrix", np.shape(covariance))
+                    Fault(f"the covariance {name}", "a finite 10x10 matrix", np.shape(covariance))
                 )
         object.__setattr__(self, "parameters", parameters)
 
@@ -181,23 +179,21 @@ def read_mass_record(path: Path) -> MassRecord:
     raw = _load(path)
     schema = raw.get("schema")
     if schema != SCHEMA:
-        raise StapeskitError(sentence("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY))
+        raise StapeskitError(Fault("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY))
     return _record(raw, path.name)
 
 
 def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise StapeskitError(
-            sentence("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
+            Fault("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
         )
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
-        raise StapeskitError(sentence("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
+        raise StapeskitError(Fault("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
     if not isinstance(raw, dict):
-        raise StapeskitError(
-            sentence("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY)
-        )
+        raise StapeskitError(Fault("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY))
     return raw
 
 
@@ -205,7 +201,7 @@ def _record(raw: dict[str, Any], name: str) -> MassRecord:
     made = check(raw, name)
     raise_all(StapeskitError, made.faults)
     if made.parameters is None or made.covariance is None:
-        raise StapeskitError(sentence("a mass.json", "complete", "a part of it", name, MADE_BY))
+        raise StapeskitError(Fault("a mass.json", "complete", "a part of it", name, MADE_BY))
     return MassRecord(
         MassMatrix(
             "footplate_centre",

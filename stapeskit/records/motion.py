@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
@@ -41,7 +41,7 @@ class SharedErrors:
         count = len(self.names)
         if self.covariance.shape != (count, count) or self.derivatives.shape[:1] != (count,):
             raise StapeskitError(
-                sentence(
+                Fault(
                     "shared errors",
                     f"{count} parameters throughout",
                     f"covariance {self.covariance.shape}, derivatives {self.derivatives.shape}",
@@ -109,14 +109,14 @@ class RigidMotion:
         if self.common_sd is not None:
             wanted["common_sd"] = (self.common_sd.shape, (runs, lines))
         faults = [
-            sentence(f"the shape of {name}", str(want), got)
+            Fault(f"the shape of {name}", str(want), got)
             for name, (got, want) in wanted.items()
             if got != want
         ]
         if tuple(name for name in DOF_NAMES if name in self.dof) != self.dof or not self.dof:
-            faults.append(sentence("dof", f"in the order {', '.join(DOF_NAMES)}", self.dof))
+            faults.append(Fault("dof", f"in the order {', '.join(DOF_NAMES)}", self.dof))
         if np.any(np.diff(self.freq_hz) <= 0.0) or np.any(self.freq_hz <= 0.0):
-            faults.append(sentence("freq_hz", "positive and ascending", "another order"))
+            faults.append(Fault("freq_hz", "positive and ascending", "another order"))
         raise_all(StapeskitError, faults)
 
     def body(self, name: str, option: str = "--structure") -> int:
@@ -129,7 +129,7 @@ class RigidMotion:
         """
         if name not in self.bodies:
             raise StapeskitError(
-                sentence(
+                Fault(
                     "the body",
                     f"one of {', '.join(self.bodies)}",
                     name,

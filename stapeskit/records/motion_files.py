@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.provenance import content_hash
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
@@ -139,14 +139,12 @@ def read_motion(path: Path) -> RigidMotion:
     path = Path(path)
     if not path.is_file():
         raise StapeskitError(
-            sentence(
-                "the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first"
-            )
+            Fault("the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first")
         )
     if path.suffix.lower() in (".h5", ".hdf5"):
         return _read_h5(path)
     if path.suffix.lower() != ".csv":
-        raise StapeskitError(sentence("a motion file", "a .csv or .h5 file of points2dof", path.name))
+        raise StapeskitError(Fault("a motion file", "a .csv or .h5 file of points2dof", path.name))
     beside = path.with_suffix(".h5")
     if beside.is_file() and _stored_hash(beside) == content_hash(path):
         return _read_h5(beside)
@@ -175,7 +173,7 @@ def _read_h5(path: Path) -> RigidMotion:
         with h5py.File(path, "r") as file:
             if file.attrs.get("schema") != SCHEMA:
                 raise StapeskitError(
-                    sentence(
+                    Fault(
                         "schema",
                         f'"{SCHEMA}"',
                         file.attrs.get("schema"),
@@ -186,7 +184,7 @@ def _read_h5(path: Path) -> RigidMotion:
             return _motion_from_h5(file)
     except (OSError, KeyError) as fault:
         raise StapeskitError(
-            sentence("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name)
+            Fault("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name)
         ) from fault
 
 
@@ -228,9 +226,8 @@ def _read_csv(path: Path, notice: Notice) -> RigidMotion:
         if not dof:
             missing = ["x_re_m or another degree of freedom"]
         if missing:
-            raise StapeskitError(
-                sentence("a motion file", "complete", f"no column {', '.join(missing)}", f"{name}, line 1")
-            )
+            place = Place(name, "line", (1,))
+            raise StapeskitError(Fault("a motion file", "complete", f"no column {', '.join(missing)}", place))
         found.update(dof=dof, end=end, needed=needed)
         return {c for c in needed if c in header} - {"run", "body"}, {"run", "body"} & set(header)
 
@@ -251,7 +248,7 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
         _, first = np.unique(place, return_index=True)
         for row in np.setdiff1d(np.arange(len(place)), first):
             faults.append(
-                sentence(
+                Fault(
                     "a row", "the only one of its run, body and frequency", "another", table.where(int(row))
                 )
             )
@@ -280,14 +277,14 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
     )
 
 
-def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[str]:
+def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[Fault]:
     faults = []
     told = table.told_rows("freq_hz")
     for row in np.flatnonzero(~(freq >= LOWEST_HZ) | (freq > HIGHEST_HZ)):
         if not (told[row] and np.isnan(freq[row])):
             finite = 0.0 < freq[row] < np.inf
             want = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz" if finite else "positive and finite"
-            faults.append(sentence("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))
+            faults.append(Fault("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))
     for name in {"chi2", "n_dof"} & set(table.numbers):
         values = table.numbers[name]
         odd = (values < 0.0) | (values > LARGEST_COUNT)
@@ -296,19 +293,19 @@ def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) ->
             odd &= ~np.isnan(values)
         for row in np.flatnonzero(odd):
             want = "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
-            faults.append(sentence(name, want, f"{values[row]:g}", table.where(int(row))))
+            faults.append(Fault(name, want, f"{values[row]:g}", table.where(int(row))))
     for row in np.flatnonzero(np.any((sd < 0.0) | (sd > LARGEST), axis=1)):
         faults.append(
-            sentence("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
+            Fault("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))
         )
     for name, values in table.numbers.items():
         large = np.flatnonzero(np.abs(values) > LARGEST) if "_re_" in name or "_im_" in name else ()
         for row in large:
             where = table.where(int(row))
             want = "finite, or empty" if np.isinf(values[row]) else f"below {LARGEST:g}, or empty"
-            faults.append(sentence(name, want, f"{values[row]:g}", where))
+            faults.append(Fault(name, want, f"{values[row]:g}", where))
     for row in np.flatnonzero(body < 0):
-        faults.append(sentence("body", "a name", "an empty cell", table.where(int(row))))
+        faults.append(Fault("body", "a name", "an empty cell", table.where(int(row))))
     return faults
 
 
@@ -321,5 +318,5 @@ def _reference_of(q: NDArray[np.complex128], bodies: tuple[str, ...], dof: tuple
             if values.size and np.all(np.abs(values - 1.0) < 1e-9):
                 return f"{body_name}:{dof_name}"
     raise StapeskitError(
-        sentence("a motion file per reference", "1 in the column of its reference", "no such column", name)
+        Fault("a motion file per reference", "1 in the column of its reference", "no such column", name)
     )

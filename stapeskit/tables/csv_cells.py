@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault, Place
 from stapeskit.tables.csv_fast import MISSING
 from stapeskit.tables.csv_text import Sheet, decoded, no_text
 
 Array = NDArray[np.float64]
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
-_LINE = re.compile(r", line (\d+)[,)]")
 _ENDLESS = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 
 
@@ -28,7 +27,7 @@ class Cells:
     numbers: dict[str, Array]
     texts: dict[str, list[str]]
     lines: NDArray[np.int64]
-    faults: tuple[str, ...]
+    faults: tuple[Fault, ...]
     comments: int
 
 
@@ -50,7 +49,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = 
     cells: dict[str, list[str]] = {column: [] for column in (*sorted(numbers), *sorted(texts))}
     places = [(column, sheet.header.index(column)) for column in cells]
     lines: list[int] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     width, comments, begun = len(sheet.header), 0, sheet.line
     rows = iter(reader)
     while True:
@@ -59,8 +58,8 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = 
         except StopIteration:
             break
         except csv.Error as fault:
-            where = f"{sheet.file}, line {begun}"
-            faults.append(sentence("a row", "text that can be parted into cells", fault, where, "Correct it"))
+            where = Place(sheet.file, "line", (begun,))
+            faults.append(Fault("a row", "text that can be parted into cells", fault, where, "Correct it"))
             break
         line, begun = begun, sheet.line + reader.line_num
         if not any(cell.strip() for cell in row):
@@ -85,10 +84,9 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = 
     return Cells(values, words, np.array(lines, dtype=np.int64), tuple(faults), comments)
 
 
-def _line_of(fault: str) -> int:
-    """Return the line that a fault names, by which faults are listed."""
-    found = _LINE.search(fault)
-    return int(found[1]) if found else 0
+def _line_of(fault: Fault) -> int:
+    """Return the line of a fault."""
+    return fault.where.numbers[0] if isinstance(fault.where, Place) and fault.where.numbers else 0
 
 
 def _decimal(sheet: Sheet, cells: dict[str, list[str]], numbers: set[str]) -> str:
@@ -101,7 +99,7 @@ def _decimal(sheet: Sheet, cells: dict[str, list[str]], numbers: set[str]) -> st
 
 
 def _parsed(
-    cells: Sequence[str], column: str, decimal: str, name: str, lines: Sequence[int], faults: list[str]
+    cells: Sequence[str], column: str, decimal: str, name: str, lines: Sequence[int], faults: list[Fault]
 ) -> Array:
     values = np.full(len(cells), np.nan)
     other = "." if decimal == "," else ","
@@ -111,8 +109,8 @@ def _parsed(
         if (_NUMBER.fullmatch(cell) and other not in cell) or _ENDLESS.fullmatch(cell):
             values[place] = float(cell.replace(",", "."))
             continue
-        where = f"{name}, line {lines[place]}"
-        faults.append(sentence(column, "a number", f'"{_printable(cell)}"', where, _hint(cell, decimal)))
+        where = Place(name, "line", (lines[place],))
+        faults.append(Fault(column, "a number", f'"{_printable(cell)}"', where, _hint(cell, decimal)))
     return values
 
 
@@ -126,7 +124,7 @@ def _hint(cell: str, decimal: str) -> str:
     return "Write a plain number such as 1000 or 1e-6"
 
 
-def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> str:
+def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> Fault:
     got = len(row)
     hint = "Give every row one cell per column, empty where a value is missing"
     width = len(sheet.header)
@@ -144,9 +142,9 @@ def _length_fault(sheet: Sheet, line: int, height: int, row: Sequence[str]) -> s
     return _row_fault(sheet, line, got, hint)
 
 
-def _row_fault(sheet: Sheet, line: int, got: int, hint: str) -> str:
+def _row_fault(sheet: Sheet, line: int, got: int, hint: str) -> Fault:
     expected = f"{len(sheet.header)} cells long, as the header is"
-    return sentence("a row", expected, f"{got}", f"{sheet.file}, line {line}", hint)
+    return Fault("a row", expected, f"{got}", Place(sheet.file, "line", (line,)), hint)
 
 
 def _printable(cell: str) -> str:

@@ -6,7 +6,6 @@ marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spr
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Fault, Place, StapeskitError
 from stapeskit.tables.csv_cells import read_cells
 from stapeskit.tables.csv_fast import Stretch, decimal_of, joined, read_fast
 from stapeskit.tables.csv_text import Sheet, no_rows, open_sheet
@@ -53,7 +52,7 @@ class Table:
     numbers: Mapping[str, Array]
     texts: Mapping[str, TextColumn]
     lines: NDArray[np.int64]
-    faults: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
     comments: int = 0
 
     def __len__(self) -> int:
@@ -63,16 +62,17 @@ class Table:
         """Return which rows (rows,) have a cell, of one column or of any, that was told to be no number."""
         if not self.faults:
             return np.zeros(len(self), dtype=bool)
-        lines = []
-        for fault in self.faults:
-            place = re.search(r", line (\d+)\)", fault)
-            if place and (not column or fault.startswith(f"{column} must be a number")):
-                lines.append(int(place.group(1)))
+        lines = [
+            line
+            for fault in self.faults
+            if isinstance(fault.where, Place) and (not column or fault.thing == column)
+            for line in fault.where.numbers
+        ]
         return np.isin(self.lines, lines)
 
-    def where(self, row: int, column: str = "") -> str:
+    def where(self, row: int, column: str = "") -> Place:
         """Return the place of a row for a message."""
-        return f"{self.file}, line {int(self.lines[row])}" + (f", {column}" if column else "")
+        return Place(self.file, "line", (int(self.lines[row]),), column)
 
 
 def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str], set[str]]]) -> Table:
@@ -94,8 +94,13 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
     try:
         numbers, texts = choose(sheet.header, sheet.file)
     except StapeskitError as fault:
-        told = str(fault).replace(f"{sheet.file}, line 1)", f"{sheet.header_place})")
-        raise type(fault)(told) from fault
+        in_header = Place(sheet.file, "line", (1,))
+        raise type(fault)(
+            *(
+                replace(entry, where=sheet.header_place) if entry.where == in_header else entry
+                for entry in fault.faults
+            )
+        ) from fault
     if sheet.start >= sheet.stop:
         empty = sheet.data[sheet.start :].strip() == b""
         raise StapeskitError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))
@@ -123,7 +128,7 @@ def _mixed(sheet: Sheet, stretches: Sequence[Stretch], numbers: set[str], texts:
     """Read the stretches that are not regular cell by cell, and join all."""
     line, comments = sheet.line, 0
     lines: list[NDArray[np.int64]] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     values: list[Mapping[str, Array]] = []
     coded: list[Mapping[str, tuple[NDArray[np.intp], list[str]]]] = []
     for stretch in stretches:

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, Place, StapeskitError
 
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
 _MARK = b"\xef\xbb\xbf"
@@ -48,9 +48,9 @@ class Sheet:
     line: int
 
     @property
-    def header_place(self) -> str:
+    def header_place(self) -> Place:
         """Return file and line of the header."""
-        return f"{self.file}, line {self.line - 1}"
+        return Place(self.file, "line", (self.line - 1,))
 
 
 def open_sheet(path: Path) -> Sheet:
@@ -82,24 +82,22 @@ def open_sheet(path: Path) -> Sheet:
     try:
         header = [_plain(name) for name in next(csv.reader([text], delimiter=separator))]
     except csv.Error as fault:
-        where = f"{path.name}, line {line - 1}"
+        where = Place(path.name, "line", (line - 1,))
         step = "End lines with a line feed, and put quotes around whole names only"
         raise StapeskitError(
-            sentence("the header", "one line of names", str(fault).split(" - ")[0], where, step)
+            Fault("the header", "one line of names", str(fault).split(" - ")[0], where, step)
         ) from fault
     while header and not header[-1]:
         header.pop()
     if sum(_is_number(name) for name in header) > len(header) // 2:
-        where = f"{path.name}, line {line - 1}"
+        where = Place(path.name, "line", (line - 1,))
         step = "Put the names of the columns above the rows"
-        raise StapeskitError(sentence("the first line", "the header", "numbers", where, step))
+        raise StapeskitError(Fault("the first line", "the header", "numbers", where, step))
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         got = ", ".join(twice) + " twice"
-        where = f"{path.name}, line {line - 1}"
-        raise StapeskitError(
-            sentence("column names", "different", got, where, "Rename or remove one of them")
-        )
+        where = Place(path.name, "line", (line - 1,))
+        raise StapeskitError(Fault("column names", "different", got, where, "Rename or remove one of them"))
     return Sheet(path.name, data, tuple(header), separator, start, _end(data), line)
 
 
@@ -114,25 +112,25 @@ def decoded(data: bytes, name: str, line: int = 1) -> str:
     try:
         return data.decode("utf-8").rstrip("\r")
     except UnicodeDecodeError as fault:
-        where = f"{name}, line {line + data.count(bytes([10]), 0, fault.start)}"
+        where = Place(name, "line", (line + data.count(bytes([10]), 0, fault.start),))
         raise StapeskitError(
-            sentence("a CSV file", "text in UTF-8", "another encoding", where, "Save it as UTF-8")
+            Fault("a CSV file", "text in UTF-8", "another encoding", where, "Save it as UTF-8")
         ) from fault
 
 
-def no_rows(name: str, got: str = "the header alone") -> str:
+def no_rows(name: str, got: str = "the header alone") -> Fault:
     """Return the sentence on a table in which nothing stands."""
-    return sentence(name, "a table with rows below its header", got, "", "Export it again")
+    return Fault(name, "a table with rows below its header", got, "", "Export it again")
 
 
 def _empty(name: str, expected: str, got: str) -> StapeskitError:
-    return StapeskitError(sentence("a CSV file", expected, got, name, "Export it again"))
+    return StapeskitError(Fault("a CSV file", expected, got, name, "Export it again"))
 
 
 def _bytes(path: Path) -> bytes | mmap.mmap:
     if not path.is_file():
         raise StapeskitError(
-            sentence("the table", "an existing CSV file", path, "", "Check its name and folder")
+            Fault("the table", "an existing CSV file", path, "", "Check its name and folder")
         )
     if path.stat().st_size > _LARGE:
         mapped = _mapped(path)
@@ -169,7 +167,7 @@ def _mapped(path: Path) -> mmap.mmap | None:
 def no_text(name: str) -> StapeskitError:
     """Return the error on a file that is no text."""
     got = "UTF-16 or binary data without a byte order mark"
-    return StapeskitError(sentence("a CSV file", "text in UTF-8", got, name, "Save it as CSV UTF-8"))
+    return StapeskitError(Fault("a CSV file", "text in UTF-8", got, name, "Save it as CSV UTF-8"))
 
 
 def _separator(header: str) -> str:

@@ -7,7 +7,7 @@ import hashlib
 
 import pytest
 
-from stapeskit.faults import StapeskitError, raise_all, sentence
+from stapeskit.faults import StapeskitError
 from stapeskit.outputs import staged
 from stapeskit.provenance import Hashes, content_hash, input_record, record, versions
 from stapeskit.warnings import Notice, from_json, unique
@@ -104,19 +104,6 @@ def test_nothing_is_replaced_where_a_folder_stands_in_the_way_of_a_file(tmp_path
     assert "c must be a folder; got a file" in text
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt", "c"]
-
-
-def test_sentences():
-    text = sentence("the spacing", "positive", -1, "scan.tif", "Give --spacing.")
-    assert text == "the spacing must be positive; got -1 (scan.tif). Give --spacing."
-    assert sentence("x", "1", 2) == "x must be 1; got 2."
-
-
-def test_all_faults_in_one_error_and_the_rest_counted():
-    raise_all(StapeskitError, [])
-    with pytest.raises(StapeskitError, match="and 3 more") as caught:
-        raise_all(StapeskitError, [f"fault {k}" for k in range(8)], most=5)
-    assert len(str(caught.value).splitlines()) == 6
 
 
 def test_notices_travel_as_json():

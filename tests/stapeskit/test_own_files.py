@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from stapeskit.faults import StapeskitError, faults_of
+from stapeskit.faults import StapeskitError
 from stapeskit.own_files import FOREIGN_FILE_KEPT, RECORDS, OutputSet
 
 
@@ -35,7 +35,7 @@ def refused(made, words):
     with pytest.raises(StapeskitError, match=words):
         write(replace(made), a_json="never", b_ply="never")
     assert contents(made.folder) == before
-    return faults_of(caught.value)
+    return [str(fault) for fault in caught.value.faults]
 
 
 def test_own_outputs_are_replaced_and_own_leftovers_removed(tmp_path):

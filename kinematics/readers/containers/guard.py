@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _PATIENCE_S = 8.0
 _SMALL = 4 << 20
@@ -40,10 +40,10 @@ def probe(path: Path, wanted: str, patience_s: float = _PATIENCE_S) -> None:
     ended, status = _waited(child, patience_s)
     if not ended:
         got = f"one on which the HDF5 library is stuck after {patience_s:g} s"
-        raise KinematicsError(sentence(wanted, "readable", got, Path(path).name, _STEP))
+        raise KinematicsError(Fault(wanted, "readable", got, Path(path).name, _STEP))
     if os.WIFSIGNALED(status):
         got = "one on which the HDF5 library crashes"
-        raise KinematicsError(sentence(wanted, "readable", got, Path(path).name, _STEP))
+        raise KinematicsError(Fault(wanted, "readable", got, Path(path).name, _STEP))
 
 
 def _waited(child: int, patience_s: float) -> tuple[bool, int]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.guard import probe
-from stapeskit.faults import StapeskitError, sentence
+from stapeskit.faults import Fault, StapeskitError
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 64 << 20
@@ -52,7 +52,7 @@ def opened(path: Path, wanted: str) -> Iterator[Any]:
         raise
     except (OSError, RuntimeError, LookupError, MemoryError, TypeError, ValueError, AttributeError) as fault:
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
-        raise KinematicsError(sentence(wanted, "readable", reason, Path(path).name, step)) from fault
+        raise KinematicsError(Fault(wanted, "readable", reason, Path(path).name, step)) from fault
 
 
 def array_of(dataset: Any, where: str) -> np.ndarray[Any, Any]:
@@ -68,7 +68,7 @@ def array_of(dataset: Any, where: str) -> np.ndarray[Any, Any]:
     if wanted > _SMALL and wanted > _BEST_PACKING * max(stored, 1):
         step = "The file is truncated or damaged: export it again"
         got = f"{wanted} bytes from {stored} stored"
-        raise KinematicsError(sentence("a data set", "as large as the file can hold", got, where, step))
+        raise KinematicsError(Fault("a data set", "as large as the file can hold", got, where, step))
     return np.asarray(dataset[()])
 
 
@@ -105,10 +105,10 @@ def matlab_tree(node: Any, file: Any, where: str, depth: int = 0) -> Any:
     import h5py
 
     if depth > _DEEPEST:
-        raise KinematicsError(sentence("structs", f"nested {_DEEPEST} deep at most", "deeper", where))
+        raise KinematicsError(Fault("structs", f"nested {_DEEPEST} deep at most", "deeper", where))
     if isinstance(node, h5py.Group):
         if not all(isinstance(name, str) for name in node):
-            raise KinematicsError(sentence("the names in the file", "text in UTF-8", "others", where))
+            raise KinematicsError(Fault("the names in the file", "text in UTF-8", "others", where))
         fields = {name: matlab_tree(node[name], file, f"{where}.{name}", depth + 1) for name in node}
         lists = [
             name for name in node if _is_references(node[name]) and "MATLAB_class" not in node[name].attrs

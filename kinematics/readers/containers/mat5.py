@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 _HEADER = 128
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -51,7 +51,7 @@ def read_mat5(path: Path) -> dict[str, Any]:
     data = memoryview(path.read_bytes())
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
     found: dict[str, Any] = {}
-    faults: list[str] = []
+    faults: list[Fault] = []
     place, number = _HEADER, 0
     while place + 8 <= len(data) and bytes(data[place : place + 8]) != b"\0" * 8:
         kind, length = struct.unpack(order + "II", data[place : place + 8])
@@ -78,9 +78,9 @@ def read_mat5(path: Path) -> dict[str, Any]:
     return found
 
 
-def _fault(path: Path, got: str) -> str:
+def _fault(path: Path, got: str) -> Fault:
     step = "It is truncated or damaged: copy or export it again"
-    return sentence(path.name, "a whole MATLAB file", got, "", step)
+    return Fault(path.name, "a whole MATLAB file", got, "", step)
 
 
 def _unpacked(body: memoryview, order: str) -> tuple[int, memoryview]:

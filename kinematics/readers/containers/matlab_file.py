@@ -14,7 +14,7 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5, matlab_tree, opened
 from kinematics.readers.containers.mat5 import read_mat5
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 Tree = dict[str, Any]
 _HEADER = 128
@@ -46,14 +46,14 @@ def read_mat(path: Path) -> Tree:
             return {name: matlab_tree(file[name], file, f"{path.name}, {name}") for name in names}
     if head.startswith((b"# Created by Octave", b"# name:")):
         step = "Save it by save -v7 or save -hdf5 ... -v7.3"
-        raise KinematicsError(sentence(path.name, "a MATLAB file", "Octave's text format", "", step))
+        raise KinematicsError(Fault(path.name, "a MATLAB file", "Octave's text format", "", step))
     if head.startswith(b"MATLAB 7.3"):
         step = "It is truncated: copy or export it again"
-        raise KinematicsError(sentence(path.name, "a MATLAB 7.3 file", "no HDF5 behind its header", "", step))
+        raise KinematicsError(Fault(path.name, "a MATLAB 7.3 file", "no HDF5 behind its header", "", step))
     if len(head) < _HEADER or not head.startswith(b"MATLAB 5.0"):
         step = "Save it in MATLAB by save -v7 or save -v7.3"
         raise KinematicsError(
-            sentence(path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step)
+            Fault(path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step)
         )
     return read_mat5(path)
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, raise_all
 
 FREQUENCIES = (
     "freq_hz",
@@ -122,38 +122,38 @@ def read_mapping(path: Path) -> Layout:
     """
     path = Path(path)
     if not path.is_file():
-        raise KinematicsError(sentence("--mapping", "an existing TOML file", path, "", "Check its name"))
+        raise KinematicsError(Fault("--mapping", "an existing TOML file", path, "", "Check its name"))
     try:
         found = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise KinematicsError(sentence("a mapping", "a TOML file", str(fault), path.name)) from fault
-    faults: list[str] = []
+        raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
+    faults: list[Fault] = []
     signals = found.pop("signal", [])
     if not isinstance(signals, list) or not all(isinstance(one, dict) for one in signals):
-        faults.append(sentence("signal", "tables [[signal]]", "something else", path.name))
+        faults.append(Fault("signal", "tables [[signal]]", "something else", path.name))
         signals = []
     layout = _checked(Layout, found, path.name, faults)
     made = tuple(
         _checked(Signal, one, f"{path.name}, signal {k}", faults) for k, one in enumerate(signals, 1)
     )
     if not made:
-        faults.append(sentence("a mapping", "of one [[signal]] at least", "none", path.name))
+        faults.append(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
     for number, one in enumerate(made, 1):
         if not one.value and not (one.value_re and one.value_im):
             want = "given as value, or as value_re and value_im"
-            faults.append(sentence("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
+            faults.append(Fault("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
     if not found.get("frequency"):
-        faults.append(sentence("frequency", "the name of a variable", "none", path.name))
+        faults.append(Fault("frequency", "the name of a variable", "none", path.name))
     for key, values in (("amplitude", ("peak", "rms")), ("convention", ("+", "-"))):
         if found.get(key, values[0]) not in values:
-            faults.append(sentence(key, " or ".join(values), found[key], path.name))
+            faults.append(Fault(key, " or ".join(values), found[key], path.name))
     if found.get("position_unit", "m") not in ("m", "mm", "um"):
-        faults.append(sentence("position_unit", "m, mm or um", found["position_unit"], path.name))
+        faults.append(Fault("position_unit", "m, mm or um", found["position_unit"], path.name))
     raise_all(KinematicsError, faults)
     return Layout(**{**{f.name: getattr(layout, f.name) for f in fields(Layout)}, "signal": made})
 
 
-def _checked(kind: Any, found: Mapping[str, Any], where: str, faults: list[str]) -> Any:
+def _checked(kind: Any, found: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
     import difflib
 
     known = {one.name for one in fields(kind)} - {"signal"}
@@ -162,9 +162,9 @@ def _checked(kind: Any, found: Mapping[str, Any], where: str, faults: list[str])
         if key not in known:
             near = difflib.get_close_matches(key, sorted(known), 1)
             step = f"Did you mean {near[0]}?" if near else "Remove it"
-            faults.append(sentence("a key", f"one of {', '.join(sorted(known))}", key, where, step))
+            faults.append(Fault("a key", f"one of {', '.join(sorted(known))}", key, where, step))
         elif key not in ("direction", "n_avg") and not isinstance(value, str):
-            faults.append(sentence(key, "a text in quotes", value, where))
+            faults.append(Fault(key, "a text in quotes", value, where))
         else:
             good[key] = value
     return kind(**good)

@@ -36,7 +36,7 @@ from kinematics.readers.matlab.variables import (
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
 from kinematics.readers.value_checks import scaled
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -90,13 +90,13 @@ def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
     return _joined(blocks, path.name)
 
 
-def _unrecognised(tree: Mapping[str, Any], path: Path) -> str:
+def _unrecognised(tree: Mapping[str, Any], path: Path) -> Fault:
     want = "of a known layout (x 1 x F, y points x F complex, usd; see docs/vibrometer_files.md)"
     step = f"Say which variable is what in {path.name}.toml, or by --mapping FILE"
     times = [name for name in tree if name.lower() in ("t", "time", "time_s")]
     if times:
         step = "It holds time series: name its channels by --channels FILE"
-    return sentence(path.name, want, f"the variables {describe(dict(tree))}", "", step)
+    return Fault(path.name, want, f"the variables {describe(dict(tree))}", "", step)
 
 
 def _joined(blocks: list[Recordings], name: str) -> Recordings:
@@ -123,7 +123,7 @@ def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> lis
     }
     good = {name: layout for name, layout in inner.items() if layout is not None}
     blocks: list[Recordings] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for name, one in good.items():
         run = name if len(good) > 1 else ""
         named = Layout(**{**vars(one), "run": run})
@@ -149,7 +149,7 @@ def _elements(
     parts: list[ChainMap[str, Any]], layouts: list[Layout | None], where: str, tree: Mapping[str, Any]
 ) -> list[Recordings]:
     blocks = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for number, (part, layout) in enumerate(zip(parts, layouts, strict=True), 1):
         if layout is None:
             text = f"element {number} holds no spectrum and is left out ({where})."
@@ -168,10 +168,10 @@ def _from_layout(
         elements = variable(space, layout.each, where, tree)
         if not isinstance(elements, list) or not all(isinstance(one, dict) for one in elements):
             want = "a struct array or a cell array of structs"
-            raise KinematicsError(sentence(layout.each, want, "something else", where))
+            raise KinematicsError(Fault(layout.each, want, "something else", where))
         inside = Layout(**{**vars(layout), "each": ""})
         blocks: list[Recordings] = []
-        faults: list[str] = []
+        faults: list[Fault] = []
         for k, one in enumerate(elements, 1):
             spot = f"{where}, {layout.each}({k})"
             with collecting(faults):
@@ -185,7 +185,7 @@ def _plain(
     space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str
 ) -> Recordings:
     """Read the signals of a layout; all that is wrong with its variables is told together."""
-    faults: list[str] = []
+    faults: list[Fault] = []
     recordings: list[Recording] = []
     freq: Array | None = None
     with collecting(faults):
@@ -260,5 +260,5 @@ def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Map
         more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
         got = f"{freq[first]:g} at place {first + 1}{more}"
         step = "Say which variable holds the frequencies in a mapping"
-        raise KinematicsError(sentence(layout.frequency, "ascending frequencies, Hz", got, where, step))
+        raise KinematicsError(Fault(layout.frequency, "ascending frequencies, Hz", got, where, step))
     return freq

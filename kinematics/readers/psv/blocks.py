@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, Place, collecting, raise_all
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -48,9 +48,9 @@ class Block:
     numbers: Array
 
     @property
-    def where(self) -> str:
+    def where(self) -> Place:
         """Place for messages."""
-        return f"{self.file}, line {self.line}"
+        return Place(self.file, "line", (self.line,))
 
 
 def decoded(content: bytes) -> str:
@@ -96,7 +96,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
         found = path.rglob("*") if deep else path.iterdir()
         files = sorted(one for one in found if _is_export(one))
     made: list[T] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for file in files:
         for block in blocks(file, faults):
             with collecting(faults):
@@ -104,7 +104,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     raise_all(KinematicsError, faults)
     if not made:
         step = "Give the folder of the exported text files"
-        raise KinematicsError(sentence("the folder", "one with text exports", "none", path.name, step))
+        raise KinematicsError(Fault("the folder", "one with text exports", "none", path.name, step))
     return made
 
 
@@ -113,7 +113,7 @@ def _is_export(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
 
 
-def blocks(path: Path, faults: list[str]) -> list[Block]:
+def blocks(path: Path, faults: list[Fault]) -> list[Block]:
     """Read every table of a file.
 
     Parameters
@@ -124,7 +124,7 @@ def blocks(path: Path, faults: list[str]) -> list[Block]:
         are not as long as it, and cells that are no number.
     """
     if path.stat().st_size > _MAX_FILE:
-        faults.append(sentence("a text export", "smaller than 1 GB", "a larger one", path.name))
+        faults.append(Fault("a text export", "smaller than 1 GB", "a larger one", path.name))
         return []
     lines = lines_of(decoded(path.read_bytes()))
     found: list[Block] = []
@@ -135,9 +135,7 @@ def blocks(path: Path, faults: list[str]) -> list[Block]:
             found.append(_block(lines, named, (first, start), path.name, faults))
     if not found and len(faults) == told:
         step = "Export it again as ASCII, or take it out of the folder"
-        faults.append(
-            sentence("a text export", "a header and a table of numbers", "no table", path.name, step)
-        )
+        faults.append(Fault("a text export", "a header and a table of numbers", "no table", path.name, step))
     return found
 
 
@@ -161,7 +159,7 @@ def _after_rows(lines: list[str], first: int) -> int:
     return last
 
 
-def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, faults: list[str]) -> Block:
+def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, faults: list[Fault]) -> Block:
     """Read the table whose rows stand at ``rows``, and the header above it."""
     first = rows[0]
     fields, names, units, named = {}, "", "", start
@@ -182,7 +180,7 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
     if not columns or len(columns) != width or len(below) != width:
         got = f"{len(columns)} names and {len(below)} units over {width} numbers"
         raise KinematicsError(
-            sentence("the table", "one name and one unit to each column", got, f"{file}, line {named + 1}")
+            Fault("the table", "one name and one unit to each column", got, Place(file, "line", (named + 1,)))
         )
     numbers = _numbers(table, first + 1, columns, file, faults)
     return Block(file, named + 1, fields, columns, below, numbers)
@@ -216,7 +214,7 @@ def value_of(cell: str) -> float | None:
 
 
 def _numbers(
-    table: list[list[str]], line: int, columns: tuple[str, ...], file: str, faults: list[str]
+    table: list[list[str]], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]
 ) -> Array:
     """Return the numbers of the rows that have as many as there are columns; tell the others."""
     step = "It may be cut short: export it again"
@@ -226,15 +224,15 @@ def _numbers(
         if len(values) == len(columns) and None not in values:
             good.append(values)
             continue
-        where = f"{file}, line {number}"
+        where = Place(file, "line", (number,))
         if len(values) != len(columns):
             got = shown(" ".join(cells)) if None in values else len(values)
-            faults.append(sentence("a row", f"of {len(columns)} numbers", got, where, step))
+            faults.append(Fault("a row", f"of {len(columns)} numbers", got, where, step))
             continue
         for name, cell, value in zip(columns, cells, values, strict=True):
             if value is None:
-                place = f"{where}, column {shown(name)}"
-                faults.append(sentence("a row", "of numbers", shown(cell), place, step))
+                place = replace(where, detail=f"column {shown(name)}")
+                faults.append(Fault("a row", "of numbers", shown(cell), place, step))
     return np.array(good, dtype=float).reshape(-1, len(columns))
 
 

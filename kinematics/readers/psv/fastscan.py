@@ -20,7 +20,7 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -81,12 +81,12 @@ def read(path: Path) -> Recordings:
 
 
 def _line(block: Block) -> _Line:
-    faults: list[str] = []
+    faults: list[Fault] = []
     freq = float("nan")
     name = next((name for name in _FREQUENCY if name in block.fields), None)
     if name is None:
         step = "Export the bands of a FastScan with their header"
-        faults.append(sentence("the header", "one with a line Frequency: <f> Hz", "none", block.where, step))
+        faults.append(Fault("the header", "one with a line Frequency: <f> Hz", "none", block.where, step))
     else:
         with collecting(faults):
             freq = frequency_hz(block.fields[name], block.where)
@@ -109,16 +109,16 @@ def _indices(block: Block, places: dict[str, int]) -> Array:
     if index is None:
         step = "Export it again with the index of the points"
         got = shown(", ".join(block.columns))
-        raise KinematicsError(sentence("the table", "one with a column Index", got, block.where, step))
+        raise KinematicsError(Fault("the table", "one with a column Index", got, block.where, step))
     numbers = block.numbers[:, index]
     whole = np.isfinite(numbers) & (numbers == np.round(numbers))
     if not np.all(whole):
         got = ", ".join(f"{n:g}" for n in numbers[~whole][:5])
-        raise KinematicsError(sentence("Index", "whole numbers", got, block.where, "Export it again"))
+        raise KinematicsError(Fault("Index", "whole numbers", got, block.where, "Export it again"))
     if len(np.unique(numbers)) < len(numbers):
         twice = [f"{n:g}" for n in np.unique(numbers) if np.sum(numbers == n) > 1][:5]
         got = ", ".join(twice) + " twice"
-        raise KinematicsError(sentence("Index", "different in each row", got, block.where, "Keep one row"))
+        raise KinematicsError(Fault("Index", "different in each row", got, block.where, "Keep one row"))
     return np.asarray(numbers)
 
 
@@ -131,7 +131,7 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
     if len(labels) > 1 or (not is_none(min(labels)) and length_scale(min(labels)) is None):
         got = shown(", ".join(sorted(labels)))
         step = "Export the coordinates in metres"
-        raise KinematicsError(sentence("the unit of X, Y, Z", "one length unit", got, block.where, step))
+        raise KinematicsError(Fault("the unit of X, Y, Z", "one length unit", got, block.where, step))
     label = min(labels)
     scale = 1.0 if is_none(label) else length_scale(label)
     return in_mm(block.numbers[:, columns], scale or 1.0), not is_none(label)
@@ -148,18 +148,18 @@ def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Noti
     return kept, [Notice("quantity_chosen", text)]
 
 
-def _twice(lines: Sequence[_Line]) -> list[str]:
+def _twice(lines: Sequence[_Line]) -> list[Fault]:
     """List the frequencies that two files hold."""
     faults = []
     for one, two in pairwise(lines):
         if two.freq_hz - one.freq_hz <= 1e-9 * two.freq_hz:
             step = "Put every excitation into a folder of its own, and give all folders"
             thing = f"the frequency {two.freq_hz:g} Hz"
-            faults.append(sentence(thing, "there once", f"{one.block.file} and {two.block.file}", "", step))
+            faults.append(Fault(thing, "there once", f"{one.block.file} and {two.block.file}", "", step))
     return faults
 
 
-def _several_scans(lines: Sequence[_Line], name: str) -> list[str]:
+def _several_scans(lines: Sequence[_Line], name: str) -> list[Fault]:
     """Refuse the frequencies of several measurements mixed in one folder."""
     scans: dict[str, str] = {}
     for line in lines:
@@ -169,7 +169,7 @@ def _several_scans(lines: Sequence[_Line], name: str) -> list[str]:
         return []
     got = " and ".join(f"{shown(scan)} ({file})" for scan, file in list(scans.items())[:4])
     step = "Put the files of every measurement into a folder of its own"
-    return [sentence("the source of the files", "one measurement", got, name, step)]
+    return [Fault("the source of the files", "one measurement", got, name, step)]
 
 
 def _treated(lines: Sequence[_Line], name: str) -> list[Notice]:
@@ -190,7 +190,7 @@ def _yes(value: str | None) -> bool:
     return value is not None and value.strip().lower() in ("yes", "ja", "oui", "1", "true")
 
 
-def _recordings(lines: Sequence[_Line], name: str, faults: list[str]) -> tuple[Recording, ...]:
+def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple[Recording, ...]:
     """Turn rows at frequencies into spectra at points; faults known before are told with those found here."""
     freq = np.array([line.freq_hz for line in lines])
     positions: dict[str, Array] = {}
@@ -198,7 +198,7 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[str]) -> tuple[R
     pers = {signal.unit.per for line in lines for signal in line.signals}
     if len(pers) > 1:
         step = "Export it again"
-        faults.append(sentence("the unit", "one for all frequencies", ", ".join(sorted(pers)), name, step))
+        faults.append(Fault("the unit", "one for all frequencies", ", ".join(sorted(pers)), name, step))
     for number, line in enumerate(lines):
         for row, point in enumerate(line.names):
             place = line.positions_mm[row]
@@ -209,7 +209,7 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[str]) -> tuple[R
                 step = "Export all frequencies of one scan"
                 got = f"{known.tolist()} and {place.tolist()} mm"
                 thing = f"the position of point {point}"
-                faults.append(sentence(thing, "one", got, line.block.where, step))
+                faults.append(Fault(thing, "one", got, line.block.where, step))
         for signal in line.signals:
             for row, point in enumerate(line.names):
                 key = (point, signal.axis)

@@ -20,7 +20,7 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.value_checks import in_mm
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -82,13 +82,13 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     if name is None:
         step = "Leave other files out of the folder"
         raise KinematicsError(
-            sentence("the header", "one with a line Point Index: <n>", "none", block.where, step)
+            Fault("the header", "one with a line Point Index: <n>", "none", block.where, step)
         )
-    faults: list[str] = []
+    faults: list[Fault] = []
     text = block.fields[name]
     number = re.match(r"\s*(\d+)", text)
     if number is None:
-        faults.append(sentence("the point index", "a number", shown(text), block.where))
+        faults.append(Fault("the point index", "a number", shown(text), block.where))
     freq, found = np.empty(0), []
     with collecting(faults):
         freq = _frequencies(block)
@@ -125,11 +125,11 @@ def _frequencies(block: Block) -> Array:
         step = (
             "Export spectra or frequency responses, or give the time series as a table with a column time_s"
         )
-        raise KinematicsError(sentence("the export", "over frequency", "a time series", block.where, step))
+        raise KinematicsError(Fault("the export", "over frequency", "a time series", block.where, step))
     if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
         got = shown(f"{block.columns[0]} [{block.units[0]}]")
         step = "Export spectra or frequency responses"
-        raise KinematicsError(sentence("the first column", "Frequency [Hz]", got, block.where, step))
+        raise KinematicsError(Fault("the first column", "Frequency [Hz]", got, block.where, step))
     with np.errstate(over="ignore"):
         freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
     with np.errstate(invalid="ignore"):
@@ -139,13 +139,11 @@ def _frequencies(block: Block) -> Array:
         more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
         got = f"{freq[row]:g} in row {row + 1}{more}"
         step = "Export it again"
-        raise KinematicsError(
-            sentence("the frequencies", "ascending and not negative", got, block.where, step)
-        )
+        raise KinematicsError(Fault("the frequencies", "ascending and not negative", got, block.where, step))
     return np.asarray(freq)
 
 
-def _position(text: str, where: str) -> tuple[Array, bool]:
+def _position(text: str, where: Place | str) -> tuple[Array, bool]:
     """Read x, y, z behind the point index, mm, and whether their unit is stated."""
     found = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
     if any(match is None for match in found):
@@ -153,9 +151,7 @@ def _position(text: str, where: str) -> tuple[Array, bool]:
     numbers = [value_of(match[1].rstrip(",.")) for match in found if match is not None]
     if None in numbers:
         want = "three numbers, x = .. y = .. z = .."
-        raise KinematicsError(
-            sentence("the position of a point", want, shown(text), where, "Export it again")
-        )
+        raise KinematicsError(Fault("the position of a point", want, shown(text), where, "Export it again"))
     units = {match[2] for match in found if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
     return in_mm(np.array(numbers, dtype=float), scale or 1.0), len(units) == 1
@@ -201,14 +197,14 @@ def _by_source(made: list[tuple[Recording, str]], name: str) -> tuple[tuple[Reco
     counts = Counter(key(one) for one, _ in made)
     if max(counts.values()) == 1:
         return tuple(one for one, _ in made), _joined(made, name)
-    seen: dict[tuple[object, ...], str] = {}
+    seen: dict[tuple[object, ...], Place | str] = {}
     faults = []
     for one, source in made:
         place = (*key(one), source)
         if place in seen:
             step = "Put every excitation into a folder of its own, and give all folders"
             thing = f"the signal of point {one.point}"
-            faults.append(sentence(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
+            faults.append(Fault(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
         seen[place] = one.where
     raise_all(KinematicsError, faults)
     return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in made), []

@@ -14,7 +14,7 @@ from kinematics.readers.psv.blocks import Block, value_of
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, Place, collecting, raise_all
 
 ComplexArray = NDArray[np.complex128]
 _PARTS = {
@@ -52,7 +52,7 @@ def signals(block: Block) -> list[Signal]:
             axis = "" if match is None else match[1].replace("+", "") + match[2].lower()
             pairs.setdefault(axis, {})[part] = place
     made: list[Signal] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     unknown: dict[str, list[str]] = {}
     for axis, parts in pairs.items():
         with collecting(faults):
@@ -69,7 +69,7 @@ def signals(block: Block) -> list[Signal]:
         step = "Export Real & Imag., or Magnitude & Phase"
         expected = "columns of real and imaginary part, or magnitude and phase"
         raise KinematicsError(
-            sentence(
+            Fault(
                 "the table",
                 expected,
                 shown(", ".join(block.columns)) if block.columns else "no names",
@@ -80,13 +80,13 @@ def signals(block: Block) -> list[Signal]:
     return made
 
 
-def _unit_fault(label: str, axes: list[str], where: str) -> str:
+def _unit_fault(label: str, axes: list[str], where: Place | str) -> Fault:
     """Say that the unit of some axes is no motion."""
     named = [axis for axis in axes if axis]
     of_axes = f" of ax{'e' if len(named) > 1 else 'i'}s {', '.join(named)}" if named else ""
     expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
     step = "Export velocity or displacement on a linear scale, not in dB"
-    return sentence(f"the unit{of_axes}", expected, shown(label) if label else "none", where, step)
+    return Fault(f"the unit{of_axes}", expected, shown(label) if label else "none", where, step)
 
 
 def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
@@ -99,7 +99,7 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
         if block.units[first] != block.units[second]:
             got = f"{shown(block.units[first])} and {shown(block.units[second])}"
             raise KinematicsError(
-                sentence(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
+                Fault(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
             )
     elif {"amp", "phase"} <= set(parts):
         first, second = parts["amp"], parts["phase"]
@@ -111,20 +111,20 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
         got = " and ".join(names[part] for part in parts) + " alone"
         step = "Export Real & Imag., or Magnitude & Phase: motion cannot be told without its phase"
         expected = "real and imaginary part, or magnitude and phase"
-        raise KinematicsError(sentence(f"the values{of_axis}", expected, got, block.where, step))
+        raise KinematicsError(Fault(f"the values{of_axis}", expected, got, block.where, step))
     return first, value
 
 
-def _phase_factor(unit: str, where: str) -> float:
+def _phase_factor(unit: str, where: Place | str) -> float:
     if unit.strip().lower() in ("°", "deg", "degree", "degrees", "grad", "\ufffd"):
         return float(np.pi / 180.0)
     if unit.strip().lower() in ("rad", "radian", "radians"):
         return 1.0
     got = shown(unit) if unit else "none"
-    raise KinematicsError(sentence("the unit of the phase", "degrees or rad", got, where, "Export it again"))
+    raise KinematicsError(Fault("the unit of the phase", "degrees or rad", got, where, "Export it again"))
 
 
-def frequency_hz(text: str, where: str) -> float:
+def frequency_hz(text: str, where: Place | str) -> float:
     """Read ``1000 Hz`` or ``1,5 kHz``.
 
     Raises
@@ -135,7 +135,5 @@ def frequency_hz(text: str, where: str) -> float:
     match = re.fullmatch(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(m|k|M)?Hz\s*", text)
     value = None if match is None else value_of(match[1])
     if match is None or value is None:
-        raise KinematicsError(
-            sentence("the frequency", "a number in Hz", shown(text), where, "Export it again")
-        )
+        raise KinematicsError(Fault("the frequency", "a number in Hz", shown(text), where, "Export it again"))
     return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import plain_text
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
-from stapeskit.faults import raise_all, sentence
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Channel:
         0 displacement, 1 velocity, 2 acceleration; -1 for a reference that is no motion.
     unit : str
         In which the scaled numbers are.
-    where : str
+    where : Place or str
         Place for messages.
     """
 
@@ -72,7 +72,7 @@ class Channel:
     scale: float
     order: int
     unit: str
-    where: str
+    where: Place | str
 
 
 def read_channels(path: Path) -> tuple[Channel, ...]:
@@ -90,28 +90,28 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
             missing = "channel" if "channel" not in header else "unit (or sensitivity)"
             step = "Give channel, role, body, point, dir and unit or sensitivity"
             raise KinematicsError(
-                sentence("the channel table", f"with a column {missing}", "none", f"{file}, line 1", step)
+                Fault(
+                    "the channel table", f"with a column {missing}", "none", Place(file, "line", (1,)), step
+                )
             )
         return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
 
     table = read_table(Path(path), choose)
     faults = list(table.faults)
     channels = [_channel(table, row, faults) for row in range(len(table))]
-    seen: dict[tuple[str, str, str], str] = {}
+    seen: dict[tuple[str, str, str], Place | str] = {}
     for one in channels:
         key = (one.name, one.file, one.point)
         if key in seen:
-            faults.append(
-                sentence(f"channel {one.name}", "listed once", "it again", one.where, "Keep one row")
-            )
+            faults.append(Fault(f"channel {one.name}", "listed once", "it again", one.where, "Keep one row"))
         seen[key] = one.where
     if not faults and not any(one.role == "response" for one in channels):
-        faults.append(sentence("the channel table", "with one response at least", "none", table.file))
+        faults.append(Fault("the channel table", "with one response at least", "none", table.file))
     raise_all(KinematicsError, faults)
     return tuple(one for one in channels if one.role != "ignore")
 
 
-def _channel(table: Table, row: int, faults: list[str]) -> Channel:
+def _channel(table: Table, row: int, faults: list[Fault]) -> Channel:
     texts = {
         name: column.names[column.codes[row]] if column.codes[row] >= 0 else ""
         for name, column in table.texts.items()
@@ -119,9 +119,9 @@ def _channel(table: Table, row: int, faults: list[str]) -> Channel:
     where = table.where(row)
     name, role = texts.get("channel", ""), texts.get("role", "").lower() or "response"
     if not name:
-        faults.append(sentence("channel", "the name of a column or variable", "an empty cell", where))
+        faults.append(Fault("channel", "the name of a column or variable", "an empty cell", where))
     if role not in ROLES:
-        faults.append(sentence("role", ", ".join(ROLES), plain_text(role), where))
+        faults.append(Fault("role", ", ".join(ROLES), plain_text(role), where))
     scale, order, unit = 1.0, -1, ""
     if role != "ignore":
         scale, order, unit = _unit(texts, role, where, faults)
@@ -130,7 +130,7 @@ def _channel(table: Table, row: int, faults: list[str]) -> Channel:
         direction = _direction(texts, table, row, where, faults)
     position = _three(table, row, ("x_mm", "y_mm", "z_mm"))
     if np.any(np.isinf(position)) or np.sum(np.isnan(position)) in (1, 2):
-        faults.append(sentence("x_mm, y_mm, z_mm", "three finite numbers or empty", "others", where))
+        faults.append(Fault("x_mm, y_mm, z_mm", "three finite numbers or empty", "others", where))
     return Channel(
         name,
         role,
@@ -151,11 +151,13 @@ def _three(table: Table, row: int, names: tuple[str, str, str]) -> Array:
     return np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in names])
 
 
-def _direction(texts: dict[str, str], table: Table, row: int, where: str, faults: list[str]) -> Array:
+def _direction(
+    texts: dict[str, str], table: Table, row: int, where: Place | str, faults: list[Fault]
+) -> Array:
     short = texts.get("dir", "").lower()
     if short:
         if short.lstrip("+-") not in _AXES or len(short) > 2:
-            faults.append(sentence("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
+            faults.append(Fault("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
             return np.full(3, np.nan)
         return np.array(_AXES[short.lstrip("+-")]) * (-1.0 if short.startswith("-") else 1.0)
     found = _three(table, row, ("dir_x", "dir_y", "dir_z"))
@@ -164,12 +166,14 @@ def _direction(texts: dict[str, str], table: Table, row: int, where: str, faults
         return found
     if not abs(length - 1.0) < 1e-3:
         step = "Divide the direction by its length"
-        faults.append(sentence("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", found, where, step))
+        faults.append(Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", found, where, step))
         return np.full(3, np.nan)
     return found / length
 
 
-def _unit(texts: dict[str, str], role: str, where: str, faults: list[str]) -> tuple[float, int, str]:
+def _unit(
+    texts: dict[str, str], role: str, where: Place | str, faults: list[Fault]
+) -> tuple[float, int, str]:
     """Return factor, order and unit of a channel's numbers."""
     given, unit, factor = texts.get("sensitivity", ""), texts.get("unit", ""), 1.0
     if given:
@@ -177,15 +181,13 @@ def _unit(texts: dict[str, str], role: str, where: str, faults: list[str]) -> tu
         if found is None:
             step = "Write it with its unit: 5 mm/s/V (of a vibrometer) or 100 mV/g (of an accelerometer)"
             faults.append(
-                sentence(
-                    "sensitivity", "a number with volts in its unit", f'"{plain_text(given)}"', where, step
-                )
+                Fault("sensitivity", "a number with volts in its unit", f'"{plain_text(given)}"', where, step)
             )
             return 1.0, -1, ""
         factor, of_it = found
         if unit and plain(unit) != plain(of_it):
             step = "Leave one of them out"
-            faults.append(sentence("unit and sensitivity", "of one unit", f"{unit} and {of_it}", where, step))
+            faults.append(Fault("unit and sensitivity", "of one unit", f"{unit} and {of_it}", where, step))
         unit = of_it
     motion = motion_unit(unit)
     if motion is not None and not motion.per:
@@ -193,7 +195,7 @@ def _unit(texts: dict[str, str], role: str, where: str, faults: list[str]) -> tu
     if role == "response" or not unit:
         got = f'"{plain_text(unit)}"' if unit else "an empty cell"
         want = "; ".join(MOTIONS) if role == "response" else "the unit of the reference, e.g. Pa, V or mm/s"
-        faults.append(sentence("unit", want, got, where))
+        faults.append(Fault("unit", want, got, where))
     return factor, -1, plain(unit)
 
 

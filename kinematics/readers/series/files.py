@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
     """
     path = Path(path)
     if not path.is_file():
-        raise KinematicsError(sentence("the time series", "an existing file", path, "", "Check its name"))
+        raise KinematicsError(Fault("the time series", "an existing file", path, "", "Check its name"))
     with path.open("rb") as stream:
         head = stream.read(16)
     if head.startswith((b"RIFF", b"RIFX")):
@@ -102,9 +102,9 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         if "time_s" not in header:
-            step = "Write the time of every sample, s"
+            place, step = Place(file, "line", (1,)), "Write the time of every sample, s"
             raise KinematicsError(
-                sentence("a table of time series", "with a column time_s", "none", f"{file}, line 1", step)
+                Fault("a table of time series", "with a column time_s", "none", place, step)
             )
         found.update(_matched(names, header, file))
         extra = {"time_s", "freq_hz", "record"} & set(header)
@@ -114,7 +114,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     faults = list(table.faults)
     if not len(table):
         raise_all(
-            KinematicsError, faults or [sentence("a table of time series", "with rows", "none", path.name)]
+            KinematicsError, faults or [Fault("a table of time series", "with rows", "none", path.name)]
         )
     record = table.numbers.get("record", np.zeros(len(table)))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(record) != 0.0) + 1, [len(table)]])
@@ -129,7 +129,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
             rates.append(sampling_rate(time[part], table.where(part.start)))
     if rates and max(rates) > min(rates) * (1.0 + 1e-6):
         got = f"{min(rates):g} to {max(rates):g} Hz"
-        faults.append(sentence("the sampling rate", "one in all records", got, path.name))
+        faults.append(Fault("the sampling rate", "one in all records", got, path.name))
     channels = {name: tuple(table.numbers[column][part] for part in parts) for name, column in found.items()}
     if not table.faults:
         with collecting(faults):
@@ -158,13 +158,13 @@ def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str,
         else:
             shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
             faults.append(
-                sentence(f"channel {name}", f"in the file, which has {shown or 'none'}", "no such one", file)
+                Fault(f"channel {name}", f"in the file, which has {shown or 'none'}", "no such one", file)
             )
     raise_all(KinematicsError, faults)
     return found
 
 
-def sampling_rate(time: Array, where: str) -> float:
+def sampling_rate(time: Array, where: Place | str) -> float:
     """Return the sampling rate, Hz, of evenly spaced times (sample,), s.
 
     Raises
@@ -173,22 +173,20 @@ def sampling_rate(time: Array, where: str) -> float:
         Fewer than two times, or such that are not finite, do not ascend, are too close or not evenly spaced.
     """
     if len(time) < 2 or not np.all(np.isfinite(time)) or not time[-1] > time[0]:
-        raise KinematicsError(
-            sentence("time_s", "ascending and finite, two samples at least", "others", where)
-        )
+        raise KinematicsError(Fault("time_s", "ascending and finite, two samples at least", "others", where))
     with np.errstate(over="ignore", invalid="ignore"):
         step = (time[-1] - time[0]) / (len(time) - 1)
         apart = np.abs(time - time[0] - step * np.arange(len(time))) / max(step, 1e-300)
     if not 1.0 / HIGHEST_HZ <= step < np.inf:
         got = f"steps of {step:.3g} s"
         raise KinematicsError(
-            sentence("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
+            Fault("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
         )
     if not np.max(apart) <= _JITTER:
         worst = int(np.argmax(apart))
         next_step = "Resample the record to even times, or fill the gap"
         got = f"{apart[worst]:.3g} steps off at sample {worst + 1}"
-        raise KinematicsError(sentence("time_s", "evenly spaced", got, where, next_step))
+        raise KinematicsError(Fault("time_s", "evenly spaced", got, where, next_step))
     return float(1.0 / step)
 
 
@@ -214,10 +212,10 @@ def check_finite(channels: Mapping[str, tuple[Array, ...]], file: str) -> None:
             step = "Cut the record, or leave the channel out"
             if len(bad) and len(bad) < len(row):
                 got = f"{len(bad)} NaN or infinite ones, the first in sample {bad[0] + 1}"
-                faults.append(sentence("the samples", "finite numbers", got, place, step))
+                faults.append(Fault("the samples", "finite numbers", got, place, step))
             elif not len(bad) and (large := np.flatnonzero(np.abs(row) > LARGEST)).size:
                 got = f"{row[large[0]]:g} in sample {large[0] + 1}"
-                faults.append(sentence("the samples", f"below {LARGEST:g}", got, place, step))
+                faults.append(Fault("the samples", f"below {LARGEST:g}", got, place, step))
     raise_all(KinematicsError, faults)
 
 
@@ -245,7 +243,7 @@ def _npz(path: Path) -> dict[str, Any]:
                     tree[item.filename[:-4]] = np.lib.format.read_array(stream, allow_pickle=False)
     except Exception as fault:  # zipfile and numpy meet damaged bytes with errors of many kinds
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
-        raise KinematicsError(sentence(path.name, "a readable NPZ archive", reason, "", step)) from fault
+        raise KinematicsError(Fault(path.name, "a readable NPZ archive", reason, "", step)) from fault
     return tree
 
 
@@ -275,7 +273,7 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     longest = max(max(flat[name].shape, default=0) for name in matched.values())
     time = next((low[name] for name in TIMES if name in low and flat[low[name]].size == longest), "")
     start = 0.0
-    faults: list[str] = []
+    faults: list[Fault] = []
     sampled = float("nan")
     with collecting(faults):
         if time:
@@ -285,11 +283,11 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
             sampled = float(flat[rate].reshape(-1)[0])
             if not (0.0 < sampled <= HIGHEST_HZ):
                 want = f"positive, up to {HIGHEST_HZ:g} Hz"
-                faults.append(sentence("the sampling rate", want, f"{sampled:g} Hz", file))
+                faults.append(Fault("the sampling rate", want, f"{sampled:g} Hz", file))
         else:
             step = "Add sample_rate_hz (a number) or time_s (s, one a sample)"
             got = f"the variables {', '.join(list(flat)[:20])}"
-            faults.append(sentence("the file", "with a sampling rate", got, file, step))
+            faults.append(Fault("the file", "with a sampling rate", got, file, step))
     channels: dict[str, tuple[Array, ...]] = {}
     for name, key in matched.items():
         with collecting(faults):
@@ -302,14 +300,14 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
     return Series(file, sampled, start, channels, steps)
 
 
-def _rows(values: NDArray[Any], where: str) -> tuple[Array, ...]:
+def _rows(values: NDArray[Any], where: Place | str) -> tuple[Array, ...]:
     """Return rows of samples; the longer side is time."""
     found = values.astype(float)
     if found.ndim > 2 and np.sum(np.array(found.shape) > 1) <= 2:
         found = found.squeeze()
     if found.ndim > 2 or found.size < _FEWEST:
         want = f"samples, or rows x samples ({_FEWEST} at least)"
-        raise KinematicsError(sentence("a channel", want, f"shape {values.shape}", where))
+        raise KinematicsError(Fault("a channel", want, f"shape {values.shape}", where))
     if found.ndim == 2:
         found = found if found.shape[1] >= found.shape[0] else found.T
     return tuple(np.atleast_2d(found))
@@ -326,10 +324,10 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
             rate, data = wavfile.read(path)
     except Exception as fault:  # the reader meets damaged bytes with errors of many kinds
         reason = str(fault).splitlines()[0][:120] if str(fault) else type(fault).__name__
-        raise KinematicsError(sentence(path.name, "a readable WAV file", reason, "", step)) from fault
+        raise KinematicsError(Fault(path.name, "a readable WAV file", reason, "", step)) from fault
     if len(data) < _FEWEST:
         want = f"of {_FEWEST} samples at least"
-        raise KinematicsError(sentence("a recording", want, len(data), path.name, step))
+        raise KinematicsError(Fault("a recording", want, len(data), path.name, step))
     full = 1.0
     if data.dtype.kind in "iu":
         full = float(np.iinfo(data.dtype).max) + 1.0

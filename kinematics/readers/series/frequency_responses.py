@@ -27,7 +27,7 @@ from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.series_options import LOCAL, SeriesOptions
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -54,15 +54,13 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     path = Path(path)
     if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
-        raise KinematicsError(sentence("time series", "read with --channels FILE", "none", path.name, step))
+        raise KinematicsError(Fault("time series", "read with --channels FILE", "none", path.name, step))
     rows = [one for one in read_channels(options.channels) if _belongs(one, path.name)]
     responses = [one for one in rows if one.role == "response"]
     if not responses:
         step = "Add a row, or leave the column file empty"
         raise KinematicsError(
-            sentence(
-                "the channel table", f"with a response of {path.name}", "none", options.channels.name, step
-            )
+            Fault("the channel table", f"with a response of {path.name}", "none", options.channels.name, step)
         )
     reference = _reference(rows, options)
     names = [one.name for one in responses] + ([] if reference is None else [reference.name])
@@ -72,10 +70,10 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     return found
 
 
-def empty_band(file: str) -> str:
+def empty_band(file: str) -> Fault:
     """Say that no line lies within ``--frf-band``."""
     step = "Widen --frf-band, or record longer"
-    return sentence("the band", "with one line at least", "none", file, step)
+    return Fault("the band", "with one line at least", "none", file, step)
 
 
 def estimated(
@@ -100,7 +98,7 @@ def estimated(
     notices = sample_notices(series.channels, lead, series.file)
     groups, said = _groups(series, responses, reference)
     recordings: list[Recording] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     how = ""
     for group in groups:
         with collecting(faults):
@@ -130,13 +128,11 @@ def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | Non
         found = [one for one in rows if one.name.lower() == options.reference.lower()]
         if not found:
             known = ", ".join(dict.fromkeys(one.name for one in rows))
-            raise KinematicsError(
-                sentence("--reference-channel", f"one of {known}", options.reference, table)
-            )
+            raise KinematicsError(Fault("--reference-channel", f"one of {known}", options.reference, table))
     names = list(dict.fromkeys(one.name for one in found))
     if len(names) > 1:
         step = "Choose one by --reference-channel, or ignore the others"
-        raise KinematicsError(sentence("the reference", "one channel", ", ".join(names), table, step))
+        raise KinematicsError(Fault("the reference", "one channel", ", ".join(names), table, step))
     return found[0] if found else None
 
 
@@ -164,11 +160,11 @@ def _groups(
         counts = {lengths[one.name] for one in part}
         if len(counts) > 1:
             got = ", ".join(f"{one.name} {lengths[one.name]}" for one in part)
-            faults.append(sentence("the channels", "of as many rows (records or points)", got, series.file))
+            faults.append(Fault("the channels", "of as many rows (records or points)", got, series.file))
         elif part and ref is not None and len(ref) not in (1, *counts):
             want = f"{counts.pop()} rows, as the responses have"
             faults.append(
-                sentence(f"the reference {reference.name if reference else ''}", want, len(ref), series.file)
+                Fault(f"the reference {reference.name if reference else ''}", want, len(ref), series.file)
             )
     raise_all(KinematicsError, faults)
 
@@ -179,9 +175,7 @@ def _groups(
         if len(sizes) > 1:
             got = " and ".join(str(size) for size in sorted(sizes))
             step = "Resample channels that were sampled at another rate, or read them in a run of their own"
-            raise KinematicsError(
-                sentence("the channels", "of one number of samples", got, series.file, step)
-            )
+            raise KinematicsError(Fault("the channels", "of one number of samples", got, series.file, step))
         return lead, np.array(signals)
 
     if fixed:
@@ -199,9 +193,7 @@ def _groups(
             groups.append(_Group(tuple(alive), (str(k + 1),) * len(alive), (row(alive, k),), place))
     if not groups:
         step = "Check that the channels were connected"
-        raise KinematicsError(
-            sentence("the responses", "with a signal", "one value in all", series.file, step)
-        )
+        raise KinematicsError(Fault("the responses", "with a signal", "one value in all", series.file, step))
     return groups, notices
 
 
@@ -232,7 +224,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     records = [(lead, signals) for lead, signals in group.records if lead is not None]
     if not records:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
-        raise KinematicsError(sentence("the channel table", "with a reference", "none", group.where, step))
+        raise KinematicsError(Fault("the channel table", "with a reference", "none", group.where, step))
     if not np.isnan(options.period_s):
         how_often = Periodic(options.period_s, options.skip_periods)
         return periodic_frf(records, rate, how_often, group.where), f"periodic, {options.period_s:g} s"
@@ -243,7 +235,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     if segment < 8:
         step = "Ask for fewer --averages or a coarser --resolution"
         got = f"{segment} samples of a record of {shortest}"
-        raise KinematicsError(sentence("a segment", "8 samples long at least", got, group.where, step))
+        raise KinematicsError(Fault("a segment", "8 samples long at least", got, group.where, step))
     if options.estimator == LOCAL:
         frf = local_frf(records, rate, Local(rate / segment), group.where)
         return frf, f"local polynomials, resolution {frf.freq_hz[1] - frf.freq_hz[0]:.4g} Hz"
@@ -258,7 +250,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
 
 def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
     steps: list[Step] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     table = None if options.steps is None else read_steps(options.steps)
     for number, (lead, signals) in enumerate(group.records):
         first = np.zeros(signals.shape[1]) if lead is None else lead
@@ -266,7 +258,7 @@ def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
             column = series.set_hz[number if len(series.set_hz) > 1 else 0]
             if len(column) != signals.shape[1]:
                 want = f"{signals.shape[1]} samples long"
-                raise KinematicsError(sentence("freq_hz", want, len(column), series.file))
+                raise KinematicsError(Fault("freq_hz", want, len(column), series.file))
             steps += steps_of(column, first, signals, series.file)
             continue
         for row, (start, stop, freq) in enumerate(table, 1):
@@ -276,7 +268,7 @@ def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
                 end = series.start_s + signals.shape[1] / series.sample_rate_hz
                 want = f"within the record, {series.start_s:g} to {end:g} s"
                 place = f"{options.steps.name}, step {row}" if options.steps is not None else ""
-                faults.append(sentence("a step", want, f"{start:g} to {stop:g} s", place))
+                faults.append(Fault("a step", want, f"{start:g} to {stop:g} s", place))
                 continue
             steps.append(Step(freq, first[round(a) : round(b)], signals[:, round(a) : round(b)]))
     raise_all(KinematicsError, dict.fromkeys(faults))
@@ -306,9 +298,9 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
     start, stop, freq = (table.numbers[name] for name in columns)
     for row in np.flatnonzero(stop <= start):
         got = f"{start[row]:g} to {stop[row]:g} s"
-        faults.append(sentence("stop_s", "later than start_s", got, table.where(int(row))))
+        faults.append(Fault("stop_s", "later than start_s", got, table.where(int(row))))
     for row in np.flatnonzero(freq <= 0.0):
-        faults.append(sentence("freq_hz", "positive", f"{freq[row]:g}", table.where(int(row))))
+        faults.append(Fault("freq_hz", "positive", f"{freq[row]:g}", table.where(int(row))))
     order = np.argsort(start, kind="stable")
     for one, after in pairwise(order.tolist()):
         shared = min(stop[one], stop[after]) - start[after]
@@ -316,7 +308,7 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
             later, earlier = max(one, after), min(one, after)
             got = f"{start[later]:g} to {stop[later]:g} s, within that of line {table.lines[earlier]}"
             step = "Give every stretch of the record once"
-            faults.append(sentence("a step", "apart from the others", got, table.where(int(later)), step))
+            faults.append(Fault("a step", "apart from the others", got, table.where(int(later)), step))
     raise_all(KinematicsError, faults)
     return [(float(a), float(b), float(f)) for a, b, f in zip(start, stop, freq, strict=True)]
 

@@ -11,7 +11,7 @@ import numpy as np
 from kinematics.readers.uff.functions import AUTO, COHERENCE, CROSS, FRF, TRANSMISSIBILITY, Axis, Function
 from kinematics.readers.uff.motion_functions import ORDERS
 from kinematics.readers.unit_labels import is_none, motion_unit, plain
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 _OVER = 1.05
 _RATE_POWER = re.compile(r"(?P<unit>\w*[a-z])2/s(?P<order>2|4)")
@@ -28,7 +28,7 @@ class _Pair:
 
 
 def from_cross_spectra(
-    functions: Sequence[Function], file: str, faults: list[str]
+    functions: Sequence[Function], file: str, faults: list[Fault]
 ) -> tuple[list[Function], set[int]]:
     """Make frequency responses of cross spectra whose reference has an auto spectrum.
 
@@ -79,7 +79,7 @@ def from_cross_spectra(
             where = f"{file}, datasets {cross.place}, {pair.reference.place} and {pair.response.place}"
             got = f"a coherence of {np.max(found):.3g}"
             step = "Export all as power spectra of one scale, or export frequency responses"
-            faults.append(sentence("cross and auto spectra", "of one scale", got, where, step))
+            faults.append(Fault("cross and auto spectra", "of one scale", got, where, step))
             continue
         coherence = np.clip(coherence, 0.0, 1.0)
         made.append(replace(cross, kind=COHERENCE, y=coherence.astype(complex), real=True))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 _RULE = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _FIRST = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*|[bB][ \t]+\d[^\r\n]*)\r?\n")
@@ -70,7 +70,7 @@ def plain_content(content: bytes) -> bytes:
     return content if b"\n" in content[:4096] else content.replace(b"\r", b"\n")
 
 
-def datasets(content: bytes, file: str, faults: list[str] | None = None) -> Iterator[Dataset]:
+def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> Iterator[Dataset]:
     """Go through the datasets of a universal file.
 
     Parameters
@@ -108,7 +108,7 @@ def datasets(content: bytes, file: str, faults: list[str] | None = None) -> Iter
     tail = content[position:].strip(b" \t\r\n\x00\x1a")
     if tail and not told:
         got = shown(lines_of(tail.decode("latin-1"))[0])
-        told.append(sentence("the last line of a universal file", "-1", got, file, CUT))
+        told.append(Fault("the last line of a universal file", "-1", got, file, CUT))
     if faults is None:
         raise_all(KinematicsError, told)
 
@@ -131,14 +131,14 @@ def _dataset(content: bytes, start: int, place: tuple[int, int], file: str) -> t
     if number is None:
         rest = content[start : start + 80].strip().split(b"\n")[0][:40].decode("latin-1").strip()
         got = shown(rest) if rest else "the end of the file"
-        raise KinematicsError(sentence("the line after -1", "the number of a dataset", got, where, CUT))
+        raise KinematicsError(Fault("the line after -1", "the number of a dataset", got, where, CUT))
     if number[2] and int(number[1]) == 58:
         return _binary(content, number, place, f"{file}, dataset {place[0]}")
     end = _RULE.search(content, number.end())
     follows = None if end is None else _FIRST.match(content, min(end.end() + 1, len(content)))
     if end is None or follows is not None:
         got = "the end of the file" if end is None else "the beginning of the next one"
-        raise KinematicsError(sentence("a dataset", "closed by a line that holds -1", got, where, CUT))
+        raise KinematicsError(Fault("a dataset", "closed by a line that holds -1", got, where, CUT))
     return _text(int(number[1]), place, content[number.end() : end.start()]), end.end()
 
 
@@ -169,22 +169,23 @@ def _binary(
     if len(fields) < 4 or not all(re.fullmatch(rb"\d+", field) for field in fields[:4]):
         got = shown(number[0].decode("latin-1"))
         raise KinematicsError(
-            sentence("the line of a dataset 58b", "byte order, format, lines and bytes", got, where)
+            Fault("the line of a dataset 58b", "byte order, format, lines and bytes", got, where)
         )
     order, form, count, size = (int(field) for field in fields[:4])
     faults = []
+    step = "Export the file again, as ASCII if there is a choice"
     if order not in (1, 2):
-        faults.append(f"byte order 1 (little endian) or 2 (big endian); got {order}")
+        expected = "1 (little endian) or 2 (big endian)"
+        faults.append(Fault("the byte order of a dataset 58b", expected, order, where, step))
     if form != 2:
-        faults.append(f"floating point format 2 (IEEE 754); got {form}")
+        thing = "the floating point format of a dataset 58b"
+        faults.append(Fault(thing, "2 (IEEE 754)", form, where, step))
     if not _HEADER_LINES <= count <= 100:
-        faults.append(f"11 lines of header; got {count}")
-    if faults:
-        step = "Export the file again, as ASCII if there is a choice"
-        raise KinematicsError(f"a dataset 58b must have {'; '.join(faults)} ({where}). {step}.")
+        faults.append(Fault("the header of a dataset 58b", "11 lines long", f"{count} lines", where, step))
+    raise_all(KinematicsError, faults)
     head, start = _after_lines(content, number.end(), count)
     if len(head) < count:
-        raise KinematicsError(sentence("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
+        raise KinematicsError(Fault("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
     needed = values_size(head, f"{where}, record 7")
     # The stated number of bytes only decides between possible ones: some writers state half of it.
     for length in sorted(needed, key=lambda length: (length != size, -length)):
@@ -197,7 +198,7 @@ def _binary(
     if len(content) - start >= min(needed):
         got = f"no line of -1 behind so many, and {size} bytes by its first line"
     expected = f"of {' or '.join(map(str, needed))} bytes of values, as its header says"
-    raise KinematicsError(sentence("a dataset 58b", expected, got, where, CUT))
+    raise KinematicsError(Fault("a dataset 58b", expected, got, where, CUT))
 
 
 def values_size(head: tuple[str, ...], where: str) -> tuple[int, ...]:
@@ -230,11 +231,11 @@ def data_form(head: tuple[str, ...], where: str) -> tuple[int, int, bool]:
     if len(fields) < 3 or not all(re.fullmatch(r"\s*\d+\s*", field) for field in fields):
         step = "Export it again"
         raise KinematicsError(
-            sentence("record 7 of a function", "type, number and spacing", shown(record), where, step)
+            Fault("record 7 of a function", "type, number and spacing", shown(record), where, step)
         )
     kind, count, spacing = (int(field.strip()) for field in fields)
     if kind not in (2, 4, 5, 6) or spacing not in (0, 1) or count < 1:
         got = f"type {kind}, {count} values, spacing {spacing}"
         expected = "of type 2, 4, 5 or 6, with one value at least and spacing 0 or 1"
-        raise KinematicsError(sentence("the data of a function", expected, got, where, "Export it again"))
+        raise KinematicsError(Fault("the data of a function", expected, got, where, "Export it again"))
     return kind, count, spacing == 1

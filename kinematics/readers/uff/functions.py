@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff.datasets import CUT, Dataset, data_form
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 
 Array = NDArray[np.float64]
 TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12
@@ -105,9 +105,9 @@ def read_function(dataset: Dataset, file: str) -> Function:
     if len(head) < 11:
         where = f"{file}, dataset {dataset.place}"
         raise KinematicsError(
-            sentence("the header of a function", "of 11 lines", f"{len(head)} lines", where, CUT)
+            Fault("the header of a function", "of 11 lines", f"{len(head)} lines", where, CUT)
         )
-    faults: list[str] = []
+    faults: list[Fault] = []
     identity, spacing = None, (0.0, 1.0)
     kind, count, even = 0, 0, False
     x, y = np.empty(0), np.empty(0, dtype=complex)
@@ -150,7 +150,7 @@ def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, in
         if loose is None:
             step = "Export it again"
             raise KinematicsError(
-                sentence(
+                Fault(
                     "record 6 of a function", "function type, node and direction", shown(record), where, step
                 )
             )
@@ -185,11 +185,11 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
             first, step = (_number(cell) for cell in record.split()[3:5])
         except ValueError as fault:
             raise KinematicsError(
-                sentence("the abscissa of a function", "a first value and a step", shown(record), where)
+                Fault("the abscissa of a function", "a first value and a step", shown(record), where)
             ) from fault
     if not (np.isfinite(first) and np.isfinite(step)) or step <= 0.0:
         raise KinematicsError(
-            sentence("the step of the abscissa", "positive", f"{step:g}", where, "Export it again")
+            Fault("the step of the abscissa", "positive", f"{step:g}", where, "Export it again")
         )
     return first, step
 
@@ -256,7 +256,7 @@ def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file:
     if found < wanted or found - wanted >= len(formats):
         got = f"{found // columns}"
         where = f"{file}, dataset {dataset.place}"
-        raise KinematicsError(sentence("a function", f"of {count} values, as it says", got, where, CUT))
+        raise KinematicsError(Fault("a function", f"of {count} values, as it says", got, where, CUT))
     return np.asarray(numbers[:wanted], dtype=float).reshape(count, columns)
 
 
@@ -279,7 +279,7 @@ def _by_line(dataset: Dataset, widths: tuple[int, ...], file: str) -> list[float
     """
     ends = np.cumsum(widths)
     numbers: list[float] = []
-    faults: list[str] = []
+    faults: list[Fault] = []
     for row, line in enumerate(lines_of(dataset.data.decode("latin-1")), _HEADER_LINES + 1):
         cells = line.split()
         if len(cells) != len(widths):
@@ -292,7 +292,7 @@ def _by_line(dataset: Dataset, widths: tuple[int, ...], file: str) -> list[float
             except ValueError:
                 where = f"{dataset.at(file, row)}, column {column}"
                 faults.append(
-                    sentence("a value of a function", "a number", shown(cell), where, "Export it again")
+                    Fault("a value of a function", "a number", shown(cell), where, "Export it again")
                 )
     raise_all(KinematicsError, faults)
     return numbers

@@ -13,7 +13,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff.datasets import CUT, Dataset
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     factor: float | None = None
     systems: dict[int, System] = {}
     nodes: dict[int, Node] = {}
-    faults: list[str] = []
+    faults: list[Fault] = []
     for dataset in datasets:
         if dataset.number == _UNITS:
             with collecting(faults):
@@ -111,7 +111,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
             for label, entry in _nodes(dataset, file, faults):
                 if label in nodes and not np.allclose(nodes[label][0], entry[0], rtol=1e-5, atol=1e-12):
                     faults.append(
-                        sentence(
+                        Fault(
                             f"the position of node {label}",
                             "one",
                             f"{nodes[label][0].tolist()} and {entry[0].tolist()}",
@@ -126,7 +126,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
     lost: set[int] = set()
     for label in sorted(used & set(nodes)):
         position, defined_in, measured_in, where = nodes[label]
-        wrong: list[str] = []
+        wrong: list[Fault] = []
         for number in {defined_in, measured_in} - {0}:
             if number not in systems and not systems:
                 lost.add(number)
@@ -140,7 +140,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
         if not np.all(np.abs(positions[label]) < _FAR_M):
             got = f"{positions[label].tolist()} m"
             thing = f"the position of node {label}"
-            faults.append(sentence(thing, f"within {_FAR_M:g} m", got, where, "Export it again"))
+            faults.append(Fault(thing, f"within {_FAR_M:g} m", got, where, "Export it again"))
         axes[label] = _to_global(measured_in, systems)[0]
     raise_all(KinematicsError, faults)
     notices = []
@@ -159,7 +159,7 @@ def _length_factor(dataset: Dataset, where: str) -> float:
     if not numbers or not numbers[0] > 0.0:
         got = f"{numbers[0]:g}" if numbers else shown(" ".join(dataset.lines[1:])) or "none"
         raise KinematicsError(
-            sentence("the length factor of dataset 164", "positive", got, where, "Export it again")
+            Fault("the length factor of dataset 164", "positive", got, where, "Export it again")
         )
     return numbers[0]
 
@@ -183,20 +183,18 @@ def _reals(text: str) -> list[float]:
 def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
     words = text.split()[:count]
     if len(words) < count or not all(re.fullmatch(r"[+-]?\d+", word) for word in words):
-        raise KinematicsError(
-            sentence(thing, f"{count} whole numbers", shown(text), where, "Export it again")
-        )
+        raise KinematicsError(Fault(thing, f"{count} whole numbers", shown(text), where, "Export it again"))
     return [int(word) for word in words]
 
 
 def _vectors(text: str, count: int, thing: str, where: str) -> Array:
     numbers = _reals(text)
     if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise KinematicsError(sentence(thing, f"{count} numbers", shown(text), where, CUT))
+        raise KinematicsError(Fault(thing, f"{count} numbers", shown(text), where, CUT))
     return np.array(numbers).reshape(-1, 3)
 
 
-def _nodes(dataset: Dataset, file: str, faults: list[str]) -> list[tuple[int, Node]]:
+def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, Node]]:
     """Return label and (position, definition system, displacement system, place) of every node."""
     found = []
     lines = _numbered(dataset)
@@ -222,7 +220,7 @@ def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
     return [(row, line) for row, line in enumerate(dataset.lines[start:], start + 1) if line.strip()]
 
 
-def _old_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]:
+def _old_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     """Read dataset 18: origin, a point on the +x axis and one in the +xz plane, all in the parent system."""
     found: list[System] = []
     lines = _numbered(dataset)
@@ -237,7 +235,7 @@ def _old_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]
 def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
     where = dataset.at(file, row)
     if len(part) < 4:
-        raise KinematicsError(sentence("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT))
+        raise KinematicsError(Fault("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT))
     label, shape, parent, _, _ = _wholes(part[0], 5, "a coordinate system", where)
     thing = f"the definition of coordinate system {label}"
     origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
@@ -247,12 +245,12 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
         long, wide = np.linalg.norm(x), np.linalg.norm(z)
     if not (0.0 < long < np.inf and 1e-9 * long < wide < np.inf):
         got = "points on one line, or too far away"
-        raise KinematicsError(sentence(thing, "three points that span a plane", got, where, "Correct it"))
+        raise KinematicsError(Fault(thing, "three points that span a plane", got, where, "Correct it"))
     x, z = x / long, z / wide
     return System(label, shape, parent, np.array([x, np.cross(z, x), z]), origin)
 
 
-def _new_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]:
+def _new_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     """Read dataset 2420: label, shape and colour, name, three rows of axes and one of the origin."""
     found: list[System] = []
     lines = _numbered(dataset, 2)
@@ -267,7 +265,7 @@ def _new_systems(dataset: Dataset, file: str, faults: list[str]) -> list[System]
 def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
     where = dataset.at(file, row)
     if len(part) < 6:
-        raise KinematicsError(sentence("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT))
+        raise KinematicsError(Fault("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT))
     label, shape = _wholes(part[0], 2, "a coordinate system", where)
     thing = f"the matrix of coordinate system {label}"
     rows = _vectors(" ".join(part[2:]), 12, thing, where)
@@ -275,11 +273,11 @@ def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
         turned = np.allclose(rows[:3] @ rows[:3].T, np.eye(3), atol=1e-4) and np.linalg.det(rows[:3]) > 0.0
     if not turned:
         got = np.array2string(rows[:3], precision=4, separator=", ").replace("\n", "")
-        raise KinematicsError(sentence(thing, "a rotation, right-handed", got, where, "Correct it"))
+        raise KinematicsError(Fault(thing, "a rotation, right-handed", got, where, "Correct it"))
     return System(label, shape, 0, rows[:3], rows[3])
 
 
-def _system_faults(number: int, systems: Mapping[int, System], node: int, where: str) -> list[str]:
+def _system_faults(number: int, systems: Mapping[int, System], node: int, where: str) -> list[Fault]:
     """List what keeps a node from being placed: an unknown, curved or circular coordinate system."""
     seen: set[int] = set()
     while number != 0:
@@ -289,11 +287,11 @@ def _system_faults(number: int, systems: Mapping[int, System], node: int, where:
             )
             step = "Export the coordinate systems too, or the geometry in global coordinates"
             thing = f"coordinate system {number} of node {node}"
-            return [sentence(thing, "described in dataset 18 or 2420", got, where, step)]
+            return [Fault(thing, "described in dataset 18 or 2420", got, where, step)]
         if systems[number].shape != 0:
             shape = _SHAPES.get(systems[number].shape, f"type {systems[number].shape}")
             step = "Export the geometry in cartesian coordinates"
-            return [sentence(f"coordinate system {number} of node {node}", "cartesian", shape, where, step)]
+            return [Fault(f"coordinate system {number} of node {node}", "cartesian", shape, where, step)]
         seen.add(number)
         number = systems[number].parent
     return []

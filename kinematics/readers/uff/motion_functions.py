@@ -13,7 +13,7 @@ from kinematics.readers.text import shown
 from kinematics.readers.uff.functions import COHERENCE, FRF, SPECTRUM, TIME, TRANSMISSIBILITY, Function
 from kinematics.readers.uff.geometry import Geometry
 from kinematics.readers.unit_labels import MOTIONS, is_none, motion_unit, plain
-from stapeskit.faults import sentence
+from stapeskit.faults import Fault
 
 ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
@@ -32,7 +32,7 @@ class Motion:
 
 
 def usable_motions(
-    functions: Sequence[Function], geometry: Geometry, file: str, faults: list[str]
+    functions: Sequence[Function], geometry: Geometry, file: str, faults: list[Fault]
 ) -> tuple[list[Motion], Counter[str]]:
     """Return the functions of motion over frequency, and count the others by what they are.
 
@@ -73,19 +73,19 @@ def is_motion(function: Function) -> bool:
     return motion_unit(ordinate.unit) is not None
 
 
-def direction_faults(function: Function, file: str) -> list[str]:
+def direction_faults(function: Function, file: str) -> list[Fault]:
     """Refuse rotations, and numbers that are no direction."""
     if abs(function.direction) <= 3:
         return []
     where = f"{file}, dataset {function.place}"
     thing = f"the direction at node {function.node}"
     if abs(function.direction) > 6:
-        return [sentence(thing, _TRANSLATIONS, function.direction, where)]
+        return [Fault(thing, _TRANSLATIONS, function.direction, where)]
     step = "Vibrometers measure translations: leave this function out of the export"
-    return [sentence(thing, _TRANSLATIONS, f"{function.direction}, a rotation", where, step)]
+    return [Fault(thing, _TRANSLATIONS, f"{function.direction}, a rotation", where, step)]
 
 
-def _frequency_faults(function: Function, file: str) -> list[str]:
+def _frequency_faults(function: Function, file: str) -> list[Fault]:
     freq = np.sort(function.x)
     if np.all(np.isfinite(freq)) and np.all(np.diff(freq) > 0.0) and freq[0] >= 0.0:
         return []
@@ -96,10 +96,10 @@ def _frequency_faults(function: Function, file: str) -> list[str]:
     got = f"{function.x[bad[0]]:g} at value {bad[0] + 1}{more}"
     want = "different and not negative"
     where = f"{file}, dataset {function.place}"
-    return [sentence("the frequencies of a function", want, got, where, "Export it again")]
+    return [Fault("the frequencies of a function", want, got, where, "Export it again")]
 
 
-def motion_of(function: Function, geometry: Geometry, file: str, faults: list[str]) -> Motion | None:
+def motion_of(function: Function, geometry: Geometry, file: str, faults: list[Fault]) -> Motion | None:
     """Find order, factor to SI and reference of a function of motion."""
     where = f"{file}, dataset {function.place}"
     ordinate, denominator = function.ordinate, function.denominator
@@ -110,12 +110,12 @@ def motion_of(function: Function, geometry: Geometry, file: str, faults: list[st
         if unit is None:
             want = f"one of {'; '.join(MOTIONS)} [per unit of a reference]"
             step = "Export the file in SI units, on a linear scale"
-            faults.append(sentence("the unit of the values", want, shown(ordinate.unit), where, step))
+            faults.append(Fault("the unit of the values", want, shown(ordinate.unit), where, step))
             return None
         if order is not None and unit.order != order:
             got = f"{QUANTITIES[order]} (type {ordinate.kind}) in {ordinate.unit}"
             step = "Correct the unit in the measuring program, and export again"
-            faults.append(sentence("quantity and unit", "those of one motion", got, where, step))
+            faults.append(Fault("quantity and unit", "those of one motion", got, where, step))
             return None
         order, scale, per = unit.order, unit.scale, unit.per
     if order is None:

@@ -20,7 +20,7 @@ from kinematics.readers.uff.geometry import Geometry, read_geometry
 from kinematics.readers.uff.motion_functions import Motion, direction_label, point_name, usable_motions
 from kinematics.readers.unit_labels import is_none
 from kinematics.signals.series_options import SeriesOptions
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
     names of channels are not looked at. A reference with a node of its own names the run.
     """
     path = Path(path)
-    faults: list[str] = []
+    faults: list[Fault] = []
     functions: list[Function] = []
     sets: list[Dataset] = []
     for dataset in datasets(plain_content(path.read_bytes()), path.name, faults):
@@ -63,7 +63,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
     if not functions and not faults:
         step = "Export the spectra or frequency responses as UFF 58"
         raise KinematicsError(
-            sentence("a universal file", "one with functions (dataset 58)", "none", path.name, step)
+            Fault("a universal file", "one with functions (dataset 58)", "none", path.name, step)
         )
     geometry = Geometry()
     with collecting(faults):
@@ -78,7 +78,7 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
     return _spectra(functions, geometry, path.name, faults)
 
 
-def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, faults: list[str]) -> Recordings:
+def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, faults: list[Fault]) -> Recordings:
     """Make recordings of the functions over frequency."""
     usable, left = usable_motions(functions, geometry, file, faults)
     known = coherences(functions)
@@ -134,14 +134,14 @@ def _chosen(
     return kept, notices
 
 
-def _nothing(functions: Sequence[Function], left: Mapping[str, int], file: str) -> str:
+def _nothing(functions: Sequence[Function], left: Mapping[str, int], file: str) -> Fault:
     """Say what is there instead of motion over frequency."""
     listed = ", ".join(f"{count} {name}" for name, count in left.items() if count) or KINDS[COHERENCE]
     step = "Export complex spectra or frequency responses of velocity or displacement"
     if any(function.kind == TIME for function in functions):
         step = "Export them, or say how its time responses are averaged, e.g. by --frf h1"
     expected = "functions of displacement, velocity or acceleration over frequency"
-    return sentence("a universal file", f"one with {expected}", listed, file, step)
+    return Fault("a universal file", f"one with {expected}", listed, file, step)
 
 
 def _one_quantity(motions: list[Motion]) -> tuple[list[Motion], list[str]]:
@@ -235,13 +235,13 @@ def _repeats(made: Sequence[Recording], chosen: Sequence[Motion]) -> list[Record
 
 def _check_once(made: Sequence[Recording], chosen: Sequence[Motion]) -> None:
     """Refuse two functions of one point, direction and run."""
-    seen: dict[tuple[object, ...], str] = {}
+    seen: dict[tuple[object, ...], Place | str] = {}
     faults = []
     for recording, motion in zip(made, chosen, strict=True):
         key = (recording.point, motion.function.direction, recording.run, motion.function.version)
         if key in seen:
             thing = f"the function of node {recording.point} in direction {motion.function.direction}"
             step = "Export one signal of one excitation, or give the runs different references"
-            faults.append(sentence(thing, "there once", "two", f"{seen[key]} and {recording.where}", step))
+            faults.append(Fault(thing, "there once", "two", f"{seen[key]} and {recording.where}", step))
         seen[key] = recording.where
     raise_all(KinematicsError, faults)

@@ -25,7 +25,7 @@ from kinematics.readers.uff.motion_functions import (
 )
 from kinematics.readers.unit_labels import is_none, plain
 from kinematics.signals.series_options import SeriesOptions
-from stapeskit.faults import collecting, raise_all, sentence
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def read_responses(
     geometry: Geometry,
     file: str,
     options: SeriesOptions,
-    faults: list[str],
+    faults: list[Fault],
 ) -> Recordings:
     """Estimate frequency responses from the time responses of a file.
 
@@ -130,7 +130,7 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
         found = list(dict.fromkeys(named))
         if len(found) != 1:
             got = options.reference + (f", which is {' and '.join(found)}" if found else "")
-            raise KinematicsError(sentence("--reference-channel", f"one of {shown}", got, file))
+            raise KinematicsError(Fault("--reference-channel", f"one of {shown}", got, file))
         return found[0]
     stated = {
         direction_label(one.reference_node, one.reference_direction)
@@ -144,11 +144,11 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
         return found[0] if found else ""
     step = "Name it by --reference-channel, as node and direction"
     got = " and ".join(found[:_MOST_NAMED]) if found else f"none among {shown}"
-    raise KinematicsError(sentence("the reference of the time responses", "one signal", got, file, step))
+    raise KinematicsError(Fault("the reference of the time responses", "one signal", got, file, step))
 
 
 def _signals(
-    times: Sequence[Function], geometry: Geometry, file: str, name: str, run: str, faults: list[str]
+    times: Sequence[Function], geometry: Geometry, file: str, name: str, run: str, faults: list[Fault]
 ) -> list[_Signal]:
     """Sort the records of one load case by signal."""
     by_label: dict[str, list[Function]] = {}
@@ -158,11 +158,11 @@ def _signals(
     for label, records in by_label.items():
         if label != name and not is_motion(records[0]):
             continue
-        found: list[str] = []
+        found: list[Fault] = []
         channels = [_channel(one, geometry, file, label == name, run, found) for one in records]
         if not found and len({(one.scale, one.unit) for one in channels}) > 1:
             got = ", ".join(dict.fromkeys(one.unit for one in channels))
-            found.append(sentence(f"the records of {label}", "in one unit", got, file, "Export it again"))
+            found.append(Fault(f"the records of {label}", "in one unit", got, file, "Export it again"))
         faults += found
         if not found:
             ordered = sorted(records, key=lambda one: (one.version, one.place))
@@ -171,7 +171,7 @@ def _signals(
 
 
 def _channel(
-    one: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[str]
+    one: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[Fault]
 ) -> Channel:
     """Say what one record holds as a row of a table of channels would."""
     where = f"{file}, dataset {one.place}"
@@ -201,16 +201,14 @@ def _channel(
     )
 
 
-def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[str]) -> list[list[_Signal]]:
+def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]) -> list[list[_Signal]]:
     """Return what was recorded together: responses and their reference, with as many records each."""
     responses = [one for one in signals if one.channel.name != name]
     lead = next((one for one in signals if one.channel.name == name), None)
     if not responses:
         if not faults:
             step = "Export the records of the points too"
-            faults.append(
-                sentence("time responses", "of one motion beside the reference", "none", file, step)
-            )
+            faults.append(Fault("time responses", "of one motion beside the reference", "none", file, step))
         return []
     counts = {len(one.records) for one in responses}
     if lead is None or counts == {len(lead.records)}:
@@ -219,12 +217,12 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[str]) 
         return _in_turn(responses, lead, file, faults)
     known = ", ".join(f"{one.channel.name} {len(one.records)}" for one in [lead, *responses][:_MOST_NAMED])
     step = "Export every record of the reference once"
-    faults.append(sentence("the time responses", "of as many records as their reference", known, file, step))
+    faults.append(Fault("the time responses", "of as many records as their reference", known, file, step))
     return []
 
 
 def _in_turn(
-    responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[str]
+    responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[Fault]
 ) -> list[list[_Signal]]:
     """Give each record of the reference the responses that stand behind it, or before it, in the file."""
     by_place: Mapping[int, _Signal] = {one.records[0].place: one for one in responses}
@@ -243,16 +241,14 @@ def _in_turn(
         return parts
     got = f"{len(leads)} of {lead.channel.name} for {len(responses)} responses, not in turn"
     step = "Export the reference with each group of responses, or once"
-    faults.append(
-        sentence("the records of the reference", "one for each group of responses", got, file, step)
-    )
+    faults.append(Fault("the records of the reference", "one for each group of responses", got, file, step))
     return []
 
 
 def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptions) -> Recordings:
     """Estimate the responses of signals recorded together."""
     rates: dict[float, str] = {}
-    faults: list[str] = []
+    faults: list[Fault] = []
     for signal in signals:
         for one in signal.records:
             with collecting(faults):
@@ -260,7 +256,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     raise_all(KinematicsError, faults)
     if max(rates) > min(rates) * (1.0 + 1e-6):
         got = " and ".join(f"{rate:g} Hz ({place})" for rate, place in list(rates.items())[:4])
-        raise KinematicsError(sentence("the sampling rate", "one in all records", got, file))
+        raise KinematicsError(Fault("the sampling rate", "one in all records", got, file))
     first = signals[0].records[0]
     samples = {one.channel.name: tuple(record.y.real for record in one.records) for one in signals}
     check_finite(samples, file)
@@ -268,7 +264,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     lead = next((one.channel for one in signals if one.channel.name == name), None)
     if lead is None and options.steps is None:
         step = "Name the reference by --reference-channel"
-        raise KinematicsError(sentence("the time responses", "with their reference", "none", file, step))
+        raise KinematicsError(Fault("the time responses", "with their reference", "none", file, step))
     return estimated(series, [one.channel for one in signals if one.channel.name != name], lead, options)
 
 
@@ -282,5 +278,5 @@ def _rate(one: Function, file: str) -> float:
     unit = _time_unit(one)
     if unit not in _SECONDS:
         want = f"one of {', '.join(_SECONDS)}"
-        raise KinematicsError(sentence("the unit of time", want, one.abscissa.unit, where, "Export it again"))
+        raise KinematicsError(Fault("the unit of time", want, one.abscissa.unit, where, "Export it again"))
     return sampling_rate(one.x * _SECONDS[unit], where)

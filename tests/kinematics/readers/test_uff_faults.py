@@ -149,9 +149,17 @@ def test_spoiled_records_are_named(old, new, words, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (b"    58b     1     2", b"    58b     3     2", "byte order 1 (little endian) or 2"),
-        (b"    58b     1     2", b"    58b     1     1", "floating point format 2 (IEEE 754); got 1"),
-        (b"          11", b"           3", "11 lines of header; got 3"),
+        (
+            b"    58b     1     2",
+            b"    58b     3     2",
+            "the byte order of a dataset 58b must be 1",
+        ),
+        (
+            b"    58b     1     2",
+            b"    58b     1     1",
+            "dataset 58b must be 2 (IEEE 754); got 1",
+        ),
+        (b"          11", b"           3", "must be 11 lines long; got 3 lines"),
         (b"    58b     1     2", b"    58b  oops     2", "byte order, format, lines and bytes"),
     ],
 )
