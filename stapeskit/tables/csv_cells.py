@@ -31,10 +31,8 @@ class Cells:
     comments: int
 
 
-def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = "") -> Cells:
+def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
     """Read every row below the header; blank lines and lines that begin with ``#`` are passed over.
-
-    ``decimal`` is the mark of the decimals; without it, the one that most numbers have.
 
     Raises
     ------
@@ -73,7 +71,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str], decimal: str = 
         lines.append(line)
         for column, place in places:
             cells[column].append(row[place].strip())
-    decimal = decimal or _decimal(sheet, cells, numbers)
+    decimal = _decimal(sheet, cells, numbers)
     values = {
         column: _parsed(cells[column], column, decimal, sheet.file, lines, faults)
         for column in sheet.header
@@ -101,9 +99,15 @@ def _decimal(sheet: Sheet, cells: dict[str, list[str]], numbers: set[str]) -> st
 def _parsed(
     cells: Sequence[str], column: str, decimal: str, name: str, lines: Sequence[int], faults: list[Fault]
 ) -> Array:
-    values = np.full(len(cells), np.nan)
+    import pandas as pd
+
+    plain = [cell.replace(",", ".") for cell in cells] if decimal == "," else cells
+    values = np.array(pd.to_numeric(pd.Series(plain, dtype=object), errors="coerce"), dtype=float)
     other = "." if decimal == "," else ","
-    for place, cell in enumerate(cells):
+    doubtful = np.isnan(values) | np.array([other in cell for cell in cells], dtype=bool)
+    for place in np.flatnonzero(doubtful).tolist():
+        cell = cells[place]
+        values[place] = np.nan
         if cell in MISSING:
             continue
         if (_NUMBER.fullmatch(cell) and other not in cell) or _ENDLESS.fullmatch(cell):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -17,25 +18,29 @@ from stapeskit.tables.csv_text import Sheet
 
 Array = NDArray[np.float64]
 MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
-Piece = tuple[dict[str, Array], dict[str, tuple[NDArray[np.intp], list[str]]]]
-_PIECE = 4 << 20
-_STRETCH = 1 << 18
-_MOST_THREADS = 4
-_SHORT = 1 << 15
-_MOST_IRREGULAR = 0.2
+Coded = tuple[NDArray[np.intp], list[str]]
+_PIECE_BYTES = 4 << 20  # small enough that the pieces of an ordinary file keep every thread busy
+_CACHED_BYTES = 1 << 18  # counted at once: fits into the processor's second-level cache
+_MOST_THREADS = 4  # more of them wait for the memory
 _MARKS = (b"#", b"\x00", b'"')
+_SKIPPED = re.compile(rb"^[ \t]*(#[^\n]*|\r?)\n", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Rows between two offsets, and their columns; None when they must be read cell by cell."""
+class Columns:
+    """Columns of some rows: numbers (rows,); codes (rows,) with their texts; lines (rows,) of the file.
 
-    start: int
-    stop: int
-    piece: Piece | None
+    ``height`` is the number of lines with the comments, of which there are ``comments``, and blank lines.
+    """
+
+    numbers: dict[str, Array]
+    texts: dict[str, Coded]
+    lines: NDArray[np.int64]
+    height: int
+    comments: int = 0
 
 
-def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | list[Stretch] | None:
+def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Columns | None:
     """Read the wanted columns with the C parser of pandas.
 
     Parameters
@@ -46,28 +51,25 @@ def read_fast(sheet: Sheet, numbers: set[str], texts: set[str]) -> Piece | list[
 
     Returns
     -------
-    tuple, list or None
-        Numbers (rows,) by column, and codes (rows,) with their texts by column. Where some rows are not as
-        the header says or hold cells that are no numbers: stretches of rows, the short ones around these not
-        read. None when the file has many such rows, or quoted cells, which may go on over line ends.
+    Columns or None
+        None when a row is not as the header says, a cell is not a number, or a comment stands among quoted
+        cells: `read_cells` then reads the file.
 
     Notes
     -----
     pandas >= 3 parses numbers to the nearest double, earlier ones to within one unit in the last place.
     """
-    parse = _Parse(sheet, decimal_of(sheet), numbers, texts)
-    pieces = list(pairwise(_cuts(sheet)))
-    threads = min(len(pieces), _processors(), _MOST_THREADS)
+    parse = _Parser(sheet, decimal_of(sheet), numbers, texts)
+    bodies = [sheet.data[start:stop] for start, stop in pairwise(_cuts(sheet))]
+    threads = min(len(bodies), _processors(), _MOST_THREADS)
     if threads < 2:
-        return _together([parse.stretches(*piece) for piece in pieces], numbers, texts, map)
+        return _joined([parse(body) for body in bodies], sheet.line)
     from concurrent.futures import ThreadPoolExecutor
 
-    import pandas as pd
+    import pandas  # noqa: F401  before the threads, which must not import it at the same time
 
-    del pd
     with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(lambda piece: parse.stretches(*piece), pieces))
-        return _together(found, numbers, texts, pool.map)
+        return _joined(list(pool.map(parse, bodies)), sheet.line)
 
 
 def decimal_of(sheet: Sheet) -> str:
@@ -75,20 +77,19 @@ def decimal_of(sheet: Sheet) -> str:
     return "," if sheet.separator != "," and sheet.data.find(b",", sheet.start) >= 0 else "."
 
 
-def _together(
-    found: list[list[Stretch] | None], numbers: set[str], texts: set[str], apply: Callable[..., Iterable[Any]]
-) -> Piece | list[Stretch] | None:
-    """Join the columns of all pieces when all of them are regular."""
-    stretches = [stretch for some in found if some is not None for stretch in some]
-    if any(some is None for some in found) or not any(stretch.piece for stretch in stretches):
+def _joined(parts: Sequence[Columns | None], line: int) -> Columns | None:
+    """Join the columns of all pieces, the first of which begins at a line, when all of them are regular."""
+    regular = [part for part in parts if part is not None]
+    if len(regular) < len(parts):
         return None
-    whole = [stretch.piece for stretch in stretches if stretch.piece is not None]
-    if len(whole) < len(stretches):
-        return stretches
-    names, words = sorted(numbers), sorted(texts)
-    columns = apply(lambda name: np.concatenate([frame[0][name] for frame in whole]), names)
-    coded = apply(lambda name: joined([frame[1][name] for frame in whole]), words)
-    return dict(zip(names, columns, strict=True)), dict(zip(words, coded, strict=True))
+    starts = line + np.cumsum([0, *(part.height for part in regular)])
+    return Columns(
+        {name: np.concatenate([part.numbers[name] for part in regular]) for name in regular[0].numbers},
+        {name: _same_codes([part.texts[name] for part in regular]) for name in regular[0].texts},
+        np.concatenate([start + part.lines for start, part in zip(starts, regular, strict=False)]),
+        int(starts[-1]) - line,
+        sum(part.comments for part in regular),
+    )
 
 
 def _processors() -> int:
@@ -98,9 +99,9 @@ def _processors() -> int:
 
 
 def _cuts(sheet: Sheet) -> list[int]:
-    """Return offsets that part the rows at line ends."""
+    """Return offsets at line ends that divide the rows into pieces."""
     size = sheet.stop - sheet.start
-    count = max(1, round(size / _PIECE))
+    count = max(1, round(size / _PIECE_BYTES))
     cuts = [sheet.start]
     for k in range(1, count):
         cut = sheet.data.find(b"\n", sheet.start + size * k // count, sheet.stop) + 1
@@ -109,40 +110,30 @@ def _cuts(sheet: Sheet) -> list[int]:
     return [*cuts, sheet.stop]
 
 
-class _Parse:
-    """Reads pieces of one file; remembers that one had empty cells or blanks, which cost time to look for."""
+class _Parser:
+    """Reads pieces of one file; remembers that one had empty cells or blanks, which take time to look for."""
 
     def __init__(self, sheet: Sheet, decimal: str, numbers: set[str], texts: set[str]) -> None:
         self.sheet, self.decimal, self.numbers, self.texts = sheet, decimal, numbers, texts
         self.careful = False
-        self.irregular = 0
+        self.irregular = False
         self.all_columns = numbers | texts == set(sheet.header)
 
-    def stretches(self, start: int, stop: int) -> list[Stretch] | None:
-        """Read the rows between two offsets, halving what is not regular; None to read no more."""
-        if self.irregular > _MOST_IRREGULAR * (self.sheet.stop - self.sheet.start):
-            return None
-        body = self.sheet.data[start:stop]
-        piece = self.piece(body)
-        if piece is not None:
-            return [Stretch(start, stop, piece)]
-        if b'"' in body or b"\x00" in body:
-            return None
-        middle = body.find(b"\n", len(body) // 2) + 1
-        if len(body) <= _SHORT or not 0 < middle < len(body):
-            self.irregular += len(body)
-            return [Stretch(start, stop, None)]
-        first = self.stretches(start, start + middle)
-        second = None if first is None else self.stretches(start + middle, stop)
-        return None if first is None or second is None else first + second
+    def __call__(self, body: bytes) -> Columns | None:
+        """Return numbers and coded texts of some rows; None when these or earlier ones are not regular."""
+        columns = None if self.irregular else self._columns(body)
+        self.irregular |= columns is None
+        return columns
 
-    def piece(self, body: bytes) -> Piece | None:
-        """Return numbers and coded texts of some rows; None when they are not regular."""
+    def _columns(self, body: bytes) -> Columns | None:
         sheet = self.sheet
-        newlines, marks = _scanned(body)
-        rows = newlines + (not body.endswith(b"\n"))
-        quoted = b'"' in marks
-        if b"#" in marks or b"\x00" in marks or not self._wide_enough(body, rows, quoted):
+        newlines, marks = _newlines_and_marks(body)
+        height = rows = newlines + (not body.endswith(b"\n"))
+        lines, comments, quoted = np.arange(rows), 0, b'"' in marks
+        if not quoted and (b"#" in marks or not self._wide_enough(body, rows, quoted)):
+            body, lines, comments = _without_skipped(body, rows)
+            rows = len(lines)
+        if (b"#" in marks and quoted) or b"\x00" in marks or not self._wide_enough(body, rows, quoted):
             return None
         frame = None if self.careful else self._frame(body, quoted, False)
         if frame is None:
@@ -153,17 +144,18 @@ class _Parse:
         values = {column: np.ascontiguousarray(frame[column].to_numpy()) for column in self.numbers}
         if any(self._is_word(body, name, values[name]) for name in self.numbers):
             return None
-        return values, {column: _coded(frame[column]) for column in self.texts}
+        texts = {column: _coded(frame[column]) for column in self.texts}
+        return Columns(values, texts, lines, height, comments)
 
     def _wide_enough(self, body: bytes, rows: int, quoted: bool) -> bool:
-        """Tell whether no row has too many cells, which pandas notices itself when it reads all columns."""
+        """Return whether no row has too many cells, which pandas notices itself when it reads all columns."""
         mark, width = self.sheet.separator.encode(), len(self.sheet.header)
         if self.all_columns and not quoted:
             return body.count(mark, 0, body.find(b"\n") % (len(body) + 1)) == width - 1
         return _count(body, mark) == rows * (width - 1)
 
     def _is_word(self, body: bytes, name: str, values: Array) -> bool:
-        """Tell whether a column of zeros and ones was read from the words true and false."""
+        """Return whether a column of zeros and ones was read from the words true and false."""
         few = values[:64]
         if not np.all(np.isnan(few) | (few == 0.0) | (few == 1.0)):
             return False
@@ -202,28 +194,40 @@ class _Parse:
             return None
 
 
-def _scanned(body: bytes) -> tuple[int, set[bytes]]:
-    """Count the line ends, and tell which of the marks that need care stand in the text."""
+def _newlines_and_marks(body: bytes) -> tuple[int, set[bytes]]:
+    """Count the line ends, and return which of the characters that need care occur."""
     text = np.frombuffer(body, np.uint8)
     newlines, marks = 0, set()
-    for start in range(0, len(body), _STRETCH):
-        stop = start + _STRETCH
+    for start in range(0, len(body), _CACHED_BYTES):
+        stop = start + _CACHED_BYTES
         newlines += int(np.count_nonzero(text[start:stop] == 10))
         marks |= {mark for mark in _MARKS if body.find(mark, start, stop) >= 0}
     return newlines, marks
 
 
+def _without_skipped(body: bytes, height: int) -> tuple[bytes, NDArray[np.int64], int]:
+    """Remove comments and blank lines; return the rest, the lines of its rows, and the number of comments."""
+    kept, skipped, comments, end, line = [], [], 0, 0, 0
+    for match in _SKIPPED.finditer(body):
+        line += body.count(b"\n", end, match.start())
+        kept.append(body[end : match.start()])
+        skipped.append(line)
+        comments += match[1].startswith(b"#")
+        end, line = match.end(), line + 1
+    return b"".join([*kept, body[end:]]), np.delete(np.arange(height), skipped), comments
+
+
 def _count(body: bytes, mark: bytes) -> int:
     """Count a character, a stretch at a time so that it stays in the processor's cache."""
     text, wanted = np.frombuffer(body, np.uint8), mark[0]
-    starts = range(0, len(text), _STRETCH)
-    return sum(int(np.count_nonzero(text[start : start + _STRETCH] == wanted)) for start in starts)
+    starts = range(0, len(text), _CACHED_BYTES)
+    return sum(int(np.count_nonzero(text[start : start + _CACHED_BYTES] == wanted)) for start in starts)
 
 
 def _every_row_complete(sheet: Sheet, body: bytes, frame: Any, quoted: bool) -> bool:
-    """Tell whether each row has the header's number of cells, knowing that none or all together have more.
+    """Return whether each row has as many cells as the header, when no row or not all rows can have more.
 
-    A row that ends too early then shows by its last cell, which reads empty.
+    The last cell of a row that ends too early reads empty.
     """
     last = sheet.header[-1]
     if last in frame.columns and not frame[last].isna().any() and not quoted:
@@ -235,12 +239,12 @@ def _every_row_complete(sheet: Sheet, body: bytes, frame: Any, quoted: bool) -> 
     return bool(np.all(newline[width - 1 :: width])) and int(np.sum(newline)) == len(ends) // width
 
 
-def _coded(series: Any) -> tuple[NDArray[np.intp], list[str]]:
+def _coded(series: Any) -> Coded:
     codes = np.asarray(series.cat.codes, dtype=np.intp)
     return codes, [str(name).strip() for name in series.cat.categories]
 
 
-def joined(parts: Sequence[tuple[NDArray[np.intp], list[str]]]) -> tuple[NDArray[np.intp], list[str]]:
+def _same_codes(parts: Sequence[Coded]) -> Coded:
     """Give the same texts of several pieces the same code."""
     if len(parts) == 1:
         return parts[0]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from stapeskit.faults import Fault, Place, StapeskitError
 from stapeskit.tables.csv_cells import read_cells
-from stapeskit.tables.csv_fast import Stretch, decimal_of, joined, read_fast
-from stapeskit.tables.csv_text import Sheet, no_rows, open_sheet
+from stapeskit.tables.csv_fast import read_fast
+from stapeskit.tables.csv_text import no_rows, open_sheet
 
 Array = NDArray[np.float64]
 
@@ -105,14 +105,9 @@ def read_table(path: Path, choose: Callable[[Sequence[str], str], tuple[set[str]
         empty = sheet.data[sheet.start :].strip() == b""
         raise StapeskitError(no_rows(sheet.file, "the header alone" if empty else "empty rows"))
     read = read_fast(sheet, numbers, texts)
-    if isinstance(read, list):
-        return _mixed(sheet, read, numbers, texts)
     if read is not None:
-        values, coded = read
-        words = {name: _numbered(*column) for name, column in coded.items()}
-        count = len(next(iter(values.values()), np.empty(0))) or len(next(iter(words.values())).codes)
-        lines = np.arange(sheet.line, sheet.line + count)
-        return _without_empty(Table(sheet.file, values, words, lines))
+        words = {name: _numbered(*column) for name, column in read.texts.items()}
+        return _without_empty(Table(sheet.file, read.numbers, words, read.lines, (), read.comments))
     cells = read_cells(sheet, numbers, texts)
     words = {name: _numbered(*_coded(column)) for name, column in cells.texts.items()}
     return Table(sheet.file, cells.numbers, words, cells.lines, cells.faults, cells.comments)
@@ -122,34 +117,6 @@ def _coded(column: Sequence[str]) -> tuple[NDArray[np.intp], list[str]]:
     """Store every text once."""
     unique = {word: place for place, word in enumerate(dict.fromkeys(column))}
     return np.array([unique[word] for word in column], dtype=np.intp), list(unique)
-
-
-def _mixed(sheet: Sheet, stretches: Sequence[Stretch], numbers: set[str], texts: set[str]) -> Table:
-    """Read the stretches that are not regular cell by cell, and join all."""
-    line, comments = sheet.line, 0
-    lines: list[NDArray[np.int64]] = []
-    faults: list[Fault] = []
-    values: list[Mapping[str, Array]] = []
-    coded: list[Mapping[str, tuple[NDArray[np.intp], list[str]]]] = []
-    for stretch in stretches:
-        part = replace(sheet, start=stretch.start, stop=stretch.stop, line=line)
-        rows = sheet.data[stretch.start : stretch.stop].count(b"\n")
-        if stretch.piece is not None:
-            values.append(stretch.piece[0])
-            coded.append(stretch.piece[1])
-            ends = line + rows + (sheet.data[stretch.stop - 1 : stretch.stop] != b"\n")
-            lines.append(np.arange(line, ends))
-        else:
-            cells = read_cells(part, numbers, texts, decimal_of(sheet))
-            values.append(cells.numbers)
-            coded.append({name: _coded(column) for name, column in cells.texts.items()})
-            lines.append(cells.lines)
-            faults += cells.faults
-            comments += cells.comments
-        line += rows
-    joint = {name: np.concatenate([part[name] for part in values]) for name in numbers}
-    words = {name: _numbered(*joined([part[name] for part in coded])) for name in texts}
-    return _without_empty(Table(sheet.file, joint, words, np.concatenate(lines), tuple(faults), comments))
 
 
 def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
@@ -170,7 +137,7 @@ def _numbered(codes: NDArray[np.intp], names: list[str]) -> TextColumn:
 
 
 def _without_empty(table: Table) -> Table:
-    """Drop rows in which nothing stands."""
+    """Drop rows whose cells are all empty."""
     empty = np.ones(len(table), dtype=bool)
     for column in table.texts.values():
         empty &= column.codes < 0

@@ -10,7 +10,7 @@ import pytest
 
 from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.faults import StapeskitError
-from stapeskit.tables import csv_cells, csv_fast
+from stapeskit.tables import csv_fast
 from tests.kinematics.written_csv import plain, same, written
 
 SPOILS = (
@@ -37,7 +37,7 @@ def test_pieces_and_threads_change_nothing(tmp_path, monkeypatch):
             rows.append(f"s{point % 3},p{point},{point / 7!r},0,1,y,{freq!r},{re_!r},{im!r}")
     path = written(tmp_path, plain(rows))
     whole = read_ldv(path)
-    monkeypatch.setattr(csv_fast, "_PIECE", 2000)
+    monkeypatch.setattr(csv_fast, "_PIECE_BYTES", 2000)
     same(read_ldv(path), whole)
     monkeypatch.setattr(csv_fast, "read_fast", lambda *_: None)
     import stapeskit.tables.csv_table as csv_table
@@ -94,30 +94,10 @@ def test_few_bad_rows_are_told_as_if_all_were_read_cell_by_cell(tmp_path, monkey
     with monkeypatch.context() as patch:
         patch.setattr(csv_table, "read_fast", lambda *_: None)
         slow = read()
-    monkeypatch.setattr(csv_fast, "_SHORT", 600)
-    monkeypatch.setattr(csv_fast, "_PIECE", 9000)
+    monkeypatch.setattr(csv_fast, "_PIECE_BYTES", 9000)
     fast = read()
     if isinstance(slow, list):
         assert fast == slow
         return
     same(fast, slow)
     assert [n.code for n in fast.notices] == [n.code for n in slow.notices]
-
-
-def test_only_the_rows_around_a_bad_cell_are_read_cell_by_cell(tmp_path, monkeypatch):
-    import stapeskit.tables.csv_table as csv_table
-
-    rows = [f"s,p{k // 1000},{k // 1000},0.25,1,y,{100 + k % 1000},1.5,{k}" for k in range(8000)]
-    rows[5000] = rows[5000].replace("1.5", "one")
-    path = written(tmp_path, plain(rows))
-    lengths = []
-
-    def counted(sheet, *rest):
-        lengths.append(sheet.stop - sheet.start)
-        return csv_cells.read_cells(sheet, *rest)
-
-    monkeypatch.setattr(csv_table, "read_cells", counted)
-    with pytest.raises(StapeskitError, match=r're_m_s must be a number; got "one" \(ldv.csv, line 5002\)'):
-        read_ldv(path)
-    assert len(lengths) == 1
-    assert lengths[0] <= 1 << 15
