@@ -98,7 +98,7 @@ def diagnose(
     most = max(2, len(set(data.points)) // 3)
     doubt = None
     if not noise_known:
-        data, doubt = evened(data)
+        data, doubt = evened(data, prior)
     data = data if bounded else _mixed(data)
     findings: list[Finding] = []
     current = data
@@ -132,7 +132,7 @@ def diagnose(
         findings = _joined(findings, found)
         current = cleared(current, found)
         if not noise_known and found.kind != "noise" and current.mixing is None:
-            current, doubt = evened(current)
+            current, doubt = evened(current, prior)
     if findings and searches[0].structure.significant:
         after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
         if not account_for_it(searches[0], after, findings):

@@ -29,7 +29,7 @@ def diagnosed(
         Channels whose fault is known already.
     """
     lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
-    if lines < 3 or fit.is_rounding():
+    if lines < 2 or fit.is_rounding():
         return nothing_found(fit.beams, fit.sd)
     whole = fit
     if len(fit.beams.dof) < 6:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.fault_model import State, solve
+from kinematics.faults.fault_model import solve
 from kinematics.faults.findings import Finding
+from kinematics.faults.noise.few_lines import shift_information
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.search import Search
-from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 # Fewer points than this tell no scatter.
@@ -34,7 +34,10 @@ def scatter(data: Compact) -> tuple[float, float]:
     gain over none at a variance v is the sum over eigenvectors of
     g_i^2 / (N_i + 1 / 2 v) - log(1 + 2 v N_i) / 2.
     """
-    score, information = _shifts(solve(data))
+    names: dict[str, list[int]] = {}
+    for channel in data.live:
+        names.setdefault(data.points[channel], []).append(channel)
+    score, information = shift_information(solve(data), list(names.values()))
     values, vectors = np.linalg.eigh(information)
     along, values = vectors.T @ score, np.maximum(values, 0.0)
     sizes = np.geomspace(_SMALLEST_M, _OF_LEVER * data.beams.lever_m, 80)
@@ -42,24 +45,6 @@ def scatter(data: Compact) -> tuple[float, float]:
     gains = np.sum(along**2 * twice / (1.0 + twice * values) - 0.5 * np.log1p(twice * values), axis=1)
     best = int(np.argmax(gains))
     return float(sizes[best]), float(gains[best])
-
-
-def _shifts(state: State) -> tuple[Array, Array]:
-    """Return score (3 point,) and information (3 point, 3 point) of shifts of all points."""
-    data = state.data
-    turned = np.cross(np.eye(3)[None], data.directions[:, None])
-    change = np.concatenate([np.zeros_like(turned), turned], axis=2)
-    rows = change[..., dof_indices(data.beams.dof)] @ data.beams.to_dof
-    own = data.a[:, None, None] * (rows @ state.z)
-    names = list(dict.fromkeys(data.points[c] for c in data.live))
-    columns = np.zeros((len(names), 3, *state.e.shape), dtype=complex)
-    for channel in data.live:
-        columns[names.index(data.points[channel]), :, channel] = own[channel]
-    flat = columns.reshape(3 * len(names), *state.e.shape)
-    if data.mixing is not None:
-        flat = data.mixing.whiten @ flat
-    flat = (flat - state.span @ (state.span.T @ flat)).reshape(3 * len(names), -1)
-    return np.real(flat.conj() @ state.e.ravel()), np.real(flat.conj() @ flat.T)
 
 
 def scattered(first: Search, prior_m: Array, doubt: Array | None, findings: list[Finding]) -> Finding | None:

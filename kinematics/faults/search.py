@@ -14,7 +14,8 @@ from kinematics.faults.evidence import log_evidence
 from kinematics.faults.fault_kinds import Fault
 from kinematics.faults.fault_model import FaultFit, State, fit_fault, objective, solve, static
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.noise.channel_noise import ChannelNoise
+from kinematics.faults.noise.channel_noise import LEAST_SAMPLES, ChannelNoise
+from kinematics.faults.noise.few_lines import level_of_all
 from kinematics.faults.noise.noisy import ALARM_SHARE, noisy
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.packed.mixing import Mixing, axes_of, block_covariance, scaled
@@ -70,6 +71,10 @@ class Search:
         self.rest = self.state.rest()
         self.samples = self.rest.shape[1]
         self.noise = ChannelNoise.of(self.state, self.rest)
+        self.of_all = not noise_known and self.noise.number < LEAST_SAMPLES
+        if self.of_all:
+            level, sure = level_of_all(self.given, self.given.rest(), self.places)
+            self.noise = replace(self.noise, level=level, sure=sure)
         self.level = self.noise.level
         self.scale = max(1.0, self.level) if noise_known else self.level
         if data.mixing is not None and self.samples >= 8 and self.live:
@@ -155,7 +160,12 @@ class Search:
         value = np.maximum(statistic, 0.0) / self.scale
         if self.known and self.data.mixing is None:
             return np.asarray(chdtrc(size, value))
-        return np.asarray(fdtrc(size, self._freedom(channels), value / size))
+        freedom = self._freedom(channels)
+        if self.of_all:
+            # The level holds the energy of the fault itself.
+            left = np.maximum(freedom - value, 1e-9) / np.maximum(freedom - size, 1.0)
+            return np.asarray(fdtrc(size, np.maximum(freedom - size, 1.0), value / size / left))
+        return np.asarray(fdtrc(size, freedom, value / size))
 
     def best(self) -> Finding | None:
         """Return the suspect that explains most, or None when nothing is significant."""

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from kinematics.faults.fault_model import State, solve
 from kinematics.faults.noise.channel_noise import ChannelNoise
+from kinematics.faults.noise.few_lines import level_of_all
 from kinematics.faults.packed.compact import Compact
 from kinematics.faults.packed.mixing import axes_of
+from kinematics.faults.refit import Places
 
 Array = NDArray[np.float64]
 # How many times the sd of the others noise must be to be called a fault.
@@ -29,8 +31,14 @@ _SURE = 2.0
 _ROUNDING = 1e-6
 
 
-def evened(data: Compact) -> tuple[Compact, Array]:
+def evened(data: Compact, prior_m: Array) -> tuple[Compact, Array]:
     """Return data of unknown noise with weights by what the residuals show of each channel.
+
+    Parameters
+    ----------
+    data : Compact
+    prior_m : ndarray, (channel,)
+        Stated standard deviations of the positions, m; zero when not stated.
 
     Returns
     -------
@@ -51,7 +59,10 @@ def evened(data: Compact) -> tuple[Compact, Array]:
     nothing = np.zeros(len(data.points))
     state = solve(data)
     found = ChannelNoise.of(state, state.rest())
-    if found.number < _LEAST_SAMPLES or not found.level > 0.0:
+    if found.number < _LEAST_SAMPLES:
+        level = level_of_all(state, state.rest(), Places.of(data, prior_m))[0]
+        return (replace(data, a=data.a / np.sqrt(level)) if level > 0.0 else data), nothing
+    if not found.level > 0.0:
         return data, nothing
     levelled = _course(data, state)
     if levelled is not data:

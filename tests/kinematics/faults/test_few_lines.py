@@ -1,0 +1,68 @@
+"""Few lines without a stated noise: its level is estimated jointly with the position errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.fault_scenes import scene
+from benchmarks.points_faults import judged
+from kinematics.faults.fault_model import solve
+from kinematics.faults.noise.few_lines import level_of_all
+from kinematics.faults.packed.compact import compact
+from kinematics.faults.refit import Places
+from kinematics.fit.beams import beam_set
+from kinematics.fit.rigid_fit import fit_lines
+from kinematics.measurement import BodyChannels
+from stapeskit.spatial import DOF_NAMES
+
+STAPES = "stapes, 10 points 3D"
+
+
+def level(seed, lines, position_sd_mm, stated_mm):
+    """Return the estimated over the true variance of the noise, and its degrees of freedom."""
+    made = scene(seed, STAPES, lines=lines, position_sd_mm=position_sd_mm)
+    rng = np.random.default_rng(seed)
+    noise = made.sd * (rng.normal(size=made.sd.shape) + 1j * rng.normal(size=made.sd.shape))
+    beams = beam_set("stapes", made.reported, made.directions, DOF_NAMES)
+    value = made.faulty() + noise
+    fit = fit_lines(beams, value, made.sd)
+    body = BodyChannels("stapes", made.points, made.reported, made.directions, value[None])
+    data = compact(fit, body, made.freq_hz)
+    state = solve(data)
+    places = Places.of(data, np.full(len(made.points), stated_mm * 1e-3))
+    return level_of_all(state, state.rest(), places)
+
+
+@pytest.mark.parametrize("lines", [2, 6, 20])
+@pytest.mark.parametrize("position_sd_mm", [0.0, 0.05])
+def test_level_of_the_noise_is_unbiased_whatever_the_position_errors(lines, position_sd_mm):
+    found = np.array([level(seed, lines, position_sd_mm, position_sd_mm) for seed in range(30)])
+    ratio, freedom = found[:, 0], found[0, 1]
+    assert np.mean(ratio) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom / len(ratio)))
+    assert np.std(ratio) == pytest.approx(np.sqrt(2.0 / freedom), rel=0.5)
+
+
+def test_position_errors_that_nobody_stated_are_in_the_level():
+    assert level(1, 12, 0.05, 0.0)[0] > 1.5
+
+
+@pytest.mark.parametrize("lines", [2, 12])
+def test_clean_files_with_few_lines_and_position_errors_seldom_raise_an_alarm(lines):
+    alarms = 0
+    for seed in range(30):
+        made = scene(810_000 + seed, STAPES, lines=lines, position_sd_mm=0.05)
+        found = judged(made, seed, stated=False, position_sd_mm=0.05)
+        alarms += any(verdict.verdict != "ok" for verdict in found.channels)
+    assert alarms <= 3
+
+
+@pytest.mark.parametrize("fault", ["sign", "position 200 um", "noise x4"])
+def test_faults_in_few_lines_are_named(fault):
+    named = 0
+    for seed in range(820_000, 820_006):
+        made = scene(seed, STAPES, fault, lines=12, position_sd_mm=0.02)
+        found = judged(made, seed, stated=False, position_sd_mm=0.02)
+        accused = {c: v.verdict for c, v in enumerate(found.channels) if v.verdict != "ok"}
+        named += accused == dict.fromkeys(made.culprits, made.verdict)
+    assert named >= 5
