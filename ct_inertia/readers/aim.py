@@ -6,7 +6,6 @@ The layout follows the reader in ITK: https://github.com/KitwareMedical/ITKIOSca
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_positive, density_notice, header_fault
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -46,7 +46,7 @@ class _Head:
     data: int
 
 
-def read_aim(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read an AIM volume; its place in the original scan gives the origin.
 
     Raises
@@ -85,7 +85,7 @@ def read_aim(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
         np.zeros(3) if spacing is None else found.position * spacing,
         notices=tuple(_calibration(log, path.name)),
     )
-    return grid_volume(grid, path, spacing_mm, mirror)
+    return grid_volume(grid, path, options)
 
 
 def _old(start: bytes, path: Path) -> _Head:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -18,7 +18,7 @@ _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4
 _HEADER_BYTES = 1 << 20
 
 
-def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read a uniform lattice with its bounding box.
 
     Raises
@@ -76,7 +76,7 @@ def read_amira(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
         elif factor is None:
             known += f"; its voxels are {steps[0]:.6g} x {steps[1]:.6g} x {steps[2]:.6g}"
     grid = Grid(size, np.dtype(order + _TYPES[field[1]]), ((path, end.end()),), spacing, origin, known=known)
-    return grid_volume(grid, path, spacing_mm, mirror)
+    return grid_volume(grid, path, options)
 
 
 def _sizes(text: str, path: Path) -> tuple[int, int, int]:

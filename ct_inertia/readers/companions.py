@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.readers.formats import format_of
 
 
 def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]:
@@ -39,28 +40,7 @@ def data_files(path: Path | None) -> list[Path]:
         return []
     path = Path(path)
     try:
-        return [file for file in _named(path) if file != path and file.is_file()]
+        files = format_of(path).companion_files(path)
+        return [file for file in files if file != path and file.is_file()]
     except (CtInertiaError, OSError):
         return []
-
-
-def _named(path: Path) -> list[Path]:
-    suffix = path.suffix.lower()
-    if suffix in (".mhd", ".mha"):
-        from ct_inertia.readers.metaimage import voxel_files
-
-        return voxel_files(path)
-    if suffix in (".nhdr", ".nrrd"):
-        from ct_inertia.readers.nrrd import voxel_files
-
-        return voxel_files(path)
-    if suffix == ".vgi":
-        from ct_inertia.readers.vgi import voxel_files
-
-        return voxel_files(path)
-    if suffix == ".hdr":
-        return [path.with_suffix(".img")]
-    from ct_inertia.readers.raw import RAW_SUFFIXES, companion
-
-    header = companion(path) if suffix in RAW_SUFFIXES else None
-    return [] if header is None else [header, *_named(header)]

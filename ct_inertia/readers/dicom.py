@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable, settle_spacing
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.volume.blocks import BlockArray
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -44,28 +45,36 @@ class _Slice:
     direction: Array
 
 
-def is_dicom(path: Path) -> bool:
-    """Say whether a file is DICOM, by its name or its preamble."""
+def recognises(path: Path) -> bool:
+    """Return whether a file, or one of the first files of a folder, is DICOM by its name or its preamble."""
+    if not path.is_dir():
+        return _is_dicom(path)
+    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+    return any(_is_dicom(file) for file in files[:5])
+
+
+def read(path: Path, options: ReadOptions) -> Volume:
+    """Read the DICOM series of a folder, or a file of several frames.
+
+    Raises
+    ------
+    CtInertiaError
+        Several series, a damaged file, slices of different sizes or at uneven distances, a single slice, or
+        colours.
+    """
+    read_one = _read_folder if path.is_dir() else _read_file
+    return read_one(path, options).mirrored(options.mirror)
+
+
+def _is_dicom(path: Path) -> bool:
     if path.suffix.lower() in (".dcm", ".dicom", ".ima"):
         return True
     with path.open("rb") as stream:
         return stream.read(132)[128:] == b"DICM"
 
 
-def holds_dicom(folder: Path) -> bool:
-    """Say whether one of a folder's first files is DICOM."""
-    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
-    return any(is_dicom(path) for path in files[:5])
-
-
-def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
-    """Read the DICOM series of a folder, ordered by position; rescale slope and intercept are applied.
-
-    Raises
-    ------
-    CtInertiaError
-        Several series, a damaged file, slices of different sizes, or slices at uneven distances.
-    """
+def _read_folder(folder: Path, options: ReadOptions) -> Volume:
+    """Read the series of a folder, ordered by position; rescale slope and intercept are applied."""
     import SimpleITK as sitk
 
     series = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
@@ -81,7 +90,7 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
         )
     names = list(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0]))
     if len(names) == 1:
-        return read_dicom_file(Path(names[0]), spacing_mm)
+        return _read_file(Path(names[0]), options)
     slices = [_slice(name) for name in names]
     _check_alike(slices, folder)
     normal = slices[0].direction[:, 2]
@@ -92,12 +101,12 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
         slices = [slices[k] for k in np.argsort(places, kind="stable")]
         step = _even_step(np.sort(places), folder)
         found = np.array([*slices[0].spacing[:2], step])
-    elif spacing_mm is not None:
+    elif options.spacing_mm is not None:
         text = (
             f"The slices in {folder.name} tell no positions: they were taken in the order of their numbers."
         )
         notices.append(Notice("positions_not_told", text))
-    spacing, settled = settle_spacing(found, spacing_mm, folder.name, "the slices tell no positions")
+    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, "the slices tell no positions")
     return Volume(
         _array(slices),
         spacing,
@@ -109,14 +118,8 @@ def read_dicom(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volum
     )
 
 
-def read_dicom_file(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
-    """Read a multi-frame DICOM file, unpacked in memory.
-
-    Raises
-    ------
-    CtInertiaError
-        Damaged, a single slice, or in colours.
-    """
+def _read_file(path: Path, options: ReadOptions) -> Volume:
+    """Read a file of several frames, unpacked in memory."""
     import SimpleITK as sitk
 
     head = _slice(str(path))
@@ -134,7 +137,7 @@ def read_dicom_file(path: Path, spacing_mm: Sequence[float] | None = None) -> Vo
         image = sitk.ReadImage(str(path))
     except RuntimeError as fault:
         raise not_readable(path, "DICOM file", fault) from fault
-    spacing, notices = settle_spacing(head.spacing, spacing_mm, path.name)
+    spacing, notices = settle_spacing(head.spacing, options.spacing_mm, path.name)
     return Volume(
         sitk.GetArrayFromImage(image), spacing, head.origin, head.direction, True, path, notices=notices
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, no_data_file, not_readable, settle_spacing
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.volume.blocks import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
 from stapeskit.faults import Fault
@@ -75,26 +76,25 @@ class Grid:
 def grid_volume(
     grid: Grid,
     path: Path,
-    spacing_mm: Sequence[float] | None,
-    mirror: str | None,
+    options: ReadOptions,
     array: NDArray[Any] | None = None,
 ) -> Volume:
     """Return the volume behind a header.
 
-    ``mirror`` reverses the slices along one axis; on a left-handed grid that makes it right-handed.
+    ``options.mirror`` reverses the slices along one axis; on a left-handed grid that makes it right-handed.
 
     Raises
     ------
     CtInertiaError
         A file is missing or too short, no spacing, or a left-handed direction matrix without ``mirror``.
     """
-    spacing, settled = settle_spacing(grid.spacing_mm, spacing_mm, path.name, grid.known)
-    origin, direction = grid.origin_mm, grid.direction
+    spacing, settled = settle_spacing(grid.spacing_mm, options.spacing_mm, path.name, grid.known)
+    origin, direction, mirror = grid.origin_mm, grid.direction, options.mirror
     if mirror is not None and np.linalg.det(direction) < 0.0:
         origin, direction = unmirrored_frame(origin, direction, np.array(grid.size), spacing, mirror)
         mirror = None
     voxels = grid_array(grid, path) if array is None else array
-    volume = Volume(
+    return Volume(
         scaled(voxels, grid.slope, grid.intercept),
         spacing,
         origin,
@@ -102,8 +102,7 @@ def grid_volume(
         grid.anatomical,
         path,
         notices=(*grid.notices, *settled),
-    )
-    return volume if mirror is None else volume.mirrored(mirror)
+    ).mirrored(mirror)
 
 
 def grid_array(grid: Grid, path: Path) -> NDArray[Any]:

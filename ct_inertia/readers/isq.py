@@ -6,12 +6,12 @@ The layout follows the reader in ITK: https://github.com/KitwareMedical/ITKIOSca
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ct_inertia.readers.checks import check_positive, density_notice, header_fault
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
@@ -21,7 +21,7 @@ _BLOCK = 512
 _MOST_BLOCKS = 256
 
 
-def read_isq(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read an ISQ volume.
 
     Raises
@@ -54,7 +54,7 @@ def read_isq(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
         spacing if np.all(spacing > 0.0) else None,
         notices=tuple(_calibration(start[: (blocks + 1) * _BLOCK], path.name)),
     )
-    return grid_volume(grid, path, spacing_mm, mirror)
+    return grid_volume(grid, path, options)
 
 
 def _calibration(head: bytes, name: str) -> list[Notice]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -36,9 +37,7 @@ _TYPES = {
 }
 
 
-def read_metaimage(
-    path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None
-) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read a MetaImage volume, its voxels in the file, beside it or in a list of slices.
 
     Raises
@@ -72,10 +71,10 @@ def read_metaimage(
                 "Export one channel",
             )
         )
-    return grid_volume(_grid(path, fields, size, start, rest), path, spacing_mm, mirror)
+    return grid_volume(_grid(path, fields, size, start, rest), path, options)
 
 
-def voxel_files(path: Path) -> list[Path]:
+def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     fields, start, rest = _header(path)
     return [file for file, _ in _files(path, fields, start, rest)]

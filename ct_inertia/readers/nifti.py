@@ -8,7 +8,6 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, not_readable
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -60,7 +60,7 @@ class _Header:
     alone: bool
 
 
-def read_nifti(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read a NIfTI volume, its place from the sform, otherwise from the qform.
 
     Raises
@@ -84,7 +84,12 @@ def read_nifti(path: Path, spacing_mm: Sequence[float] | None = None, mirror: st
             )
         )
     check_dimensions(size, path.name)
-    return grid_volume(_grid(path, header, size), path, spacing_mm, mirror)
+    return grid_volume(_grid(path, header, size), path, options)
+
+
+def companion_files(path: Path) -> list[Path]:
+    """Return the voxels that belong to a header of its own."""
+    return [path.with_suffix(".img")] if path.suffix.lower() == ".hdr" else []
 
 
 def _head_file(path: Path) -> Path:

@@ -6,7 +6,6 @@ The format: https://teem.sourceforge.net/nrrd/format.html
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -39,7 +39,7 @@ _PACKINGS = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2"
 _SPATIAL = ("domain", "space", "???", "none")
 
 
-def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read an NRRD volume; of a layered segmentation one label volume with its segments numbered.
 
     Raises
@@ -54,7 +54,7 @@ def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str
     grid = _grid(path, fields, axes, sizes, start)
     layers = [k for k in range(len(sizes)) if k not in axes and sizes[k] > 1]
     if not layers:
-        return grid_volume(grid, path, spacing_mm, mirror)
+        return grid_volume(grid, path, options)
     segments = _segments(keys, path)
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
@@ -68,11 +68,11 @@ def read_nrrd(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str
             )
         )
     labels, notice = _flattened(grid_array(grid, path), segments)
-    volume = grid_volume(grid, path, spacing_mm, mirror, labels)
+    volume = grid_volume(grid, path, options, labels)
     return _noted(volume, notice)
 
 
-def voxel_files(path: Path) -> list[Path]:
+def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     fields, _, start = _header(path)
     return [file for file, _ in _files(path, fields, start, "raw")]

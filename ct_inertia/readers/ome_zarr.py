@@ -5,7 +5,6 @@ The format: https://ngff.openmicroscopy.org
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit, settle_spacing
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import check_dimensions
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
 from ct_inertia.volume.blocks import BlockArray, Level
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _SPACE = ("z", "y", "x")
 
 
-def read_ome_zarr(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+def read(folder: Path, options: ReadOptions) -> Volume:
     """Read an OME-Zarr image at full resolution, with its coarser levels for the first look.
 
     Raises
@@ -62,8 +62,16 @@ def read_ome_zarr(folder: Path, spacing_mm: Sequence[float] | None = None) -> Vo
         )
         notices.append(Notice("chunks_not_stored", text))
     found, origin, known = placed
-    spacing, settled = settle_spacing(found, spacing_mm, folder.name, known)
-    return Volume(voxels.as_array(), spacing, origin, np.eye(3), source=folder, notices=(*notices, *settled))
+    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, known)
+    volume = Volume(
+        voxels.as_array(), spacing, origin, np.eye(3), source=folder, notices=(*notices, *settled)
+    )
+    return volume.mirrored(options.mirror)
+
+
+def recognises(folder: Path) -> bool:
+    """Return whether a folder has the metadata of a Zarr group or array."""
+    return any((folder / name).is_file() for name in (".zattrs", ".zgroup", ".zarray", "zarr.json"))
 
 
 def _image(folder: Path) -> tuple[tuple[Path, Meta] | None, list[Notice]]:

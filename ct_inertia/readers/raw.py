@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +9,11 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount
+from ct_inertia.readers.formats import FORMATS, ReadOptions, format_of
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 
-RAW_SUFFIXES = (".raw", ".vol", ".bin", ".dat", ".img")
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 
 
@@ -73,14 +72,20 @@ class RawLayout:
         return np.dtype(self.dtype).newbyteorder("<" if self.byte_order == "little" else ">")
 
 
-def read_raw(path: Path, layout: RawLayout, spacing_mm: Sequence[float] | None = None) -> Volume:
-    """Map raw voxels.
+def read(path: Path, options: ReadOptions) -> Volume:
+    """Map raw voxels; without a layout they are read with the header beside them.
 
     Raises
     ------
     CtInertiaError
-        No spacing, or a file that is not exactly as long as the layout says.
+        Neither layout nor header, no spacing, or a file that is not exactly as long as the layout says.
     """
+    layout = options.raw
+    if layout is None:
+        header = _header_beside(path)
+        if header is None:
+            raise _layout_missing(path)
+        return format_of(header).read(header, options)
     check_dimensions(layout.shape, path.name)
     needed = layout.stored_type.itemsize
     for n in layout.shape:
@@ -105,20 +110,26 @@ def read_raw(path: Path, layout: RawLayout, spacing_mm: Sequence[float] | None =
     grid = Grid(
         size, layout.stored_type, ((path, layout.header_bytes),), None, known="raw voxels do not tell it"
     )
-    return grid_volume(grid, path, spacing_mm, None)
+    return grid_volume(grid, path, options)
 
 
-def companion(path: Path) -> Path | None:
-    """Return the header beside a raw file: ``scan.mhd``, ``scan.nhdr``, ``scan.vgi``, ..."""
-    for ending in (".mhd", ".nhdr", ".vgi"):
-        for name in (path.with_suffix(ending), path.with_name(path.name + ending)):
-            if name.is_file():
-                return name
-    header = path.with_suffix(".hdr")
-    return header if header.is_file() and path.suffix.lower() == ".img" else None
+def companion_files(path: Path) -> list[Path]:
+    """Return the header beside a raw file, and the files that it names."""
+    header = _header_beside(path)
+    return [] if header is None else [header, *format_of(header).companion_files(header)]
 
 
-def layout_missing(path: Path) -> CtInertiaError:
+def _header_beside(path: Path) -> Path | None:
+    """Return the header of a raw file: ``scan.mhd``, ``scan.raw.mhd``, ``scan.nhdr``, ``scan.vgi``, ..."""
+    # Other programs use .hdr for headers of their own: those of NIfTI belong to .img alone.
+    endings = [ending for entry in FORMATS for ending in entry.headers if ending != ".hdr"]
+    names = [name for end in endings for name in (path.with_suffix(end), path.with_name(path.name + end))]
+    if path.suffix.lower() == ".img":
+        names.append(path.with_suffix(".hdr"))
+    return next((name for name in names if name.is_file()), None)
+
+
+def _layout_missing(path: Path) -> CtInertiaError:
     """Make the error for a raw file with neither a header beside it nor a layout given."""
     return CtInertiaError(
         Fault(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
@@ -38,7 +39,7 @@ class _Look:
     offset: int | None
 
 
-def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+def read(folder: Path, options: ReadOptions) -> Volume:
     """Read a folder of slices; slice k is the k-th in the order of the last number in its name.
 
     Raises
@@ -48,11 +49,17 @@ def read_slices(folder: Path, spacing_mm: Sequence[float] | None = None) -> Volu
     """
     files, notices = slice_files(folder)
     found = log_spacing(folder)
-    spacing, settled = settle_spacing(found, spacing_mm, folder.name, "slice images do not tell it")
+    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, "slice images do not tell it")
     array = stacked_slices(files)
     if _white_is_zero(files[0]):
         array, notices = turned(array), [*notices, turned_notice(files[0])]
-    return Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
+    volume = Volume(array, spacing, np.zeros(3), np.eye(3), source=folder, notices=(*notices, *settled))
+    return volume.mirrored(options.mirror)
+
+
+def recognises(folder: Path) -> bool:
+    """Return True: a folder of no other format is one of slices, or the error says what it should hold."""
+    return folder.is_dir()
 
 
 def _white_is_zero(path: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.ome import Calibration, ome_calibration
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read a TIFF stack with its spacing from OME, ImageJ or resolution tags.
 
     Raises
@@ -46,8 +46,9 @@ def read_tiff(path: Path, spacing_mm: Sequence[float] | None = None) -> Volume:
         notices = _notices(tif, path)
         if white_is_zero(tif.series[0].keyframe):
             array, notices = turned(array), [*notices, turned_notice(path)]
-    spacing, settled = settle_spacing(place.spacing_mm, spacing_mm, path.name, place.known)
-    return Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
+    spacing, settled = settle_spacing(place.spacing_mm, options.spacing_mm, path.name, place.known)
+    volume = Volume(array, spacing, place.origin_mm, np.eye(3), source=path, notices=(*notices, *settled))
+    return volume.mirrored(options.mirror)
 
 
 def _calibration(tif: tifffile.TiffFile) -> Calibration:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import header_fault, mm_per_unit
+from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -22,7 +22,7 @@ _HEADER_BYTES = 1 << 20
 Sections = dict[str, dict[str, str]]
 
 
-def read_vgi(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str | None = None) -> Volume:
+def read(path: Path, options: ReadOptions) -> Volume:
     """Read the volume that a .vgi header describes.
 
     Raises
@@ -64,10 +64,10 @@ def read_vgi(path: Path, spacing_mm: Sequence[float] | None = None, mirror: str 
         slab=sizes[0][2],
         notices=tuple(_notices(sections, path)),
     )
-    return grid_volume(grid, path, spacing_mm, mirror)
+    return grid_volume(grid, path, options)
 
 
-def voxel_files(path: Path) -> list[Path]:
+def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     sections = _sections(path)
     return [_beside(path, part) for name, part in sections.items() if re.fullmatch(r"file\d*", name)]

@@ -140,8 +140,8 @@ class Volume:
         z, y, x = (slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
         return replace(self, array=part_of(self.array, (z, y, x)), origin_mm=self.scan_points(low))
 
-    def mirrored(self, axis: str) -> Volume:
-        """Reverse the order of the slices along the array's ``x``, ``y`` or ``z`` axis.
+    def mirrored(self, axis: str | None) -> Volume:
+        """Reverse the slices along the array's ``x``, ``y`` or ``z`` axis; None leaves them as they are.
 
         The volume keeps its place: origin, spacing and direction stay, the content is reflected inside
         the same box.
@@ -151,7 +151,7 @@ class Volume:
         CtInertiaError
             ``axis`` is none of x, y, z.
         """
-        return replace(self, array=reversed_axis(self.array, axis))
+        return self if axis is None else replace(self, array=reversed_axis(self.array, axis))
 
 
 def unmirrored_frame(
@@ -178,11 +178,21 @@ def unmirrored_frame(
 
 def reversed_axis(array: NDArray[Any], axis: str) -> NDArray[Any]:
     """Return a view of an array [z, y, x] with its x, y or z axis reversed."""
-    if axis not in tuple(_AXES):
-        raise CtInertiaError(Fault("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
+    check_axis(axis)
     every = [slice(None)] * 3
     every[2 - _AXES.index(axis)] = slice(None, None, -1)
     return part_of(array, (every[0], every[1], every[2]))
+
+
+def check_axis(axis: str) -> None:
+    """Refuse what is not the name of an axis.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    if axis not in tuple(_AXES):
+        raise CtInertiaError(Fault("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
 
 
 def _listed(values: Array) -> str:

@@ -126,8 +126,8 @@ def _ears(folder: Path) -> None:
 
 def _formats(folder: Path) -> None:
     """One small scan in every format; rounded, so that it packs."""
-    from tests.ct_inertia import formats as f
     from tests.ct_inertia.ears import ear
+    from tests.ct_inertia.readers import writers as f
 
     made = folder / "formats"
     made.mkdir()

@@ -9,8 +9,8 @@ import tifffile
 
 from ct_inertia.cli import main, options_from, parser
 from stapeskit.faults import StapeskitError
-from tests.ct_inertia import formats as f
 from tests.ct_inertia.ears import ear
+from tests.ct_inertia.readers import writers as f
 
 RAW = ["--dtype", "uint16", "--byte-order", "big", "--header-bytes", "77"]
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_labels, read_volume
 from ct_inertia.readers.raw import RawLayout
-from tests.ct_inertia import formats as f
-from tests.ct_inertia.formats import SPACING, check_corners, picture
+from tests.ct_inertia.readers import writers as f
+from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.7, 1.9]).as_matrix()
 ORIGIN = np.array([5.0, -6.0, 7.0])

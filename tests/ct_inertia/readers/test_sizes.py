@@ -5,8 +5,8 @@ import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_volume
-from tests.ct_inertia import formats as f
-from tests.ct_inertia.formats import picture
+from tests.ct_inertia.readers import writers as f
+from tests.ct_inertia.readers.writers import picture
 
 
 @pytest.mark.parametrize(

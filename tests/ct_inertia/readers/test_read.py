@@ -10,10 +10,10 @@ import pytest
 from ct_inertia.read import read_labels, read_volume
 from ct_inertia.readers.raw import RawLayout
 from ct_inertia.volume.blocks import BlockArray, sampled
-from tests.ct_inertia import formats as f
-from tests.ct_inertia.formats import SPACING, check_corners, picture
+from tests.ct_inertia.readers import writers as f
+from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
 INTEGERS = ("u1", "i1", "u2", "i2", "u4", "i4")
 ALL = (*INTEGERS, "f4", "f8")
 

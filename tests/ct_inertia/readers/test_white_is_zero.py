@@ -7,7 +7,7 @@ import tifffile
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read import read_labels, read_volume
 from tests.ct_inertia.ears import ear
-from tests.ct_inertia.formats import picture
+from tests.ct_inertia.readers.writers import picture
 
 # What a stored number counts as: from the other end of its range.
 ENDS = {"u1": 255, "u2": 65535, "i2": -1, "f4": 0.0}

@@ -12,8 +12,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_volume
 from ct_inertia.readers.checks import check_size
 from ct_inertia.readers.raw import RawLayout
-from tests.ct_inertia import formats as f
-from tests.ct_inertia.formats import picture
+from tests.ct_inertia.readers import writers as f
+from tests.ct_inertia.readers.writers import picture
 
 NOISE = np.random.default_rng(0).integers(0, 60000, (20, 40, 40)).astype(np.uint16)
 TOLD = r"must be .*b\.[a-z.]+\)\. .*[Cc]opy or export it again\.$"
@@ -225,9 +225,6 @@ def test_files_that_are_no_scans(tmp_path):
     (tmp_path / "empty.tif").write_bytes(b"")
     with pytest.raises(CtInertiaError, match="an empty file"):
         read_volume(tmp_path / "empty.tif")
-    (tmp_path / "a.doc").write_bytes(b"hello world")
-    with pytest.raises(CtInertiaError, match=r"known format \(TIFF, NRRD, MHA, MHD, NIfTI, DICOM, ISQ, AIM"):
-        read_volume(tmp_path / "a.doc")
     for ending, kind in {
         "tif": "TIFF",
         "nrrd": "NRRD volume",

@@ -1,0 +1,133 @@
+"""The formats of scans, one line each; a new format is a module with a function ``read`` and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ct_inertia.errors import CtInertiaError
+from stapeskit.faults import Fault
+
+if TYPE_CHECKING:
+    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.volume.volume import Volume
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What the user says about a scan.
+
+    Attributes
+    ----------
+    spacing_mm : sequence of 1 or 3 floats, or None
+        Voxel spacing x, y, z in mm; replaces that of the file.
+    mirror : str or None
+        ``x``, ``y`` or ``z``: reverse the slices along that array axis, as `Volume.mirrored` does. A reader
+        whose header has directions also uses it to make a left-handed grid right-handed.
+    raw : RawLayout or None
+        Layout of the voxels in a file without a header.
+    """
+
+    spacing_mm: Sequence[float] | None = None
+    mirror: str | None = None
+    raw: RawLayout | None = None
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of scans.
+
+    Attributes
+    ----------
+    title : str
+        For people.
+    module : str
+        In ``ct_inertia.readers``, imported when a scan of this format is read. It has
+
+        * ``read(path, options: ReadOptions) -> Volume``,
+        * ``recognises(path) -> bool`` where ``sniffs`` is not empty: whether the content is of this format,
+        * ``companion_files(path) -> list[Path]`` where the scan may lie in several files: those that are read
+          with the one given.
+    suffixes : tuple of str
+        Of files, lower case.
+    headers : tuple of str
+        Those of them that belong to a header beside a file of voxels.
+    sniffs : tuple of str
+        ``file`` and ``folder``: recognised by content, in the order of the table, where no suffix decides.
+    """
+
+    title: str
+    module: str
+    suffixes: tuple[str, ...] = ()
+    headers: tuple[str, ...] = ()
+    sniffs: tuple[str, ...] = ()
+
+    def read(self, path: Path, options: ReadOptions) -> Volume:
+        """Read a scan; raise CtInertiaError when it is damaged or incomplete."""
+        volume: Volume = self._code().read(path, options)
+        return volume
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether the content of a file or folder is of this format."""
+        return ("folder" if path.is_dir() else "file") in self.sniffs and self._code().recognises(path)
+
+    def companion_files(self, path: Path) -> list[Path]:
+        """Return the files that are read with the one given, which may be among them."""
+        if not hasattr(self._code(), "companion_files"):
+            return []
+        files: list[Path] = self._code().companion_files(path)
+        return files
+
+    def _code(self) -> Any:
+        return import_module(f"ct_inertia.readers.{self.module}")
+
+
+RAW = Format("raw voxels", "raw", (".raw", ".vol", ".bin", ".dat", ".img"))
+FORMATS = (
+    Format("TIFF", "tiff", (".tif", ".tiff", ".btf", ".tf8", ".tf2")),
+    Format("NRRD", "nrrd", (".nrrd", ".nhdr"), headers=(".nhdr",)),
+    Format("MHA, MHD", "metaimage", (".mha", ".mhd"), headers=(".mhd",)),
+    Format("NIfTI", "nifti", (".nii", ".nii.gz", ".hdr"), headers=(".hdr",)),
+    Format("ISQ", "isq", (".isq", ".rsq", ".rad")),
+    Format("AIM", "aim", (".aim",)),
+    Format("VGI", "vgi", (".vgi",), headers=(".vgi",)),
+    Format("AM", "amira", (".am",)),
+    RAW,
+    Format("OME-Zarr", "ome_zarr", sniffs=("folder",)),
+    Format("DICOM", "dicom", (".dcm", ".dicom", ".ima"), sniffs=("file", "folder")),
+    Format("a folder of slices", "slices", sniffs=("folder",)),
+)
+
+
+def format_of(path: Path, raw: RawLayout | None = None) -> Format:
+    """Return the format of a file or folder: raw voxels where a layout is given, by suffix, or by content.
+
+    Raises
+    ------
+    CtInertiaError
+        No format of the table.
+    """
+    if path.is_dir():
+        # The last entry takes every folder.
+        return next(entry for entry in FORMATS if entry.recognises(path))
+    if raw is not None:
+        return RAW
+    # VMS adds a version number to the names of Scanco files: SCAN.ISQ;1
+    name = path.name.lower().split(";")[0]
+    for entry in FORMATS:
+        if name.endswith(entry.suffixes):
+            return entry
+    for entry in FORMATS:
+        if entry.recognises(path):
+            return entry
+    raise CtInertiaError(
+        Fault(
+            "the scan",
+            f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
+            path.name,
+            next_step="Export it in one of these formats, or as raw voxels with --shape and --dtype",
+        )
+    )
