@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record sample paper clean
+.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record sample paper docs clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -13,6 +13,7 @@ help:
 	@echo "make bench        the slower evidence, with its tables"
 	@echo "make golden       every number of the commands on many scenes against what was recorded"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
+	@echo "make docs         the pages that are made from the sources"
 	@echo "make sample       make the sample study anew"
 
 setup: $(READY)
@@ -54,6 +55,9 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 check: lint types imports kernels
+
+docs: $(READY)
+	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
 
 sample: $(READY)
 	$(BIN)/python -m sample_volumes.make_sample

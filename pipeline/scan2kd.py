@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,7 @@ def _stage(
             raise PipelineError(*faults_in_study_words(fault.faults, stage.table)) from fault
         told = Told(
             tuple(section_in_study_words(one, stage.table) for one in told.sections),
-            tuple(Notice(n.code, in_study_words(n.text, stage.table)) for n in told.notices),
+            tuple(replace(n, text=in_study_words(n.text, stage.table)) for n in told.notices),
         )
         write_told(work.fresh, stage.name, told)
         hashes = {one: content_hash(work.fresh / one) for one in (*names, told_name(stage.name))}

@@ -31,6 +31,11 @@ WORDS = {
 }
 _LIKELY_SDS = 3.0
 _UNSTATED = 0.05
+_NOT_STATED = {
+    "density": "density_sd_not_given",
+    "mass": "mass_sd_not_given",
+    "calibration": "calibration_sd_not_given",
+}
 
 
 @dataclass(frozen=True)
@@ -157,10 +162,10 @@ def not_stated(contributions: Mapping[str, Any], way: str) -> list[Notice]:
     """Say that the leading way to the mass has no standard deviation."""
     if way in contributions:
         return []
-    code, thing, option = {
-        "density": ("density_sd_not_given", "the density", "--density RHO+-SD"),
-        "mass": ("mass_sd_not_given", "the mass", "--mass-mg M+-SD"),
-        "calibration": ("calibration_sd_not_given", "the calibration", "sd_kg_m3 in its file"),
+    thing, option = {
+        "density": ("the density", "--density RHO+-SD"),
+        "mass": ("the mass", "--mass-mg M+-SD"),
+        "calibration": ("the calibration", "sd_kg_m3 in its file"),
     }[way]
     text = f"No standard deviation of {thing} was given ({option}): {way} not included in the budget."
-    return [Notice(code, text)]
+    return [Notice(_NOT_STATED[way], text)]

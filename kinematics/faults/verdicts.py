@@ -15,6 +15,16 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _SIGN = 0.35
+_CODES = {
+    "gain": "channel_gain",
+    "sign": "channel_sign",
+    "direction": "channel_direction",
+    "position": "channel_position",
+    "noise": "channel_noise",
+    "label_swap": "channel_label_swap",
+    "drift": "channel_drift",
+    "flexible": "flexible",
+}
 _ALONG = 0.999
 
 
@@ -197,7 +207,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             swapped = verdict == "label_swap" and "exchanged" in estimate
             step = "exchange the two names" if swapped else "correct it or leave the channel out"
             text = f"{names}{where}: {verdict}, {estimate}; {step}."
-        notices.append(Notice(f"channel_{verdict}" if verdict != "flexible" else "flexible", text))
+        notices.append(Notice(_CODES[verdict], text))
     return notices
 
 

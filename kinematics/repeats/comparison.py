@@ -144,7 +144,7 @@ class RunRepeats:
         where = f" of run {self.run}" if several else ""
         many = _counted(self.takes)
         notices = [
-            Notice(code_of(test), f"{many}{where}: {self.said(test)}. {_ADVICE[code_of(test)]}")
+            Notice(_CODES[test.name], f"{many}{where}: {self.said(test)}. {_ADVICE[_CODES[test.name]]}")
             for test in self.found
         ]
         apart = self._apart()

@@ -9,7 +9,7 @@ import base64
 import io
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -183,7 +183,7 @@ def notices(found: Iterable[Notice]) -> Markup:
     return _render(
         "{% for n in found %}<div class='notice'><code>{{ n.code }}</code> {{ n.text }}</div>{% else %}"
         "<div class='notice good'>No warnings.</div>{% endfor %}",
-        found=[Notice(one.code, printed(one.text)) for one in found],
+        found=[replace(one, text=printed(one.text)) for one in found],
     )
 
 

@@ -10,7 +10,6 @@ import pytest
 from stapeskit.faults import StapeskitError
 from stapeskit.outputs import staged
 from stapeskit.provenance import Hashes, content_hash, input_record, record, versions
-from stapeskit.warnings import Notice, from_json, unique
 
 
 def test_outputs_replace_old_ones_at_once(tmp_path):
@@ -104,12 +103,6 @@ def test_nothing_is_replaced_where_a_folder_stands_in_the_way_of_a_file(tmp_path
     assert "c must be a folder; got a file" in text
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt", "c"]
-
-
-def test_notices_travel_as_json():
-    one, two = Notice("a", "first"), Notice("b", "second")
-    assert from_json([one.as_json(), two.as_json()]) == (one, two)
-    assert unique([one, two, one]) == (one, two)
 
 
 def test_content_hash_follows_the_bytes(tmp_path):

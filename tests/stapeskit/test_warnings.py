@@ -1,0 +1,99 @@
+"""Every warning of the sources is in the table, every entry of the table is in the sources."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from stapeskit.warnings import ROOMS, Notice, from_json, page, table, unique
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")
+ITSELF = ROOT / "stapeskit" / "warnings.py"
+
+
+def parsed():
+    """Yield (room, path, tree) of every file of the packages."""
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            yield package, path, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def constants(tree):
+    """Return the texts of each module-level name: a string, or the values of a dict of strings."""
+    found = {}
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            values = node.value.values if isinstance(node.value, ast.Dict) else [node.value]
+            if all(isinstance(value, ast.Constant) and isinstance(value.value, str) for value in values):
+                for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+                    if isinstance(target, ast.Name):
+                        found[target.id] = {value.value for value in values}
+    return found
+
+
+@cache
+def codes():
+    """Return {code: rooms that give it} of all sources; fail where a code cannot be read off the source."""
+    files = list(parsed())
+    of_module = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): constants(tree)
+        for _, path, tree in files
+    }
+    found = {}
+    for room, path, tree in files:
+        names = dict(constants(tree))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    texts = of_module.get(node.module or "", {}).get(alias.name)
+                    if texts is not None:
+                        names[alias.asname or alias.name] = texts
+        for node in ast.walk(tree):
+            if path == ITSELF or not isinstance(node, ast.Call) or ast.unparse(node.func) != "Notice":
+                continue
+            first = node.args[0] if node.args else node.keywords[0].value
+            if isinstance(first, ast.Constant):
+                given = {first.value}
+            else:
+                name = first.value if isinstance(first, ast.Subscript) else first
+                given = names.get(ast.unparse(name))
+            assert given, f"{path}:{node.lineno}: the code must be a text or a module-level constant"
+            for code in given:
+                found.setdefault(code, set()).add(room)
+    return found
+
+
+def test_sources_and_table_hold_the_same_codes():
+    used = codes()
+    assert sorted(used.keys() - table().keys()) == [], "add an entry to stapeskit/warnings.toml"
+    assert sorted(table().keys() - used.keys()) == [], "no source gives these"
+    assert len(used) > 100
+
+
+def test_every_entry_names_a_room_that_gives_it():
+    used = codes()
+    assert {code for code, entry in table().items() if entry.room not in used[code]} == set()
+
+
+@pytest.mark.parametrize("code", sorted(table()))
+def test_every_entry_says_what_it_means_and_what_to_do(code):
+    entry = table()[code]
+    assert entry.room in ROOMS
+    for text in (entry.meaning, entry.what_to_do):
+        assert len(text) > 7
+        assert text.endswith(".")
+        assert "|" not in text
+
+
+def test_the_page_of_warnings_is_current():
+    written = (ROOT / "docs" / "warnings.md").read_text(encoding="utf-8")
+    assert written == page(), "run make docs"
+    assert all(f"| `{code}` |" in written for code in table())
+
+
+def test_notices_travel_as_json():
+    one, two = Notice("a", "first"), Notice("b", "second")
+    assert from_json([one.as_json(), two.as_json()]) == (one, two)
+    assert unique([one, two, one]) == (one, two)
