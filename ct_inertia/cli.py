@@ -14,7 +14,7 @@ from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions, MassResult
-    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.readers.raw_layout import RawLayout
     from stapeskit.own_files import OutputSet
     from stapeskit.provenance import Hashes
     from stapeskit.warnings import Notice
@@ -178,7 +178,7 @@ def _raw_layout(given: argparse.Namespace) -> RawLayout | None:
                 next_step="Give --shape NX,NY,NZ and --dtype, or none of these options",
             )
         )
-    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.readers.raw_layout import RawLayout
 
     return RawLayout(given.shape, given.dtype, given.byte_order or "little", given.header_bytes or 0)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import existing_file
 from ct_inertia.readers.formats import ReadOptions, format_of
-from ct_inertia.readers.raw import RawLayout
+from ct_inertia.readers.raw_layout import RawLayout
 from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume, check_axis

@@ -13,7 +13,7 @@ from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassOptions
-    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.readers.raw_layout import RawLayout
     from fitting.kd import KDOptions
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
@@ -132,7 +132,7 @@ def _raw_layout(scan: Scan) -> RawLayout | None:
     """Return how the voxels of a file without a header lie in it; None when the study does not say."""
     if scan.shape is None or scan.dtype is None:
         return None
-    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.readers.raw_layout import RawLayout
 
     return RawLayout(scan.shape, scan.dtype, scan.byte_order or "little", scan.header_bytes or 0)
 

@@ -12,7 +12,7 @@ from ct_inertia.surface.surface import SURFACE_SUFFIXES
 from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
-    from ct_inertia.readers.raw import RawLayout
+    from ct_inertia.readers.raw_layout import RawLayout
 
 Value = tuple[float, float | None]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ct_inertia.read import read_labels, read_volume
-from ct_inertia.readers.raw import RawLayout
+from ct_inertia.readers.raw_layout import RawLayout
 from ct_inertia.volume.blocks import BlockArray, sampled
 from tests.ct_inertia.readers import writers as f
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
