@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import FootplateFrame, footplate_frame
-from ct_inertia.mass.mass_options import MassOptions
 from ct_inertia.mass.mass_properties import (
     MassProperties,
     footplate_mass_matrix,
     plate_axes_mass_matrix,
+    point_masses,
     with_added,
 )
 from ct_inertia.mass.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
 from ct_inertia.mass.plausibility import check_mesh, implausible, size_notice, unsuitable
+from ct_inertia.options import MassOptions
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, read_surface
 from ct_inertia.volume.progress import Tell, untold
@@ -193,11 +194,12 @@ def _result(
     moments = mesh_moments if bodies is None else bodies.moments
     later = Later(_plate_frame, known, bodies, stapes, plate)
     footplate, doubts = _footplate(options, known, frame_surface, bodies, moments, notices)
+    added = point_masses(options.add_mass)
     found_by = masses_by_way(options, known.calibration, bodies, moments)
-    bodies_by = {way: with_added(bare, options.added) for way, bare in found_by.items()}
+    bodies_by = {way: with_added(bare, added) for way, bare in found_by.items()}
     ways = tuple(MassByWay(way, body, _matrix(options, body, footplate)) for way, body in bodies_by.items())
     body, matrix = ways[0].body, ways[0].matrix
-    by_mesh = with_added(at_uniform_density(body, mesh_moments), options.added)
+    by_mesh = with_added(at_uniform_density(body, mesh_moments), added)
     frame = later.result()
     plate_matrix = None
     if frame is not None:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.kd import KDFit, KDOptions, fit_kd
+from fitting.kd import KDFit, fit_kd
 from fitting.model.mass_file import read_mass
 from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
+from fitting.options import KDOptions
 from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
@@ -51,21 +52,19 @@ def dof2kd(
     mass_path: Path,
     options: KDOptions,
     out: Path,
-    refits: int = 0,
     *,
     force: bool = False,
     config: Path | None = None,
 ) -> KDResult:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
 
-    With ``refits`` above 0, that many simulated repetitions are fitted and their scatter is in both files.
+    With ``options.monte_carlo``, that many simulated repetitions are fitted; their scatter is in both files.
 
     Parameters
     ----------
     motion_path, mass_path : Path
     options : KDOptions
     out : Path
-    refits : int
     force : bool
         Replace files at the names of the outputs that are not known as made here.
     config : Path, optional
@@ -85,13 +84,11 @@ def dof2kd(
     outputs.check()
     mass, mass_record = read_mass(mass_path, options.dof)
     fit = fit_kd(read_motion(motion_path), mass, options)
-    provenance = record(
-        {"motion": motion_path, "mass": mass_path}, {**parameters(options), "monte_carlo": refits}
-    )
+    provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
     content = kd_json(fit, provenance)
     made = kd_page(fit, provenance, footplate_outline(mass_record))
-    if refits:
-        scatter = monte_carlo(fit, refits)
+    if options.monte_carlo:
+        scatter = monte_carlo(fit, options.monte_carlo)
         content["monte_carlo"] = monte_carlo_json(fit, scatter)
         made.sections.insert(-1, monte_carlo_section(fit, scatter))
     html = out.with_suffix(".html")
@@ -148,25 +145,6 @@ def _json_name(out: Path) -> Path:
         step = f"Give --out {out.with_suffix('.json').name}" if out.name else "Give --out kd.json"
         raise FittingError(Fault("--out", "a file name that ends with .json", out.name or out, "", step))
     return out
-
-
-def parameters(options: KDOptions) -> dict[str, Any]:
-    """Return the options as JSON-able data."""
-    return {
-        "dof": list(options.dof),
-        "structure": options.structure,
-        "base": options.base,
-        "estimator": options.estimator,
-        "robust": options.robust,
-        "damping": options.damping,
-        "inplane": options.inplane,
-        "band_hz": None if options.band_hz is None else list(options.band_hz),
-        "exclude_hz": [list(one) for one in options.exclude_hz],
-        "bands": options.bands,
-        "constraint": options.constraint,
-        "lower": dict(options.lower),
-        "upper": dict(options.upper),
-    }
 
 
 def footplate_outline(mass_record: MassRecord | None) -> Array | None:

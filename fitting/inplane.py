@@ -23,7 +23,6 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-CHOICES: tuple[str, ...] = ("auto", "load", "ignore")
 _LEVEL = 0.999
 
 

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.budget import budget_of, derived_quantities
+from fitting.errors import FittingError
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.estimators.starts import improve
 from fitting.inplane import InplaneChoice, choose
-from fitting.kd_fit import COMPARE, KDFit, KDOptions
+from fitting.kd_fit import KDFit
 from fitting.laws import LawFit, compare_laws, fit_law
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
@@ -21,13 +22,16 @@ from fitting.model.model import modes
 from fitting.model.observation import observe
 from fitting.model.ranges import check_motion, check_result, unsolvable
 from fitting.model.symmetric import split
+from fitting.options import COMPARE, KDOptions
 from fitting.uncertainty.bands import fewer_bands, frequency_dependence
 from fitting.uncertainty.covariance import chi2, degrees
 from fitting.uncertainty.identifiability import Identifiability, identifiability
 from fitting.uncertainty.profile import profile_intervals
 from fitting.verdicts import verdicts
+from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
+from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import unique
 
 Array = NDArray[np.float64]
@@ -74,6 +78,17 @@ def fit_kd(
 def _fitted(
     motion: RigidMotion, mass: MassMatrix | Array, options: KDOptions, base_mass: Array | None
 ) -> KDFit:
+    if options.dof_reordered and not isinstance(mass, MassMatrix):
+        step = f"Write {','.join(options.dof)} and order rows and columns of the matrix so"
+        raise FittingError(
+            Fault(
+                "{dof}",
+                f"in the order {','.join(DOF_NAMES)} where a plain mass matrix counts by it",
+                "another",
+                "",
+                step,
+            )
+        )
     inertia = inertia_of(mass, options.dof)
     observation = observe(
         motion,

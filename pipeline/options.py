@@ -12,9 +12,8 @@ from pipeline.study import Fit, Ldv, Scan
 from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassOptions
-    from ct_inertia.readers.raw_layout import RawLayout
-    from fitting.kd import KDOptions
+    from ct_inertia.options import MassOptions
+    from fitting.options import KDOptions
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
     from kinematics.signals.series_options import SeriesOptions
@@ -98,43 +97,12 @@ def section_in_study_words(section: Section, table: str) -> Section:
 
 def mass_options(scan: Scan) -> MassOptions:
     """Return the options of `ct2mass`."""
-    import numpy as np
+    from ct_inertia.options import MassOptions
 
-    from ct_inertia.ct2mass import MassOptions
-    from ct_inertia.mass.mass_properties import PointMass
-
-    percent = scan.voxel_size_sd_percent
-    return MassOptions(
-        scan=scan.file,
-        density=scan.density_kg_m3,
-        mass_mg=scan.mass_mg,
-        calibration=scan.calibration,
-        spacing_mm=scan.spacing_mm,
-        labels=scan.labels,
-        stapes_label=scan.stapes_label,
-        plate_label=scan.plate_label,
-        landmarks=scan.landmarks,
-        plate_fiducials=scan.plate_fiducials,
-        side=scan.side,
-        anterior=scan.anterior,
-        threshold=scan.threshold,
-        seed_mm=scan.seed_mm,
-        box_mm=scan.box_mm,
-        mirror=scan.mirror,
-        nan_as_air=scan.nan_as_air,
-        added=tuple(PointMass(np.array(row[:3]), row[3] * 1e-6, row[4] * 1e-6) for row in scan.add_mass),
-        voxel_size_sd=None if percent is None else percent / 100.0,
-        raw=_raw_layout(scan),
-    )
-
-
-def _raw_layout(scan: Scan) -> RawLayout | None:
-    """Return how the voxels of a file without a header lie in it; None when the study does not say."""
-    if scan.shape is None or scan.dtype is None:
-        return None
-    from ct_inertia.readers.raw_layout import RawLayout
-
-    return RawLayout(scan.shape, scan.dtype, scan.byte_order or "little", scan.header_bytes or 0)
+    values = {name: getattr(scan, name) for name in type(scan).model_fields}
+    values["scan"] = values.pop("file")
+    values["density"] = values.pop("density_kg_m3")
+    return MassOptions(**values)
 
 
 def motion_options(ldv: Ldv) -> Options:
@@ -189,20 +157,6 @@ def _series_options(ldv: Ldv) -> SeriesOptions | None:
 
 def fit_options(fit: Fit) -> KDOptions:
     """Return the options of `dof2kd`."""
-    from fitting.kd import KDOptions
+    from fitting.options import KDOptions
 
-    return KDOptions(
-        dof=fit.dof,
-        structure=fit.structure,
-        base=fit.base,
-        estimator=fit.estimator,
-        robust=fit.robust,
-        damping=fit.damping,
-        inplane=fit.inplane,
-        band_hz=fit.band_hz,
-        exclude_hz=fit.exclude_hz,
-        constraint=fit.constraint,
-        lower=fit.lower,
-        upper=fit.upper,
-        bands=fit.bands,
-    )
+    return KDOptions(**{name: getattr(fit, name) for name in type(fit).model_fields})

@@ -177,7 +177,7 @@ class Fit:
     @staticmethod
     def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
         """Write kd.json; return its name and what there is to tell."""
-        from fitting.dof2kd import footplate_outline, parameters
+        from fitting.dof2kd import footplate_outline
         from fitting.kd import fit_kd
         from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
         from fitting.report.kd_json import kd_json
@@ -190,9 +190,8 @@ class Fit:
         mass, motion = read_mass_record(mass_file), read_motion(motion_file)
         options = fit_options(study.fit)
         fit = fit_kd(motion, mass.mass_matrix, options)
-        refits = study.fit.monte_carlo
-        stated = {**parameters(options), "monte_carlo": refits}
-        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, stated))
+        refits = options.monte_carlo
+        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, options.parameters()))
         sections = kd_sections(fit, footplate_outline(mass))
         if refits:
             scatter = monte_carlo(fit, refits)

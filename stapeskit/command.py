@@ -276,7 +276,7 @@ def value_with_sd(text: str) -> tuple[float, float | None]:
     return value, sd
 
 
-def run(prog: str, work: Callable[[list[str]], tuple[argparse.Namespace, Outcome] | None]) -> NoReturn:
+def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> NoReturn:
     """Run a command's work and leave the process with its exit code.
 
     Parameters
@@ -316,7 +316,7 @@ def _interrupt(_signal: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def show(options: argparse.Namespace, outcome: Outcome) -> None:
+def show(options: Any, outcome: Outcome) -> None:
     """Print an outcome: JSON, or a table of its rows; notices go to standard error."""
     if not options.quiet:
         for notice in outcome.notices:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from fitting.kd import KDOptions, fit_kd
+from fitting.kd import fit_kd
+from fitting.options import KDOptions
 from kinematics.points2dof import points2dof
 from kinematics.registration.fiducials import read_fiducials
 from kinematics.registration.placement import place

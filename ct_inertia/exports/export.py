@@ -8,34 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.export_formats import EXPORTS, FORMATS
 from ct_inertia.exports.body import body_of
 from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassResult
     from ct_inertia.surface.surface import Surface
-
-_MODULES = {
-    "stl": "stl",
-    "obj": "obj",
-    "glb": "glb",
-    "mjcf": "mjcf",
-    "urdf": "urdf",
-    "abaqus": "abaqus",
-    "mat": "matlab",
-}
-FORMATS: tuple[str, ...] = tuple(_MODULES)
-_FILES = {
-    "stl": ("stapes.stl", "plate.stl"),
-    "obj": ("stapes.obj", "plate.obj"),
-    "glb": ("stapes.glb",),
-    "mjcf": ("stapes.xml", "stapes.obj"),
-    "urdf": ("stapes.urdf", "stapes.obj"),
-    "abaqus": ("stapes.inp",),
-    "mat": ("mass.mat",),
-}
-FILES = tuple(dict.fromkeys(name for names in _FILES.values() for name in names))
-"""Every file that an export may write."""
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
@@ -105,7 +84,7 @@ def export(
 
 def files_of(formats: Iterable[str]) -> tuple[str, ...]:
     """Return the files that exports in these formats may write."""
-    return tuple(dict.fromkeys(name for one in formats for name in _FILES[one]))
+    return tuple(dict.fromkeys(name for one in formats for name in EXPORTS[one].files))
 
 
 def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:
@@ -114,4 +93,4 @@ def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _module(name: str) -> Any:
-    return import_module(f"ct_inertia.exports.{_MODULES[name]}")
+    return import_module(f"ct_inertia.exports.{EXPORTS[name].module}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,18 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS
 from ct_inertia.grey.border import CODE as CUT_BY_BORDER
 from ct_inertia.mass.budget import budget, not_included
+from ct_inertia.mass.mass_properties import point_masses
 from ct_inertia.native import which
 from ct_inertia.surface.surface import Surface, write_surface
 from stapeskit.frames import RigidTransform
+from stapeskit.options import declared, plain
 from stapeskit.provenance import Hashes, record
 from stapeskit.records.mass_record import SCHEMA, MassMatrix
 from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, dof_indices
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassOptions, MassResult
+    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.options import MassOptions
 
 Array = NDArray[np.float64]
 
@@ -187,7 +190,7 @@ def _found(result: MassResult) -> dict[str, Any]:
         "plate_outline_in_scan_mm": None if plate is None else np.round(plate.outline_mm, 5).tolist(),
         "added_masses": [
             {"position_mm": mass.position_mm.tolist(), "mass_kg": mass.mass_kg, "sd_kg": mass.sd_kg}
-            for mass in result.options.added
+            for mass in point_masses(result.options.add_mass)
         ],
     }
 
@@ -234,17 +237,12 @@ def _segmentation(result: MassResult) -> dict[str, Any] | None:
 
 def _parameters(options: MassOptions) -> dict[str, Any]:
     """Return every option that was given, as JSON."""
-    given: dict[str, Any] = {}
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if value is None or value is False or value == ():
-            continue
-        if field.name == "added":
-            value = [[*mass.position_mm.tolist(), mass.mass_kg * 1e6] for mass in value]
-        if field.name == "raw":
-            value = asdict(value)
-        given[field.name] = value.name if isinstance(value, Path) else value
-    return given
+    given = {one.key: getattr(options, one.field) for one in declared(type(options))}
+    return {
+        key: value.name if isinstance(value, Path) else plain(value)
+        for key, value in given.items()
+        if value not in (None, False, ())
+    }
 
 
 def _finite(value: Any) -> Any:

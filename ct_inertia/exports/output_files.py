@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ct_inertia.mass.mass_options import MassOptions
+    from ct_inertia.options import MassOptions
     from stapeskit.own_files import OutputSet
 
 LABELS = "labels.nrrd"

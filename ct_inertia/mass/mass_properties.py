@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,6 +54,11 @@ class PointMass:
         arm = (self.position_mm - about_mm) * 1e-3
         tensor = self.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         return np.concatenate([[self.mass_kg], self.mass_kg * arm, _packed(tensor)])
+
+
+def point_masses(rows: Iterable[Sequence[float]]) -> tuple[PointMass, ...]:
+    """Return the point masses of rows x, y, z (mm), mass and its standard deviation (mg)."""
+    return tuple(PointMass(np.array(row[:3]), row[3] * 1e-6, row[4] * 1e-6) for row in rows)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from ct_inertia.bodies import Bodies
     from ct_inertia.mass.calibration import Calibration
-    from ct_inertia.mass.mass_options import MassOptions
+    from ct_inertia.options import MassOptions
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
-
-RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
+from stapeskit.option_kinds import VOXEL_TYPE
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class RawLayout:
                 )
             )
         for option, value, known in (
-            ("--dtype", self.dtype, RAW_TYPES),
+            ("--dtype", self.dtype, VOXEL_TYPE.choices),
             ("--byte-order", self.byte_order, ("little", "big")),
         ):
             if value not in known:

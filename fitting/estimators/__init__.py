@@ -13,10 +13,16 @@ if TYPE_CHECKING:
     from fitting.estimators.base import Method
 
 ESTIMATORS: dict[str, str] = {
-    "ml": "errors in variables (default)",
+    "ml": "errors in variables",
     "irls": "equation error weighted by its own noise",
     "pinv": "paper Eq. 5",
     "constrained": "the paper's bounded variant",
+}
+# Weights of the lines: equal, or those of Student's t with 4 degrees of freedom.
+ROBUST = {"none": "all lines weigh alike", "t4": "outlying lines lose weight"}
+CONSTRAINTS = {
+    "eigenvalues": "the paper's stability",
+    "psd": "K and D positive semidefinite",
 }
 
 

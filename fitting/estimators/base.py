@@ -13,12 +13,6 @@ from fitting.model.lines import Lines, State
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Weights of the lines: equal, or those of Student's t with 4 degrees of freedom.
-ROBUST = {"none": "all lines weigh alike", "t4": "outlying lines lose weight"}
-CONSTRAINTS = {
-    "eigenvalues": "the paper's stability",
-    "psd": "K and D positive semidefinite",
-}
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.
 _SMALL_PRODUCT = 200_000
 

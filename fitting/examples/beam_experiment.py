@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from fitting.examples.beam import STEEL_DENSITY, Beam, element_mass, element_stiffness, transport_to_tip
 from fitting.examples.experiment import Layout
 from fitting.kd import fit_kd
-from fitting.kd_fit import KDFit, KDOptions
+from fitting.kd_fit import KDFit
+from fitting.options import KDOptions
 from stapeskit.records.motion import RigidMotion
 
 Array = NDArray[np.float64]

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from fitting.examples.experiment import BASE_POINTS_MM, STAPES_POINTS_MM, Layout
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
 from fitting.kd import fit_kd
-from fitting.kd_fit import KDFit, KDOptions
+from fitting.kd_fit import KDFit
 from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.model import simulate
+from fitting.options import KDOptions
 from stapeskit.page.numbers import plus_minus
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion

@@ -21,12 +21,12 @@ from fitting.estimators.problem import Problem
 from fitting.estimators.regressor_noise import information, noise_products
 from fitting.model.lines import Lines, backward, evaluate, forward, motion_rows, real_rows
 from fitting.model.symmetric import basis, split
+from fitting.options import USUAL_BANDS
 from fitting.uncertainty.covariance import chi2, degrees, invert, joined_mass_sources, motion_moves_mass
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-USUAL_BANDS = 5
 _FEWEST_LINES = 8
 _SIGNIFICANT = 1e-3
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
 from ct_inertia.exports.mass_json import mass_json
 from ct_inertia.grey.border import border_notices, cut_layers
 from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.options import MassOptions
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.segment.sight import SearchOptions
 from ct_inertia.volume.volume import Volume

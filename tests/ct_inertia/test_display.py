@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import footplate_mass_matrix, from_density
+from ct_inertia.options import MassOptions
 from ct_inertia.surface.display import check_request, display_mesh
 from ct_inertia.surface.surface import read_surface, write_surface
 from stapeskit.frames import RigidTransform

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports import FILES, FORMATS, export, parse_formats, units_of
 from ct_inertia.exports.body import body_of, quaternion, roll_pitch_yaw
 from ct_inertia.exports.export import _module
-from ct_inertia.mass.mass_properties import PointMass
+from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import read_surface, write_surface
 from stapeskit.frames import RigidTransform
 from tests.ct_inertia.shapes import box, moved, stapes
@@ -27,9 +27,9 @@ def result(tmp_path_factory):
     """A stapes lying oblique in the scan, with a bead glued to it: no product of inertia is zero."""
     path = tmp_path_factory.mktemp("mesh") / "bone--1.ply"
     write_surface(path, moved(stapes(0.08), TURN, SHIFT))
-    bead = PointMass(TURN @ [0.4, 2.5, 0.5] + SHIFT, 0.3e-6)
+    bead = (*(TURN @ [0.4, 2.5, 0.5] + SHIFT), 0.3)
     anterior = tuple((TURN @ [1.0, 0.0, 0.0]).tolist())
-    return ct2mass(MassOptions(path, density=(1900.0, 60.0), anterior=anterior, added=(bead,)))
+    return ct2mass(MassOptions(path, density=(1900.0, 60.0), anterior=anterior, add_mass=(bead,)))
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.exports.body import body_of
-from ct_inertia.mass.mass_properties import PointMass
+from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import write_surface
 from stapeskit.spatial import matrix_from_parameters
 from tests.ct_inertia.ears import AIR, BONE
@@ -189,7 +189,7 @@ class TestAddedMasses:
                 density=(1900.0, 19.0),
                 mass_mg=(3.0, 0.03),
                 landmarks=mark,
-                added=(PointMass(place, bead, 0.05e-6),),
+                add_mass=((*place, bead * 1e6, 0.05),),
             )
         )
         frame = found.footplate.scan_from_footplate

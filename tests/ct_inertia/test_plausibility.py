@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate import footplate_frame
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.mass.plausibility import body_volumes, check_mesh, implausible
+from ct_inertia.options import MassOptions
 from ct_inertia.surface.surface import Surface, write_surface
 from ct_inertia.volume.coarse import coarse_scan, material_levels
 from ct_inertia.volume.volume import Volume

@@ -7,7 +7,8 @@ import io
 import pytest
 
 from ct_inertia.cli import work
-from ct_inertia.ct2mass import MassOptions, ct2mass
+from ct_inertia.ct2mass import ct2mass
+from ct_inertia.options import MassOptions
 from ct_inertia.volume.progress import told_on_terminal
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.shapes import stapes

@@ -14,8 +14,9 @@ import pytest
 from fitting.cli import _work
 from fitting.dof2kd import dof2kd, footplate_outline
 from fitting.errors import FittingError
-from fitting.kd import KDOptions, fit_kd
+from fitting.kd import fit_kd
 from fitting.model.mass_file import read_mass
+from fitting.options import KDOptions
 from fitting.report.kd_json import kd_json
 from fitting.report.sections import kd_page, kd_sections, source_words, summary_rows
 from stapeskit.faults import StapeskitError
@@ -151,24 +152,23 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
     ("line", "message"),
     [
         ("none.csv --mass M.csv", "none.csv"),
-        ("dof.csv --mass none.json", "the mass file must be an existing mass.json; got none.json"),
+        ("dof.csv --mass none.json", "--mass must be an existing mass.json or M.csv; got none.json"),
         ("dof.csv --mass none.csv", "--mass must be an existing mass.json or M.csv; got none.csv"),
         (
             "dof.csv --mass M.csv --dof y,alpha",
             "M.csv must be 2 x 2 for --dof y,alpha; got 3 rows of 3 numbers",
         ),
-        ("dof.csv --mass M.csv --dof y,roll", "--dof must be a list of different names"),
+        ("dof.csv --mass M.csv --dof y,roll", "--dof must be all, or a list of different names"),
         ("dof.csv --mass M.csv --structure incus", "the body must be one of stapes, base; got incus"),
         ("dof.csv --mass M.csv --base plate", "the body must be one of stapes, base; got plate"),
         ("dof.csv --mass M.csv --band 1,2", "the band must be one with measured lines of both bodies"),
         (
             "dof.csv --mass M.csv --band 5000,400",
-            "--band must be a range of frequencies, low before high; got 5000 to 400 Hz. "
-            "Write --band 400,5000.",
+            "--band must be two frequencies in Hz, the lower first; got 5000,400. Write 400-5000.",
         ),
-        ("dof.csv --mass M.csv --exclude 60-50", "Write --exclude 50-60."),
+        ("dof.csv --mass M.csv --exclude 60-50", "Write 50-60."),
         ("dof.csv --mass M.csv --exclude 50-50", "Give two different frequencies in Hz"),
-        ("dof.csv --mass M.csv --lower K11=5", "Give --estimator constrained, or leave the bounds out."),
+        ("dof.csv --mass M.csv --lower K11=5", "Choose the constrained estimator, or leave the bounds out."),
         (
             "dof.csv --mass M.csv --estimator constrained --lower Q9=3",
             "D33; got Q9. Count rows and columns in the order of --dof",
@@ -177,13 +177,16 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
             "dof.csv --mass M.csv --estimator constrained --lower K11=9 --upper K11=2",
             "--lower K11 must be below 2; got 9. Swap --lower and --upper of K11",
         ),
-        ("dof.csv --mass M.csv --exclude 5", "the range must be two frequencies in Hz as F1-F2; got 5"),
+        (
+            "dof.csv --mass M.csv --exclude 5",
+            "--exclude must be a range of two frequencies in Hz, the lower first; got 5",
+        ),
         (
             "dof.csv --mass M.csv --lower K11",
-            "the bound must be an entry and a number in SI, as K11=100; got K11",
+            "--lower must be an entry and a number in SI as K11=100",
         ),
         ("dof.csv --mass M.csv --inplane load", "--inplane load must be given with measured motion"),
-        ("dof.csv --mass M.csv --out kd.txt", "ends with .json; got kd.txt. Give --out kd.json."),
+        ("dof.csv --mass M.csv --out kd.txt", "ends with .json; got kd.txt. Write kd.json."),
         ("dof.csv", "--mass"),
         ("dof.csv --mass M.csv --estimater ml", "Did you mean --estimator?"),
         (
@@ -255,7 +258,7 @@ def test_every_number_of_the_result_is_json(tmp_path: Path) -> None:
 
 
 def test_page_of_six_degrees_of_freedom_several_runs_and_all_sources() -> None:
-    from fitting.kd import KDOptions as Options
+    from fitting.options import KDOptions as Options
     from stapeskit.spatial import DOF_NAMES
     from tests.fitting.cases import six_dof_parameters
 

@@ -10,10 +10,11 @@ import pytest
 from fitting.errors import FittingError
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.examples.paper import PAPER_DAMPING_PRINTED
-from fitting.kd import KDOptions, fit_kd
+from fitting.kd import fit_kd
 from fitting.model.damping import DampingLaw
 from fitting.model.principal_axes import principal_axes
 from fitting.model.symmetric import entry_names, entry_units, join, split
+from fitting.options import KDOptions
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import (

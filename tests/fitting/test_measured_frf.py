@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.kd import KDFit, KDOptions, fit_kd
+from fitting.kd import KDFit, fit_kd
+from fitting.options import KDOptions
 from stapeskit.records.motion import RigidMotion
 
 FILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "frf" / "case1.mat"

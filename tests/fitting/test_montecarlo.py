@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fitting.test_uncertainty import with_frame_errors
 
 from fitting.cli import _work
-from fitting.kd import KDOptions, fit_kd
+from fitting.kd import fit_kd
 from fitting.montecarlo import monte_carlo
+from fitting.options import KDOptions
 from stapeskit.faults import StapeskitError
 from stapeskit.records.mass_record import frame_derivative
 from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
-from tests.fitting.test_uncertainty import with_frame_errors
 
 
 def test_scatter_of_refits_is_the_stated_sd() -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from ct_inertia.cli import main, options_from, parser
+from ct_inertia.cli import main, parser
+from ct_inertia.options import MassOptions
 from stapeskit.faults import StapeskitError
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.readers import writers as f
@@ -48,15 +49,18 @@ def test_one_scan_in_many_formats_gives_one_mass_matrix(tmp_path, monkeypatch, c
     assert all(np.allclose(matrix, matrices[0], rtol=1e-6, atol=0.0) for matrix in matrices)
 
 
-def test_the_layout_of_raw_voxels_is_checked_before_any_file():
+def test_the_layout_of_raw_voxels_is_checked_before_any_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.raw", "a.tif"):
+        (tmp_path / name).touch()
     given = parser().parse(["a.raw", "--density", "1900", "--shape", "4,5,6", *RAW])
-    layout = options_from(given).raw
+    layout = given.make(MassOptions).raw
     assert (layout.shape, layout.stored_type, layout.header_bytes) == ((4, 5, 6), np.dtype(">u2"), 77)
-    assert options_from(parser().parse(["a.tif", "--density", "1900"])).raw is None
+    assert parser().parse(["a.tif", "--density", "1900"]).make(MassOptions).raw is None
     with pytest.raises(StapeskitError, match="--dtype must be given with the other options of raw voxels"):
-        options_from(parser().parse(["a.raw", "--density", "1900", "--shape", "4,5,6"]))
+        parser().parse(["a.raw", "--density", "1900", "--shape", "4,5,6"]).make(MassOptions)
     with pytest.raises(StapeskitError, match="--dtype must be one of uint8"):
-        options_from(parser().parse(["a.raw", "--density", "1900", "--shape", "4,5,6", "--dtype", "int"]))
+        parser().parse(["a.raw", "--density", "1900", "--shape", "4,5,6", "--dtype", "int"]).make(MassOptions)
 
 
 NOISE = np.random.default_rng(0)
@@ -118,8 +122,8 @@ def test_the_voxels_beside_a_header_are_inputs_too(tmp_path):
         "b.img": ["b.hdr"],
     }
     for name, others in expected.items():
-        inputs = options_from(parser().parse([str(tmp_path / name), "--density", "1900"])).inputs
+        inputs = parser().parse([str(tmp_path / name), "--density", "1900"]).make(MassOptions).inputs
         told = [path.name for role, path in inputs.items() if role.startswith("scan_data")]
         assert told == others, name
     alone = f.imagej(tmp_path / "a.tif", array)
-    assert "scan_data" not in options_from(parser().parse([str(alone), "--density", "1900"])).inputs
+    assert "scan_data" not in parser().parse([str(alone), "--density", "1900"]).make(MassOptions).inputs

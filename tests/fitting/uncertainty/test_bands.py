@@ -10,9 +10,10 @@ import pytest
 from fitting.errors import FittingError
 from fitting.examples.experiment import driven_base
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED
-from fitting.kd import KDOptions, fit_kd
+from fitting.kd import fit_kd
 from fitting.model.model import simulate
-from fitting.uncertainty.bands import USUAL_BANDS, fewer_bands, frequency_dependence
+from fitting.options import USUAL_BANDS, KDOptions
+from fitting.uncertainty.bands import fewer_bands, frequency_dependence
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import dof_indices, matrix_from_parameters
 from tests.fitting.cases import DOF, FREQ, K, M, paper_motion, six_dof_parameters

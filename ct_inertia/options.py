@@ -1,0 +1,289 @@
+"""The options of ``ct2mass``, each declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.export_formats import EXPORTS
+from stapeskit.option_kinds import (
+    BOX,
+    DIRECTION,
+    FLAG,
+    FOLDER,
+    MASSES,
+    NUMBER,
+    POINT,
+    SPACING,
+    VALUE_WITH_SD,
+    VOXEL_TYPE,
+    VOXELS,
+    WithSd,
+    at_least,
+    choice,
+    file,
+    number,
+    several,
+)
+from stapeskit.options import OptionTable, Rule, Values, excludes, option
+
+if TYPE_CHECKING:
+    from ct_inertia.readers.raw_layout import RawLayout
+
+_MASS = "mass (at least one; a measured mass leads, then a calibration, then a density)"
+_READING = "reading"
+_RAW = "raw voxels without a header"
+_FINDING = "finding the stapes"
+_FRAMES = "frames"
+_OUTPUT = "output"
+
+
+def is_mesh(scan: Path | None) -> bool:
+    """Return whether an input is a surface mesh, by its suffix."""
+    from ct_inertia.surface.surface import SURFACE_SUFFIXES
+
+    return scan is not None and Path(scan).suffix.lower() in SURFACE_SUFFIXES
+
+
+def _unused_with_mesh(name: str) -> Rule:
+    """Return the rule that an option on grey values or voxels is not given with a surface mesh."""
+
+    def breaks(values: Values) -> bool:
+        return values.has(name) and is_mesh(values.scan)
+
+    expected = "left out when the input is a surface mesh"
+    return Rule(breaks, f"{{{name}}}", expected, next_step="It is about grey values or voxels", shows=name)
+
+
+def _unused_with_labels(name: str) -> Rule:
+    """Return the rule that what seeks the stapes is not given beside labels."""
+    rule = excludes(name, "labels", "which say where the stapes is", f"Leave out {{{name}}} or {{labels}}")
+    return Rule(
+        lambda v: rule.breaks(v) and not is_mesh(v.scan), rule.thing, rule.expected, "", rule.next_step, name
+    )
+
+
+def _half_a_layout(name: str) -> Rule:
+    """Return the rule that the layout of raw voxels is given whole."""
+    return Rule(
+        lambda v: v.given("shape", "dtype", "byte_order", "header_bytes") and not v.has(name),
+        f"{{{name}}}",
+        "given with the other options of raw voxels",
+        "none",
+        "Give {shape} and {dtype} for a file without a header, or none of these options",
+    )
+
+
+@dataclass(frozen=True)
+class MassOptions(OptionTable):
+    """What ``ct2mass`` measures and how; every field is an option and a key of ``[scan]``.
+
+    Raises
+    ------
+    CtInertiaError
+        Values are unfit, one is missing, or they contradict each other; all together.
+    """
+
+    table = "scan"
+    title = "ct2mass"
+    error = CtInertiaError
+    rules = (
+        Rule(lambda v: not v.scan and not v.labels, "{scan}", "given, or {labels} alone", "neither"),
+        Rule(
+            lambda v: not v.given("density", "mass_mg", "calibration"),
+            "the mass of the stapes",
+            "given by at least one of {density}, {mass_mg} and {calibration}",
+            "none of them",
+            "Bone has 1400 to 2200 kg/m3",
+        ),
+        *(_half_a_layout(name) for name in ("shape", "dtype")),
+        *(_unused_with_labels(name) for name in ("seed", "threshold", "box")),
+        *(
+            _unused_with_mesh(name)
+            for name in (
+                "calibration", "spacing", "shape", "labels", "threshold", "seed", "box", "mirror",
+                "nan_as_air",
+            )
+        ),
+    )  # fmt: skip
+
+    scan: Path | None = option(
+        file("file or folder"),
+        "volume, folder of slices, or closed surface mesh",
+        key="file",
+        metavar="SCAN",
+        positional=True,
+        example="scan.tif",
+        recommended=True,
+    )
+    density: WithSd | None = option(
+        VALUE_WITH_SD,
+        "density of the bone, kg/m3",
+        unit="kg_m3",
+        metavar="RHO[+-SD]",
+        group=_MASS,
+        example="1900+-60",
+        recommended=True,
+    )
+    mass_mg: WithSd | None = option(
+        VALUE_WITH_SD,
+        "mass of the bone from a balance, mg",
+        metavar="M[+-SD]",
+        group=_MASS,
+        example="3.1+-0.05",
+    )
+    calibration: Path | None = option(
+        file("TOML file"),
+        "density of every voxel from its grey value",
+        metavar="FILE.toml",
+        group=_MASS,
+        example="calibration.toml",
+    )
+    add_mass: tuple[tuple[float, ...], ...] = option(
+        MASSES,
+        "a bead, glue, a tendon stump: a point mass at x, y, z (scan mm), mg; may be repeated",
+        (),
+        group=_MASS,
+        example=[[4.0, 5.1, 3.3, 0.02]],
+    )
+    spacing_mm: tuple[float, ...] | None = option(
+        SPACING, "voxel size, mm; overrides the file", unit="mm", group=_READING, example=0.02
+    )
+    voxel_size_sd_percent: float | None = option(
+        number(
+            "a percentage from 0 to 50",
+            lambda value: 0.0 <= value < 50.0,
+            "Give it in percent, for example 0.2",
+        ),
+        "standard deviation of the voxel size, percent",
+        unit="percent",
+        metavar="PERCENT",
+        group=_READING,
+        example=0.1,
+    )
+    mirror: str | None = option(
+        choice("x", "y", "z"),
+        "reverse the slices along an axis; points are those of the mirrored scan",
+        group=_READING,
+        example="z",
+    )
+    nan_as_air: bool = option(FLAG, "let voxels that are not finite be air", False, group=_READING)
+    shape: tuple[int, int, int] | None = option(
+        VOXELS, "numbers of voxels; x runs fastest in the file", group=_RAW, example=[512, 512, 600]
+    )
+    dtype: str | None = option(
+        VOXEL_TYPE, ", ".join(VOXEL_TYPE.choices), metavar="TYPE", group=_RAW, example="uint16"
+    )
+    byte_order: str | None = option(
+        choice("little", "big"), "order of the bytes of a voxel (little)", group=_RAW, example="little"
+    )
+    header_bytes: int | None = option(at_least(0), "bytes before the first voxel (0)", group=_RAW, example=0)
+    labels: Path | None = option(
+        file("label volume"), "label volume; never written over", group=_FINDING, example="labels.nrrd"
+    )
+    stapes_label: int = option(at_least(1), "number of the stapes in it", 1, group=_FINDING)
+    plate_label: int = option(at_least(1), "number of the plate in it", 2, group=_FINDING)
+    threshold: float | None = option(
+        NUMBER, "grey value between air and bone", metavar="T", group=_FINDING, example=12000
+    )
+    seed_mm: tuple[float, float, float] | None = option(
+        POINT, "a point inside the stapes, scan mm", unit="mm", group=_FINDING, example=[4.1, 5.0, 3.2]
+    )
+    box_mm: tuple[float, float, float, float, float, float] | None = option(
+        BOX,
+        "part of the scan to look at, scan mm",
+        unit="mm",
+        group=_FINDING,
+        example=[0.0, 0.0, 0.0, 8.0, 8.0, 6.0],
+    )
+    anterior: tuple[float, float, float] | None = option(
+        DIRECTION,
+        "direction towards anterior in scan axes; only its sign along the footplate is used",
+        group=_FRAMES,
+        example=[-0.9, 0.1, 0.0],
+    )
+    side: str | None = option(
+        choice("left", "right"),
+        "names z superior (left) or inferior (right)",
+        group=_FRAMES,
+        example="left",
+    )
+    landmarks: Path | None = option(
+        file("file of landmarks"),
+        ".mrk.json, .fcsv, .pp or .csv with points named anterior, posterior, superior, inferior, head, "
+        "footplate_centre",
+        group=_FRAMES,
+        example="landmarks.mrk.json",
+    )
+    plate_fiducials: Path | None = option(
+        file("fiducials file"),
+        "CSV name, x_mm, y_mm, z_mm in the scan [, x_ref_mm, y_ref_mm, z_ref_mm in the plate frame]",
+        group=_FRAMES,
+        example="plate_fiducials.csv",
+    )
+
+    @property
+    def raw(self) -> RawLayout | None:
+        """How raw voxels lie in a scan without a header."""
+        if self.shape is None or self.dtype is None:
+            return None
+        from ct_inertia.readers.raw_layout import RawLayout
+
+        return RawLayout(self.shape, self.dtype, self.byte_order or "little", self.header_bytes or 0)
+
+    @property
+    def voxel_size_sd(self) -> float | None:
+        """Relative standard deviation of the voxel size."""
+        return None if self.voxel_size_sd_percent is None else self.voxel_size_sd_percent / 100.0
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the input is a surface mesh, by its suffix."""
+        return is_mesh(self.scan)
+
+    @property
+    def mass_known_by(self) -> str:
+        """Which of those given leads: ``mass``, then ``calibration``, then ``density``."""
+        if self.mass_mg is not None:
+            return "mass"
+        return "density" if self.calibration is None else "calibration"
+
+    @property
+    def inputs(self) -> dict[str, Path | None]:
+        """Every input file by its role, the data files of headers among them."""
+        from ct_inertia.readers.companions import with_data_files
+
+        return with_data_files(self.files())
+
+
+@dataclass(frozen=True)
+class MassOutputs(OptionTable):
+    """What the command writes."""
+
+    title = "ct2mass"
+    error = CtInertiaError
+
+    out: Path | None = option(FOLDER, "default <scan name>_mass", group=_OUTPUT, example="ear_mass")
+    no_report: bool = option(FLAG, "do not write report.html", False, group=_OUTPUT)
+    export: tuple[str, ...] = option(
+        several(*EXPORTS),
+        "; ".join(f"{name}: {entry.summary}" for name, entry in EXPORTS.items()),
+        (),
+        group=_OUTPUT,
+        example=["stl", "mjcf"],
+    )
+    smooth: int | None = option(
+        at_least(0), "steps of smoothing of the surface shown and exported", group=_OUTPUT, example=20
+    )
+    faces: int | None = option(
+        at_least(0), "triangles of the surface shown and exported", group=_OUTPUT, example=20000
+    )
+    sha256: bool = option(FLAG, "hash the inputs with SHA-256", False, group=_OUTPUT)
+    force: bool = option(
+        FLAG,
+        "replace outputs that this command did not write, or that were edited",
+        False,
+        group=_OUTPUT,
+    )

@@ -1,0 +1,219 @@
+"""The options of ``dof2kd``, each declared once."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fitting.errors import FittingError
+from fitting.estimators import CONSTRAINTS, ESTIMATORS, ROBUST, estimator
+from fitting.model.laws import LAWS
+from stapeskit.faults import Fault, raise_all
+from stapeskit.option_kinds import (
+    BOUNDS,
+    DOF,
+    FLAG,
+    RANGE,
+    RANGES,
+    TEXT,
+    choice,
+    file,
+    output,
+    summaries,
+    whole,
+)
+from stapeskit.options import OptionTable, Rule, Values, excludes, option
+
+COMPARE = "compare"
+INPLANE = {
+    "auto": "load where it is significant",
+    "load": "a known inertial load",
+    "ignore": "left out",
+}
+USUAL_BANDS = 5
+
+_CONSTRAINED = "constrained estimator"
+_RULES = (
+    Rule(
+        lambda v: v.robust != "none" and v.robust not in estimator(v.estimator).robust,
+        "{robust}",
+        "none with this {estimator}",
+        next_step="Leave one of the two out",
+        shows="robust",
+    ),
+    Rule(
+        lambda v: (v.lower or v.upper) and not estimator(v.estimator).bounded,
+        "{lower} and {upper}",
+        "left out unless {estimator} takes bounds (constrained)",
+        next_step="Choose the constrained estimator, or leave the bounds out",
+        shows="estimator",
+    ),
+    Rule(
+        lambda v: (v.lower or v.upper) and v.dof.reordered,
+        "{dof}",
+        "in the order x,y,z,alpha,beta,gamma where bounds count by it",
+        "another order",
+        "Order the entries of the bounds so, too",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class KDOptions(OptionTable):
+    """Choices of a fit; every field is an option of ``dof2kd`` and a key of ``[fit]``.
+
+    Raises
+    ------
+    FittingError
+        A choice is unknown, or contradicts another.
+    """
+
+    table = "fit"
+    title = "dof2kd"
+    rules = _RULES
+    error = FittingError
+
+    dof: tuple[str, ...] = option(
+        DOF,
+        "degrees of freedom of the model",
+        ("y", "alpha", "gamma"),
+        example=["y", "alpha", "gamma"],
+        recommended=True,
+    )
+    structure: str = option(TEXT, "the moving body", "stapes", metavar="BODY")
+    base: str = option(TEXT, "the excited body", "base", metavar="BODY")
+    estimator: str = option(choice(*ESTIMATORS), summaries(ESTIMATORS), "ml", recommended=True)
+    robust: str = option(choice(*ROBUST), summaries(ROBUST), "none")
+    damping: str = option(
+        choice(*LAWS, COMPARE), f"damping law; {summaries(LAWS)}; compare: all of them", "viscous"
+    )
+    inplane: str = option(choice(*INPLANE), f"measured motion outside {{dof}}; {summaries(INPLANE)}", "auto")
+    band_hz: tuple[float, float] | None = option(
+        RANGE, "fit these frequencies only, Hz", unit="hz", example=[400, 5000]
+    )
+    exclude_hz: tuple[tuple[float, float], ...] = option(
+        RANGES,
+        "leave these frequencies out, Hz; may be repeated",
+        (),
+        unit="hz",
+        example=[[49, 51], [990, 1010]],
+    )
+    bands: int = option(
+        whole("0, or 2 to 100 parts of the band", lambda n: n == 0 or 2 <= n <= 100),
+        "compare K and D in so many parts of the band with those of the whole; 0: do not",
+        USUAL_BANDS,
+    )
+    monte_carlo: int = option(
+        whole("a whole number from 20 to 1000000, or 0", lambda n: n == 0 or 20 <= n <= 1_000_000),
+        "check the intervals by so many refits of simulated repetitions, e.g. 10000 (about 10 s)",
+        0,
+    )
+    constraint: str = option(choice(*CONSTRAINTS), summaries(CONSTRAINTS), "eigenvalues", group=_CONSTRAINED)
+    lower: Mapping[str, float] = option(
+        BOUNDS, "lower bound of an entry, SI; may be repeated", {}, group=_CONSTRAINED, example={"K11": 100.0}
+    )
+    upper: Mapping[str, float] = option(
+        BOUNDS,
+        "upper bound of an entry, SI; may be repeated",
+        {},
+        group=_CONSTRAINED,
+        example={"K11": 5000.0},
+    )
+    profile: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        raise_all(FittingError, self._faults_of_bounds())
+
+    @property
+    def dof_reordered(self) -> bool:
+        """Whether the degrees of freedom were given in another order than the fixed one."""
+        return bool(getattr(self.dof, "reordered", False))
+
+    def _faults_of_bounds(self) -> list[Fault]:
+        """Check the bounds against the entries that there are, and against each other."""
+        n = len(self.dof)
+        entries = [f"{letter}{i}{j}" for letter in "KD" for i, j in _upper_triangle(n)]
+        faults = []
+        for reference, bounds in (("{lower}", self.lower), ("{upper}", self.upper)):
+            for name, value in bounds.items():
+                if name not in entries:
+                    step = "Count rows and columns in the order of {dof}; K and D are symmetric"
+                    faults.append(Fault(reference, f"an entry out of {', '.join(entries)}", name, "", step))
+                elif not math.isfinite(value):
+                    faults.append(Fault(f"{reference} {name}", "a finite number in SI", value))
+                elif bounds is self.upper and name[1] == name[2] and value <= 0.0:
+                    step = "K and D have no negative diagonals; leave the bound out or give a positive one"
+                    faults.append(Fault(f"{{upper}} {name}", "positive", f"{value:g}", "", step))
+        for name in sorted(set(self.lower) & set(self.upper)):
+            if self.lower[name] >= self.upper[name]:
+                step = f"Swap {{lower}} and {{upper}} of {name}, or leave one out"
+                expected = f"below {self.upper[name]:g}"
+                faults.append(Fault(f"{{lower}} {name}", expected, f"{self.lower[name]:g}", "", step))
+        return faults
+
+
+def _upper_triangle(n: int) -> list[tuple[int, int]]:
+    return list(itertools.combinations_with_replacement(range(1, n + 1), 2))
+
+
+def _fit_options(values: Values) -> list[Any]:
+    return values.given(*(name for name in KDOptions.__dataclass_fields__ if name != "profile"))
+
+
+@dataclass(frozen=True)
+class KDFiles(OptionTable):
+    """What the command reads and writes."""
+
+    title = "dof2kd"
+    rules = (
+        Rule(
+            lambda v: not v.plan and v.missing("motion", "mass"),
+            "DOF and {mass}",
+            "given",
+            "one or none of them",
+            "dof2kd --help shows an example",
+        ),
+        Rule(
+            lambda v: v.mass and v.mass.suffix.lower() != ".json" and v.dof.reordered,
+            "{dof}",
+            "in the order x,y,z,alpha,beta,gamma where a plain mass matrix counts by it",
+            "another order",
+            "Order rows and columns of the matrix so, too",
+        ),
+        excludes("motion", "plan", "which needs no measurement"),
+        excludes("mass", "plan", 'which names its mass itself (mass = "mass.json")'),
+        Rule(
+            lambda v: v.plan and _fit_options(v),
+            "{plan}",
+            "given without options of a fit",
+            "some",
+            "Put dof and band_hz into the plan and leave the others out",
+        ),
+    )
+    error = FittingError
+
+    motion: Path | None = option(
+        file("dof.csv or dof.h5"), "motion, of points2dof", positional=True, metavar="DOF", example="dof.csv"
+    )
+    mass: Path | None = option(
+        file("mass.json or M.csv", "Run ct2mass to make a mass.json"),
+        "mass.json of ct2mass, or M.csv",
+        example="mass.json",
+    )
+    plan: Path | None = option(
+        file("TOML file", "dof2kd --help shows an example"),
+        "a planned measurement: what it can reach",
+        metavar="FILE.toml",
+        example="plan.toml",
+    )
+    out: Path | None = option(output(".json"), "default kd.json; plan.json with --plan", example="kd.json")
+    force: bool = option(
+        FLAG,
+        "replace outputs that this command did not write, or that were edited",
+        False,
+    )

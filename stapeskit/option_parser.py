@@ -1,0 +1,254 @@
+"""The parser of a command, made from its tables of options."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.option_kinds import FLAG, file
+from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, in_words, option, referring
+
+_NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
+
+
+class Given:
+    """What a command line and its config file give: the values of every option, by field."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = dict(values)
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self._values[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    def make(self, table: type[Table]) -> Table:
+        """Return a table of options out of the values."""
+        return table(**{one.field: self._values[one.field] for one in declared(table)})
+
+
+@dataclass(frozen=True)
+class Terminal(OptionTable):
+    """Options that every command has."""
+
+    title = "every command"
+
+    config: Path | None = option(
+        file("TOML file"),
+        "options from a TOML file, by their names; the command line wins",
+        metavar="FILE.toml",
+        example="options.toml",
+    )
+    quiet: bool = option(FLAG, "print faults only", False)
+    json: bool = option(FLAG, "print the result as JSON instead of a table", False)
+
+
+class Parser(argparse.ArgumentParser):
+    """The parser of a command, made from its tables of options.
+
+    Parameters
+    ----------
+    prog, description, epilog : str
+    *tables : type
+        Tables of options; positional ones stand in their order.
+    rules : tuple of Rule
+        What options of different tables must not say together.
+    """
+
+    def __init__(
+        self,
+        prog: str,
+        description: str,
+        epilog: str,
+        *tables: type[OptionTable],
+        rules: tuple[Rule, ...] = (),
+    ) -> None:
+        super().__init__(
+            prog=prog,
+            description=description,
+            epilog=epilog,
+            allow_abbrev=False,
+            exit_on_error=False,
+            formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, 2, 26, 80),
+        )
+        from stapeskit import __version__
+
+        self.add_argument("--version", action="version", version=f"stapeskit {__version__}")
+        self.tables: tuple[type[OptionTable], ...] = (*tables, Terminal)
+        self.rules = (*(rule for table in self.tables for rule in table.rules), *rules)
+        self.declared = {one.field: one for table in self.tables for one in declared(table)}
+        add_arguments(self, self.declared.values())
+
+    def error(self, message: str) -> NoReturn:
+        """Turn a usage fault into the one exception that ends with exit code 2."""
+        raise StapeskitError(
+            f"{self.prog}: {message.rstrip('.')}. Run {self.prog} --help to see the options."
+        )
+
+    def parse(self, arguments: Sequence[str]) -> Given:
+        """Parse a command line.
+
+        Raises
+        ------
+        StapeskitError
+            Options are unknown (the nearest are named), lack their values, have unfit ones, name files that
+            do not exist or contradict each other; all of them together.
+        """
+        faults: list[Fault] = []
+        words = self._join_values(list(arguments), faults)
+        try:
+            known, unknown = self.parse_known_args(words)
+        except argparse.ArgumentError as fault:
+            self.error(str(fault))
+        options = [word for word in unknown if word.startswith("-")]
+        faults += [self._unknown(word) for word in options or unknown]
+        texts = {name: value for name, value in vars(known).items() if value not in (None, [])}
+        values = {name: one.default for name, one in self.declared.items()}
+        if "config" in texts:
+            values |= self._config(Path(texts["config"][-1]), texts, faults)
+        for name, given in texts.items():
+            self._read(self.declared[name], given, values, faults)
+        absent = [
+            fault
+            for one in self.declared.values()
+            for fault in one.missing_files(values[one.field], f"{{{one.name}}}")
+        ]
+        faults += [*absent, *self._check(values, faults)]
+        flags = {one.name: one.flag for one in self.declared.values()}
+        raise_all(StapeskitError, [in_words(fault, lambda name: flags.get(name, name)) for fault in faults])
+        return Given(values)
+
+    def _read(self, one: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
+        """Read the texts of an option, and check that the files it names exist."""
+        if one.kind.is_flag:
+            values[one.field] = True
+            return
+        texts = [given] if isinstance(given, str) else given
+        texts = texts if one.kind.repeats else texts[-1:]
+        before = len(faults)
+        for text in texts:
+            with fault_of(one, text, faults):
+                one.kind.read([text] if one.kind.repeats else text)
+        if len(faults) == before:
+            values[one.field] = one.kind.read(texts if one.kind.repeats else texts[0])
+
+    def _check(self, values: dict[str, Any], faults: list[Fault]) -> list[Fault]:
+        """Return what is missing and, where all values are readable, what contradicts itself."""
+        missing = [
+            Fault(
+                f"{{{one.name}}}", "given", "nothing", self.prog, f"Run {self.prog} --help to see the options"
+            )
+            for one in self.declared.values()
+            if one.required and values[one.field] in (None, ())
+        ]
+        if faults or missing:
+            return missing
+        view = Values(values, self.declared.values())
+        return [fault for rule in self.rules if (fault := rule.fault(view)) is not None]
+
+    def _join_values(self, words: list[str], faults: list[Fault]) -> list[str]:
+        """Join each option to its value, so that a minus does not read as an option: ``--seed=-1,0,2``."""
+        options = {
+            one.flag: one for one in self.declared.values() if not one.positional and not one.kind.is_flag
+        }
+        joined: list[str] = []
+        while words:
+            word = words.pop(0)
+            if word not in options:
+                joined.append(word)
+            elif words and (not words[0].startswith("-") or _NUMBERS.match(words[0])):
+                joined.append(f"{word}={words.pop(0)}")
+            else:
+                one = options[word]
+                faults.append(
+                    Fault(f"{{{one.name}}}", f"given with a value, {one.metavar}", "none", self.prog)
+                )
+        return joined
+
+    def _unknown(self, word: str) -> Fault:
+        options = [text for action in self._actions for text in action.option_strings]
+        close = _nearest(word.split("=")[0], options)
+        hint = f"Did you mean {close[0]}?" if close else f"Run {self.prog} --help to see the options"
+        return Fault(word, "a known option or argument", "an unknown one", self.prog, hint)
+
+    def _config(self, path: Path, texts: Mapping[str, Any], faults: list[Fault]) -> dict[str, Any]:
+        """Read the options of a config file that the command line does not give."""
+        import tomllib
+
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        except OSError:
+            return {}
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+            faults.append(Fault("{config}", "valid TOML", fault, path.name))
+            return {}
+        known = {one.name: one for one in self.declared.values() if one.field != "config"}
+        names = known | {one.key: one for one in known.values()}
+        values: dict[str, Any] = {}
+        for key, value in table.items():
+            one = names.get(key.replace("-", "_"))
+            if one is None:
+                close = difflib.get_close_matches(key.replace("-", "_"), known, 1)
+                hint = f"Did you mean {close[0].replace('_', '-')}?" if close else ""
+                faults.append(Fault("a key of {config}", "an option of the command", key, path.name, hint))
+            elif one.field not in texts:
+                with fault_of(one, value, faults, key, path.name):
+                    values[one.field] = one.kind.read(value)
+        return values
+
+
+def add_arguments(parser: argparse.ArgumentParser, options: Iterable[Option]) -> None:
+    """Add options to a parser; it keeps the texts, which their kinds read."""
+    groups: dict[str, Any] = {"": parser}
+    options = list(options)
+    flags = {one.name: one.flag for one in options}
+    for one in options:
+        if one.group not in groups:
+            groups[one.group] = parser.add_argument_group(one.group)
+        help_text = help_of(one, flags).replace("%", "%%")
+        if one.positional:
+            count = "*" if one.kind.repeats else "?"
+            parser.add_argument(one.field, nargs=count, metavar=one.metavar, help=help_text)
+        elif one.kind.is_flag:
+            groups[one.group].add_argument(
+                one.flag, dest=one.field, action="store_const", const=True, help=help_text
+            )
+        else:
+            groups[one.group].add_argument(
+                one.flag, dest=one.field, action="append", metavar=one.metavar, help=help_text
+            )
+
+
+def help_of(one: Option, flags: Mapping[str, str]) -> str:
+    """Return the help of an option with its default, references to others as the command writes them."""
+    text = referring(one.help, lambda name: flags.get(name, name))
+    if one.default in (None, False, "", (), {}):
+        return text
+    return f"{text} (default {', '.join(one.kind.words(one.default))})"
+
+
+@contextmanager
+def fault_of(
+    one: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
+) -> Iterator[None]:
+    """Add the fault of a value that the block finds unfit to the list."""
+    try:
+        yield
+    except (ValueError, TypeError):
+        faults.append(one.fault(value, thing, where))
+
+
+def _nearest(word: str, options: Sequence[str]) -> list[str]:
+    """Return the option that a mistyped one was meant to be: by its beginning, else by its spelling."""
+    longer = [option for option in options if len(word) > 2 and option.startswith(word)]
+    names = {option.lstrip("-"): option for option in options}
+    close = difflib.get_close_matches(word.lstrip("-"), list(names), 1)
+    return longer if len(longer) == 1 else [names[name] for name in close]
