@@ -1,0 +1,270 @@
+"""Is ct2mass right on stapedes and scans that it was not developed on, and does it say so where it is not?
+
+    python benchmarks/population.py [--scans N] [--start K] [--rows WORD ...] [--verbose]
+
+One row a condition, N scans each of drawn families, sizes, poses, voxels, blurs and noises (seeds K, K+1, ...).
+"Refused" stops with a message. "Silent" is off by more than 4 stated standard deviations of the volume and
+more than 0.05 %, without a warning that names the cause. "M" and "pose" are the shares of entries of the mass
+matrix and of components of the footplate's pose within 1.96 stated standard deviations, where right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks import foreign_scans as scans
+from benchmarks import foreign_shapes as shapes
+
+Array = NDArray[np.float64]
+_ANY = ("stapes_uncertain",)
+_USUAL = (
+    "handedness_unconfirmed", "plate_axis_sign", "density_sd_not_given", "plate_not_found",
+    "plate_axis_ambiguous", "axis_ambiguous", "plate_cropped", "fiducials_coplanar",
+)  # fmt: skip
+_CLOSED = ("base", "asymmetric", "thick", "curved", "mirrored", "gutter", "focus")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A condition: its name, what it draws, its families, and the warnings that name its cause."""
+
+    name: str
+    ask: Callable[[np.random.Generator], dict[str, Any]]
+    families: tuple[str, ...] = _CLOSED
+    codes: tuple[str, ...] = ()
+    size: float = 1.0
+    seeded: bool = False
+
+
+_THIN_OR_OPEN = ("thin", "hollow", "perforated", "flat thin", "filled", "single")
+_SOFT, _VOID = ("soft_surroundings",), ("soft_surroundings", "void_filling_unknown")
+_LOW, _HIGH = ("air_clipped",), ("bone_clipped",)
+
+
+def _gap(r: np.random.Generator) -> float:
+    return float(r.uniform(0.08, 0.15))
+
+
+ROWS = (
+    Row("alone", lambda r: {}),
+    Row("alone, thin, hollow or open", lambda r: {}, _THIN_OR_OPEN),
+    Row("over a plate", lambda r: {"plate": r.uniform(0.15, 0.45)}),
+    Row("in its window", lambda r: {"gap_mm": _gap(r), "plate": r.choice((None, 0.3))}),
+    Row("window and incus", lambda r: {"gap_mm": _gap(r), "incus_mm": _gap(r)}),
+    Row("darker bone around", lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(0.75, 0.92)}),
+    Row(
+        "darker bone and incus",
+        lambda r: {"gap_mm": _gap(r), "incus_mm": 0.1, "neighbour": r.uniform(0.75, 0.92)},
+    ),
+    Row(
+        "darker bone, noise 0.5 %",
+        lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(0.92, 0.98), "noise": 0.005},
+    ),
+    Row("brighter bone around", lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(1.08, 1.4)}),
+    Row("8 bit, wide window", lambda r: {"steps": 256, "window": (-0.3, 1.5)}),
+    Row(
+        "8 bit, begins above air", lambda r: {"steps": 256, "window": (r.uniform(0.01, 0.1), 1.4)}, codes=_LOW
+    ),
+    Row("16 bit, begins above air", lambda r: {"window": (r.uniform(0.0, 0.05), 2.9)}, codes=_LOW),
+    Row(
+        "8 bit, ends below bone",
+        lambda r: {"steps": 256, "window": (-0.3, r.uniform(0.94, 1.0))},
+        codes=_HIGH,
+    ),
+    Row("16 bit, ends at bone", lambda r: {"window": (-0.4, r.uniform(0.96, 1.02))}, codes=_HIGH),
+    Row(
+        "32 or 64 steps",
+        lambda r: {"steps": int(r.choice((32, 64))), "window": (-0.3, 1.5), "noise": r.uniform(0.005, 0.02)},
+        codes=("grey_steps_coarse",),
+    ),
+    Row(
+        "fluid under the footplate", lambda r: {"gap_mm": _gap(r), "fluid": r.uniform(0.15, 0.4)}, codes=_SOFT
+    ),
+    Row("fluid, no window", lambda r: {"fluid": r.uniform(0.15, 0.4)}, codes=_SOFT),
+    Row(
+        "incus cropped",
+        lambda r: {"incus_mm": r.uniform(0.08, 0.12), "cropped_mm": r.uniform(0.04, 0.15)},
+        codes=("touches_border",),
+    ),
+    Row("mucosa of 35 um", lambda r: {"coat": 0.15}, codes=(*_SOFT, "bare_bone_assumed")),
+    Row("fluid in voids", lambda r: {"void": r.uniform(0.15, 0.35)}, ("hollow",), codes=_VOID),
+    Row("dry voids", lambda r: {}, ("hollow",)),
+    Row("rings", lambda r: {"rings": 0.02}),
+    Row("large (1.3 x)", lambda r: {}, size=1.3),
+    Row("large in its window", lambda r: {"gap_mm": 0.12}, size=1.3),
+    Row("small (0.85 x), plate", lambda r: {"plate": r.uniform(0.2, 0.45)}, size=0.85),
+    Row("with --seed", lambda r: {"gap_mm": _gap(r), "incus_mm": 0.1}, seeded=True),
+)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What came of one scan; shares of the truth, None where it was refused."""
+
+    text: str
+    error: float | None = None
+    sd: float = 0.0
+    named: bool = False
+    codes: tuple[str, ...] = ()
+    matrix: tuple[int, int] = (0, 0)
+    pose: Array | None = None
+    seconds: float = 0.0
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the volume is off by more than 4 stated standard deviations."""
+        return self.error is not None and abs(self.error) > max(4.0 * self.sd, 5e-4)
+
+    @property
+    def silent(self) -> bool:
+        """Whether it is wrong and no warning names the cause."""
+        return self.wrong and not self.named
+
+
+def row_named(name: str) -> Row:
+    """Return a row of the table."""
+    return next(row for row in ROWS if row.name == name)
+
+
+def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
+    """Make one scan of a row, some of it fixed, and compare what ct2mass says of it with the truth."""
+    from dataclasses import replace
+
+    from ct_inertia.ct2mass import MassOptions, ct2mass
+    from ct_inertia.errors import CtInertiaError
+
+    shape_rng = np.random.default_rng(1000 + number)
+    family = row.families[number % len(row.families)]
+    anatomy = shapes.draw(family, shape_rng)
+    anatomy = replace(anatomy, scale=anatomy.scale * row.size)
+    rng = np.random.default_rng([number, sum(map(ord, row.name))])
+    scene = scans.draw_scene(rng, **row.ask(rng), **fixed)
+    file = folder / "scan.tif"
+    truth = scans.make(anatomy, scene, rng, file)
+    frame = truth.scan_from_footplate
+    density = 1900.0
+    seed = truth.centroid_mm + 0.0
+    if row.seeded:
+        seed = (frame @ np.array([0.0, 0.1, 0.0, 1.0]))[:3]
+    options = MassOptions(
+        file,
+        density=(density, None),
+        spacing_mm=(scene.voxel_um * 1e-3,),
+        anterior=tuple(float(v) for v in frame[:3, 0]),
+        seed_mm=tuple(float(v) for v in seed) if row.seeded else None,
+    )
+    start = time.process_time()
+    about = f"{number} {family} {scene.voxel_um:.0f} um, blur {scene.blur:.1f}, noise {scene.noise:.3f}"
+    try:
+        result = ct2mass(options)
+    except Exception as refusal:  # anything but a message to the user counts as a crash
+        kind = "" if isinstance(refusal, CtInertiaError) else "CRASH "
+        return Score(f"{about}: {kind}refused: {str(refusal)[:150]}", seconds=time.process_time() - start)
+    seconds = time.process_time() - start
+    moments = result.moments
+    volume_sd = float(np.sqrt(sum(c[0, 0] for c in moments.contributions.values()))) / truth.volume_mm3
+    error = moments.volume_mm3 / truth.volume_mm3 - 1.0
+    codes = [n.code for n in result.notices if n.code not in _USUAL]
+    named = bool(set(codes) & set((*row.codes, *_ANY)))
+    true = _mass_matrix(truth, density)
+    stated = result.matrix.standard_deviation
+    off = np.abs(result.matrix.matrix - true)
+    upper = np.triu_indices(6)
+    known = stated[upper] > 0.0
+    within = int(np.count_nonzero(off[upper][known] < 1.96 * stated[upper][known]))
+    pose = _pose_scores(result.footplate, frame)
+    where = np.linalg.norm(moments.centroid_mm - truth.centroid_mm) * 1e3
+    text = (
+        f"{about}: V {100 * error:+.3f} +- {100 * volume_sd:.3f} %, centre {where:.1f} um, "
+        f"pose z {' '.join(f'{v:+.1f}' for v in pose)}, {', '.join(codes)}"
+    )
+    return Score(text, error, volume_sd, named, tuple(codes), (within, int(known.sum())), pose, seconds)
+
+
+def _mass_matrix(truth: scans.Truth, density: float) -> Array:
+    """Return M (6, 6) about the footplate centre in footplate axes, SI."""
+    frame, mass = truth.scan_from_footplate, density * truth.volume_mm3 * 1e-9
+    arm = frame[:3, :3].T @ (truth.centroid_mm - frame[:3, 3]) * 1e-3
+    second = frame[:3, :3].T @ truth.second_mm5 @ frame[:3, :3] * density * 1e-15 + mass * np.outer(arm, arm)
+    x, y, z = arm
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    inertia = np.trace(second) * np.eye(3) - second
+    return np.block([[mass * np.eye(3), -mass * cross], [mass * cross, inertia]])
+
+
+def _pose_scores(footplate: Any, true: Array) -> Array:
+    """Return the errors of the pose (6,) in stated standard deviations: x, y, z, alpha, beta, gamma."""
+    from scipy.spatial.transform import Rotation
+
+    moved = np.linalg.inv(true) @ footplate.scan_from_footplate.matrix
+    step = np.concatenate([moved[:3, 3] * 1e-3, Rotation.from_matrix(moved[:3, :3]).as_rotvec()])
+    return np.asarray(step / np.sqrt(np.diag(footplate.covariance)))
+
+
+def line(row: Row, scores: list[Score]) -> str:
+    """Return a row of the table."""
+    there = [s for s in scores if s.error is not None]
+    wrong = [s for s in there if s.wrong]
+    silent = [s for s in wrong if not s.named]
+    right = [s for s in there if s not in wrong]
+    crashed = sum("CRASH" in s.text for s in scores)
+    errors = np.array([s.error for s in right] or [np.nan], dtype=float)
+    z = np.array([abs(s.error or 0.0) / s.sd for s in right if s.sd > 0.0] or [np.nan])
+    inside = sum(s.matrix[0] for s in right), max(1, sum(s.matrix[1] for s in right))
+    poses = np.array([s.pose for s in right]) if right else np.full((1, 6), np.nan)
+    held = " ".join(f"{100 * np.mean(np.abs(poses[:, k]) < 1.96):.0f}" for k in range(6))
+    refused = f"{len(scores) - len(there)}" + (f" ({crashed} crashed)" if crashed else "")
+    cells = (
+        row.name,
+        len(scores),
+        len(right),
+        refused,
+        len(wrong) - len(silent),
+        len(silent),
+        f"{100 * np.sqrt(np.mean(errors**2)):.3f} %",
+        f"{100 * np.median([s.sd for s in right] or [np.nan]):.3f} %",
+        f"{100 * np.mean(z < 1.96):.0f} %",
+        f"{100 * inside[0] / inside[1]:.0f} %",
+        held,
+        f"{np.median([s.seconds for s in scores]):.2f} s",
+    )
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scans", type=int, default=8)
+    parser.add_argument("--start", type=int, default=0)
+    parser.add_argument("--rows", nargs="*", default=[])
+    parser.add_argument("--verbose", action="store_true")
+    given = parser.parse_args()
+    heads = (
+        "condition", "n", "right", "refused", "wrong, named", "silent", "volume rms", "stated", "V held",
+        "M held", "pose held, %: x y z alpha beta gamma", "time",
+    )  # fmt: skip
+    print(f"| {' | '.join(heads)} |\n|{'-|' * len(heads)}")
+    for row in ROWS:
+        if given.rows and not any(word in row.name for word in given.rows):
+            continue
+        with tempfile.TemporaryDirectory() as place:
+            scores = [score(row, k, Path(place)) for k in range(given.start, given.start + given.scans)]
+        if given.verbose:
+            print("\n".join(s.text for s in scores))
+        print(line(row, scores), flush=True)
+
+
+if __name__ == "__main__":
+    main()
