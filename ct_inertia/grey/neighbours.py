@@ -13,7 +13,7 @@ from ct_inertia.segment.cutting import Cut
 from ct_inertia.segment.separate import flooded
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import labelled
+from ct_inertia.volume.grids import eroded, labelled
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
@@ -27,6 +27,10 @@ _THIN_LAYER_MM = 5e-4
 _CLOSE_SIGMAS = 5.0
 _BRIDGE_SD_MM = 0.04
 _NECK_SD_MM = 0.06
+# Contrasts of other bone, as shares of the stapes'; nearer to 1 than the last of these it counts as
+# the same bone, for the tails that it adds are known no better.
+_NEIGHBOURS, _SAME_BONE = (0.3, 2.0), 0.05
+_LEAST_DEEP = 12
 # Share of the way from the middle level to that of bone from which on a border counts as solid bone.
 _SOLID = 0.8
 _LEAST_CUT_MM2 = 0.003
@@ -115,6 +119,16 @@ def part_from_neighbours(
     return _modelled(cut, own, reach, close, reach_mm, spacing_mm, levels, sigma_mm)
 
 
+def neighbour_share(cut: Cut, levels: tuple[float, float]) -> float:
+    """Return the contrast of other bone inside, as a share of the stapes'; 1 where none is thick enough."""
+    air, bone = levels
+    deep = cut.grey[eroded(cut.others, 2)]
+    if deep.size < _LEAST_DEEP:
+        return 1.0
+    share = float(np.clip((np.median(deep) - air) / (bone - air), *_NEIGHBOURS))
+    return 1.0 if abs(share - 1.0) < _SAME_BONE else share
+
+
 def _exchanging(sigma_mm: float) -> float:
     """Return the gap, mm, below which blur carries more than a thin layer of each body across its middle.
 
@@ -145,11 +159,14 @@ def _modelled(
     if np.any(cut.plate[box]):
         known = capped_distance(cut.plate[box], spacing_mm, reach_mm) >= 0.999 * reach_mm
     excess = cut.grey[box] - np.float32(air)
+    # Bone of another density gets the stapes' height for the fit, and its tail its own height again.
+    other = np.float32(neighbour_share(cut, levels))
+    excess = np.where(own[box], excess, excess / other)
     fit = fit_bodies(excess, known, spacing_mm, bone - air, sigma_mm, 0.0, fit_contrast=False, side=own[box])
     spacing = np.asarray(spacing_mm)[::-1]
     mine = np.where(own[box], fit.body, np.float32(0.0))
     foreign, behind = np.zeros_like(cut.grey), np.zeros_like(cut.grey)
-    foreign[box] = np.where(own[box], blurred(fit.body - mine, sigma_mm, spacing), np.float32(0.0))
+    foreign[box] = np.where(own[box], other * blurred(fit.body - mine, sigma_mm, spacing), np.float32(0.0))
     behind[box] = np.where(reach[box] & ~own[box], blurred(mine, sigma_mm, spacing), np.float32(0.0))
     return Parted(own, foreign, behind)
 

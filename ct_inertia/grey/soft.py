@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.grey.level_fit import blurred, body_share
 from ct_inertia.grey.levels import Air
+from ct_inertia.grey.neighbours import neighbour_share
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
@@ -37,6 +38,8 @@ _MOST_SOFT, _CLEAR = 0.85, 0.4
 # How wrong what was taken off may be, as a share of itself (standard deviation): for the mass, for the frame,
 # and where the plate is part of it, which it is from the last of these shares on.
 _SD, _FRAME_SD, _PLATE_SD, _TOUCHED = 0.15, 0.3, 0.5, 0.02
+# What blur adds to a cell is known but for this share.
+_MODEL_DOUBT = 0.5
 # Share of the volume from which on a notice is worth reading.
 _TOLD = 5e-4
 
@@ -161,7 +164,11 @@ def _seen(
         return False
     model = normal_cdf(-(distance_mm.ravel()[index].astype(float) - half) / sigma_mm)
     if away_mm is not None:
-        model = model + normal_cdf(-(away_mm.ravel()[index].astype(float) - half) / sigma_mm)
+        # Bone of another density has its own height, and its first voxels lie at another share of that.
+        bright = neighbour_share(cut, (air.level, bone))
+        beyond = 0.5 * float(spacing_mm.mean())
+        beyond += sigma_mm * float(normal_quantile(min(0.98, start / bright)))
+        model = model + bright * normal_cdf(-(away_mm.ravel()[index].astype(float) - beyond) / sigma_mm)
     good = model < _MOST_BONE
     index, model = index[good], model[good]
     if len(index) == 0:
@@ -178,7 +185,7 @@ def _seen(
     mean = np.bincount(number, rest)[used] / count[used]
     expected = np.bincount(number, model)[used] / count[used]
     noise = air.noise / (bone - air.level) * np.sqrt(air.correlation / count[used])
-    soft = mean > np.maximum(_LEAST_SHARE + 0.5 * expected, _STANDS_OUT * noise)
+    soft = mean > np.maximum(_LEAST_SHARE + _MODEL_DOUBT * expected, _STANDS_OUT * noise)
     part = count[used][soft].sum() / count[used].sum()
     return bool(np.count_nonzero(soft) >= _LEAST_CELLS and part > _LEAST_PART)
 

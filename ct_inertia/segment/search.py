@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, labelled_pieces
+from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
 from ct_inertia.segment.doubts import USUAL, doubts, refuse_rivals
 from ct_inertia.segment.not_found import nothing_found
+from ct_inertia.segment.own_level import at_own_level
 from ct_inertia.segment.parting import CoarseGrid, partings
 from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings, with_holes
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
@@ -58,18 +59,40 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         usual = chosen is not None and _usual(chosen.stapes)
         if not usual:
             parted = _parted(volume, sight, options)
-            better = parted is not None and (chosen is None or parted.stapes.score > chosen.stapes.score)
+            better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
             if parted is not None and better and _takes_in(parted, doubtful):
                 return parted
         if chosen is None:
             continue
         if usual and chosen.stapes.holes == 1 and _takes_in(chosen, doubtful):
-            return _picked(volume, sight, options) or chosen
+            return _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
         # Bone whose density changes along it can look like two materials: the next reading takes both.
         doubtful = doubtful or (sight, chosen)
     if doubtful is not None:
         return _picked(volume, doubtful[0], options) or doubtful[1]
     raise CtInertiaError(nothing_found(scan, tried, options.seed_mm is not None))
+
+
+def _better(parted: Sight, whole: Piece) -> bool:
+    """Say whether a part is a likelier stapes than the whole.
+
+    What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole.
+    """
+    stout = whole.holes == 1 and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
+    return parted.stapes.score > whole.score and not (parted.at_neck and stout)
+
+
+def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight:
+    """Take the threshold that fits the stapes' own bone, where the body is still a stapes there."""
+    if options.threshold is not None:
+        return sight
+    trial = at_own_level(sight, lambda found: _whole(found, sight.scan, volume))
+    if trial is None:
+        return sight
+    best = judged(trial, trial.stapes)
+    if not _usual(best) or best.holes != 1:
+        return sight
+    return replace(trial, stapes=best, notices=doubts(best))
 
 
 def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:

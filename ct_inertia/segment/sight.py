@@ -106,11 +106,16 @@ def readings(levels: Array, threshold: float | None) -> list[tuple[float, float 
             )
         plastic = float(below[-1]) if below.size > 1 else None
         return [(float(below[0]), plastic, float(above[-1]))]
-    readings: list[tuple[float, float | None, float]] = []
+    tried: list[tuple[float, float | None, float]] = []
+    air = float(levels[0])
     for k in range(len(levels) - 1, 0, -1):
-        plastic = float(levels[k - 1]) if k > 1 else None
-        readings.append((float(levels[0]), plastic, float(levels[k])))
-    return readings
+        # A material above half way from air to bone is bone of another density, or else a dense plate.
+        bone, between = float(levels[k]), levels[1:k]
+        middle = 0.5 * (air + bone)
+        light, dense = between[between <= middle], between[between > middle]
+        plastics = [float(light[-1]) if light.size else None, *(float(level) for level in dense)]
+        tried += [(air, plastic, bone) for plastic in plastics]
+    return tried
 
 
 def between_levels(air: float, plastic: float | None, bone: float) -> float:
