@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import PlateFace
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.volume.distance import capped_distance
@@ -45,6 +46,12 @@ _LEAST = 300
 _ROUNDS = 12
 _WIDTHS = 3.5
 _LEAST_SUNK = 20
+# Edge points agree with a plane within this many voxels.
+_AGREED_VOXELS = 0.7
+# Least share of the edge points with a plane's normal (cosine) near it (voxels) that lie in it.
+_FLAT, _ALIKE, _NEAR_VOXELS = calibrated("plate_face.least_flatness"), 0.9, 4.0
+# Of the normal matrix in units of its diagonal: beyond it half of the digits of a double are lost.
+_MOST_CONDITION = 1e8
 # A plane through edge points alone: its height in their scatter, its tilt in radians.
 _EDGE_PLANE, _EDGE_TILT = 0.15, 2e-3
 _CLEAR_WIDTHS = 3.0
@@ -92,8 +99,9 @@ def face_near(
     if len(points) < _LEAST:
         return None
     body = volume.scan_points(np.argwhere(cut.stapes)[::50, ::-1] + cut.first).mean(axis=0)
-    plane = _agreed_plane(points, normals, body, 0.7 * float(volume.spacing_mm.max()))
-    if plane is None:
+    voxel = float(volume.spacing_mm.max())
+    plane = _agreed_plane(points, normals, body, _AGREED_VOXELS * voxel)
+    if plane is None or _flatness(points, normals, plane, voxel) < _FLAT:
         return None
     return _refined(volume, cut, free, plane, (air, plastic, sigma), points)
 
@@ -228,6 +236,21 @@ def _agreed_plane(points: Array, normals: Array, body: Array, width: float) -> t
     return best
 
 
+def _flatness(points: Array, normals: Array, plane: tuple[Array, float], voxel_mm: float) -> float:
+    """Return the share of the edge points with a plane's normal near it that lie in it.
+
+    A plane face has nearly all of them within its own scatter; the surface of a fluid curves away beyond.
+    """
+    normal, offset = plane
+    away = points @ normal - offset
+    alike = (normals @ normal > _ALIKE) & (np.abs(away) < _NEAR_VOXELS * voxel_mm)
+    agreed = alike & (np.abs(away) < _AGREED_VOXELS * voxel_mm)
+    if not np.any(agreed):
+        return 0.0
+    scatter = 1.4826 * float(np.median(np.abs(away[agreed])))
+    return float(np.mean(np.abs(away[alike]) < max(_AGREED_VOXELS * voxel_mm, 3.0 * scatter)))
+
+
 def _refined(
     volume: Volume,
     cut: Cut,
@@ -235,7 +258,7 @@ def _refined(
     plane: tuple[Array, float],
     start: tuple[float, float, float],
     edges: Array,
-) -> FaceFit:
+) -> FaceFit | None:
     """Fit plane, levels and blur to the voxels across the face (Gauss-Newton with Tukey's weights).
 
     Where bone leaves too little of the face free, the plane through the edge points (n, 3) stands.
@@ -289,7 +312,13 @@ def _refined(
     rest = grey - (air + (plastic - air) * normal_cdf(-z))
     slope = (plastic - air) * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / sigma
     rms = float(np.sqrt(np.median((rest[middle] / slope[middle]) ** 2))) if np.any(middle) else 0.0
+    # A singular fit knows no plane: what was taken for a plate is none.
+    size = np.sqrt(np.diag(normal_matrix))
+    if not np.all(size > 0.0) or np.linalg.cond(normal_matrix / np.outer(size, size)) > _MOST_CONDITION:
+        return None
     covariance = scale**2 * np.linalg.inv(normal_matrix)
+    if not covariance[0, 0] < float(volume.spacing_mm.max()) ** 2:
+        return None
     face = PlateFace(normal, offset, sigma, float(air), float(plastic), rms)
     return FaceFit(face, centre, basis, covariance)
 
