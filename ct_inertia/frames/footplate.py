@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints, orient_long_axis
-from ct_inertia.frames.footplate_face import Solved, region_around, solve
+from ct_inertia.frames.footplate_face import Solved, solve_at
 from ct_inertia.frames.footplate_landmarks import check_head, contradiction
 from ct_inertia.frames.footplate_search import FaceCandidate, face_candidates
 from ct_inertia.frames.footplate_uncertainty import contributions_of
@@ -120,9 +120,7 @@ def footplate_frame(
     mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
     extent = _extent(mesh)
     candidates = face_candidates(mesh, extent)
-    solved, notices = _chosen(
-        lambda face: solve(region_around(mesh, face, extent, blur_mm), -face), candidates, hints
-    )
+    solved, notices = _chosen(lambda face: solve_at(mesh, face, extent, blur_mm), candidates, hints)
     oriented = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
     solved = solved.turned(oriented.sign)
     frame = RigidTransform.from_parts(solved.axes, solved.origin, "scan", "footplate")

@@ -18,7 +18,8 @@ NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
 _EDGE_MM = 0.04
 _SEEN_EDGE_MM = 0.08
-_DEPTH_MM = 0.6
+# Depth of the region around a footplate; deeper, by this factor, where the face reaches the region's end.
+_DEPTH_MM, _DEEPER = 0.6, 1.5
 _GRAIN_OF_BLUR, _GRAIN_OF_EDGE = 0.4, 0.5
 _CONE_MARGIN = 0.15
 _CONE_TURN = 0.05
@@ -90,11 +91,28 @@ class Solved:
         return Solved(self.region, self.face, self.origin, axes, self.elongation)
 
 
-def region_around(mesh: Mesh, outward: Array, extent_mm: float, blur_mm: float) -> Region:
-    """Cut out what lies within 0.6 mm of the extreme plane and refine it to the scale of the definition."""
-    height = mesh.points @ outward
+def solve_at(mesh: Mesh, outward: Array, extent_mm: float, blur_mm: float) -> Solved:
+    """Solve for the face at one extremity, in a region deep enough to hold the face whole.
+
+    Raises
+    ------
+    CtInertiaError
+        The outline of the face is open in every region: the face is no part of a closed surface.
+    """
     depth = max(_DEPTH_MM, 0.15 * extent_mm)
-    part = mesh.part(height > height.max() - depth)
+    while True:
+        solved = solve(region_around(mesh, outward, depth, extent_mm, blur_mm), -outward)
+        if not solved.face.patch.reaches_border:
+            return solved
+        if depth > extent_mm:
+            raise _no_face("a face with an open outline")
+        depth *= _DEEPER
+
+
+def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float, blur_mm: float) -> Region:
+    """Cut out what lies within a depth of the extreme plane and refine it to the scale of the definition."""
+    height = mesh.points @ outward
+    part = mesh.part(height > height.max() - depth_mm)
     corners = part.points[part.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
     part = refined(part, max(_EDGE_MM if blur_mm == 0.0 else _SEEN_EDGE_MM, 0.008 * extent_mm))

@@ -173,6 +173,9 @@ class Patch:
         Names of their end points: equal names, equal points.
     segment_slope : ndarray, (s,)
         Length of the surface gradient of the field across each piece, 1/mm.
+    reaches_border : bool
+        The patch ends at a border of the mesh too, not only where the field is zero: its segments form no
+        closed line.
     """
 
     triangles: Array
@@ -181,6 +184,7 @@ class Patch:
     segments: Array
     segment_keys: Indices
     segment_slope: Array
+    reaches_border: bool = False
 
 
 def positive_patch(mesh: Mesh, field: Array, areas: Array, points: Array | None = None) -> Patch | None:
@@ -224,7 +228,14 @@ def positive_patch(mesh: Mesh, field: Array, areas: Array, points: Array | None 
         stands[segments],
         segments,
         np.concatenate(slopes),
+        _has_open_chain(segments),
     )
+
+
+def _has_open_chain(segments: Indices) -> bool:
+    """Say whether lines made of segments (s, 2), named by their end points, have ends."""
+    _, uses = np.unique(segments.ravel(), return_counts=True)
+    return bool(np.any(uses % 2))
 
 
 class _Cut:
