@@ -20,6 +20,7 @@ from ct_inertia.grey.psf import edge_sigma, edge_widths
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.grey.soft import by_soft, soft_notices, taken_off, without_soft
 from ct_inertia.grey.thin_bone import thin_bone
+from ct_inertia.grey.voids import by_unseen_voids, closed_voids, void_notices
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
@@ -117,7 +118,8 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     soft = None
     # A plate whose face could not be fitted is taken off like it, and less is known of that.
     touched = fitted is None and bool(np.any(cut.plate & (distance <= reach)))
-    if touched:
+    voids = closed_voids(cut, distance, spacing, (air, bone.level), blur[0])
+    if touched or (voids is not None and voids.filled):
         soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
     elif bone.seen > _WELL_SEEN:
         known = (air, bone.level, guess.between)
@@ -157,6 +159,9 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
         moments = with_contribution(moments, "surroundings", covariance)
         notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
+    if voids is not None and not voids.seen:
+        moments = with_contribution(moments, "voids", by_unseen_voids(voids, cut, volume, moments))
+        notices = (*notices, *void_notices(voids, volume, moments))
     doubt = None if soft is None else soft.doubt * np.float32(_PLATE_DOUBT if touched else 1.0)
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level

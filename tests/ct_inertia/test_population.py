@@ -1,0 +1,45 @@
+"""Scans that nobody here made: right or refused, never silently wrong (a few seeds of every condition)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.population import row_named, score
+
+VOXEL_UM = 34.0
+SEEDS = (20, 21, 22, 23)
+
+
+def scores(name, folder, seeds=SEEDS, **fixed):
+    return [score(row_named(name), seed, folder, **{"voxel_um": VOXEL_UM, **fixed}) for seed in seeds]
+
+
+def errors(found):
+    return np.array([s.error for s in found if s.error is not None])
+
+
+@pytest.mark.parametrize("name", ["darker bone around", "darker bone, noise 0.5 %", "brighter bone around"])
+def test_bone_of_another_density_around_the_stapes_leaves_its_volume(name, tmp_path):
+    found = scores(name, tmp_path)
+    assert not any(s.silent for s in found)
+    assert len(errors(found)) == len(found)
+    assert np.abs(errors(found)).max() < 0.004
+
+
+def test_fluid_under_the_footplate_is_never_a_plate_that_is_known_well(tmp_path):
+    found = scores("fluid, no window", tmp_path) + scores("fluid under the footplate", tmp_path, SEEDS[:2])
+    assert not any(s.silent for s in found)
+    assert all(s.error is None or s.sd < 0.2 for s in found)
+
+
+def test_fluid_in_voids_is_subtracted_or_said_to_be_unseen(tmp_path):
+    found = scores("fluid in voids", tmp_path, voxel_um=24.0) + scores("fluid in voids", tmp_path, SEEDS[:2])
+    assert not any(s.silent for s in found)
+    assert np.abs(errors(found)).max() < 0.03
+
+
+def test_dry_voids_are_not_called_wet(tmp_path):
+    found = scores("dry voids", tmp_path, voxel_um=24.0)
+    assert not any({"soft_surroundings", "void_filling_unknown"} & set(s.codes) for s in found)
+    assert np.abs(errors(found)).max() < 0.003
