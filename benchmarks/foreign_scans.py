@@ -48,7 +48,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Truth:
-    """Volume, mm3; centroid (3,), second moments (3, 3), mm5, and footplate frame (4, 4) in scan coordinates."""
+    """Volume, mm3; centroid (3,), second moments (3, 3), mm5; footplate frame (4, 4); in scan coordinates."""
 
     volume_mm3: float
     centroid_mm: Array

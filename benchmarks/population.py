@@ -2,7 +2,7 @@
 
     python benchmarks/population.py [--scans N] [--start K] [--rows WORD ...] [--verbose]
 
-One row a condition, N scans each of drawn families, sizes, poses, voxels, blurs and noises (seeds K, K+1, ...).
+One row a condition, N scans each of drawn families, sizes, poses, voxels, blurs, noises (seeds K, K+1, ...).
 "Refused" stops with a message. "Silent" is off by more than 4 stated standard deviations of the volume and
 more than 0.05 %, without a warning that names the cause. "M" and "pose" are the shares of entries of the mass
 matrix and of components of the footplate's pose within 1.96 stated standard deviations, where right.
@@ -58,8 +58,8 @@ def _gap(r: np.random.Generator) -> float:
 
 
 ROWS = (
-    Row("alone", lambda r: {}),
-    Row("alone, thin, hollow or open", lambda r: {}, _THIN_OR_OPEN),
+    Row("alone", lambda _: {}),
+    Row("alone, thin, hollow or open", lambda _: {}, _THIN_OR_OPEN),
     Row("over a plate", lambda r: {"plate": r.uniform(0.15, 0.45)}),
     Row("in its window", lambda r: {"gap_mm": _gap(r), "plate": r.choice((None, 0.3))}),
     Row("window and incus", lambda r: {"gap_mm": _gap(r), "incus_mm": _gap(r)}),
@@ -73,7 +73,7 @@ ROWS = (
         lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(0.92, 0.98), "noise": 0.005},
     ),
     Row("brighter bone around", lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(1.08, 1.4)}),
-    Row("8 bit, wide window", lambda r: {"steps": 256, "window": (-0.3, 1.5)}),
+    Row("8 bit, wide window", lambda _: {"steps": 256, "window": (-0.3, 1.5)}),
     Row(
         "8 bit, begins above air", lambda r: {"steps": 256, "window": (r.uniform(0.01, 0.1), 1.4)}, codes=_LOW
     ),
@@ -98,12 +98,12 @@ ROWS = (
         lambda r: {"incus_mm": r.uniform(0.08, 0.12), "cropped_mm": r.uniform(0.04, 0.15)},
         codes=("touches_border",),
     ),
-    Row("mucosa of 35 um", lambda r: {"coat": 0.15}, codes=(*_SOFT, "bare_bone_assumed")),
+    Row("mucosa of 35 um", lambda _: {"coat": 0.15}, codes=(*_SOFT, "bare_bone_assumed")),
     Row("fluid in voids", lambda r: {"void": r.uniform(0.15, 0.35)}, ("hollow",), codes=_VOID),
-    Row("dry voids", lambda r: {}, ("hollow",)),
-    Row("rings", lambda r: {"rings": 0.02}),
-    Row("large (1.3 x)", lambda r: {}, size=1.3),
-    Row("large in its window", lambda r: {"gap_mm": 0.12}, size=1.3),
+    Row("dry voids", lambda _: {}, ("hollow",)),
+    Row("rings", lambda _: {"rings": 0.02}),
+    Row("large (1.3 x)", lambda _: {}, size=1.3),
+    Row("large in its window", lambda _: {"gap_mm": 0.12}, size=1.3),
     Row("small (0.85 x), plate", lambda r: {"plate": r.uniform(0.2, 0.45)}, size=0.85),
     Row("with --seed", lambda r: {"gap_mm": _gap(r), "incus_mm": 0.1}, seeded=True),
 )
@@ -177,7 +177,7 @@ def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
     volume_sd = float(np.sqrt(sum(c[0, 0] for c in moments.contributions.values()))) / truth.volume_mm3
     error = moments.volume_mm3 / truth.volume_mm3 - 1.0
     codes = [n.code for n in result.notices if n.code not in _USUAL]
-    named = bool(set(codes) & set((*row.codes, *_ANY)))
+    named = bool(set(codes) & {*row.codes, *_ANY})
     true = _mass_matrix(truth, density)
     stated = result.matrix.standard_deviation
     off = np.abs(result.matrix.matrix - true)
