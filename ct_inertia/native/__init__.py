@@ -44,7 +44,6 @@ _SIGNATURES = {
     **{f"means_{sign}int{bits}": "ppppfp:i" for sign in ("", "u") for bits in (8, 16, 32)},
     "looked_up": "pipip",
     **{f"marked_{kind}": "ppppppppdpddip" for kind in ("uint8", "int8", "uint16", "int16")},
-    "packed": "pipip:i",
     "normal_cdf": "pip",
     "normal_quantile": "pip",
 }

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator
-from itertools import chain, repeat
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from ct_inertia.native import compiled
 
 Array = NDArray[np.float64]
 _GZIP = 31  # wbits of zlib: the widest window (15), with the header of gzip (16)
@@ -45,30 +42,11 @@ def packed_labels(labels: Labels) -> bytes:
     Notes
     -----
     The axes are LPS, as scan coordinates are: https://teem.sourceforge.net/nrrd/format.html. Labels are long
-    runs of one value: gzip looks for those only.
+    runs of one value: zlib is asked to look for runs only, which is fastest.
     """
-    kernels = compiled()
-    parts = _by_zlib(labels) if kernels is None else _by_kernel(kernels, labels)
-    return b"".join([_header(labels).encode("ascii"), *parts])
-
-
-def _by_zlib(labels: Labels) -> list[bytes]:
     packer = zlib.compressobj(level=1, wbits=_GZIP, strategy=zlib.Z_RLE)
     parts = [packer.compress(np.ascontiguousarray(slab).data) for slab in labels.slabs()]
-    return [*parts, packer.flush()]
-
-
-def _by_kernel(kernels: Any, labels: Labels) -> list[bytes]:
-    memory, parts = np.zeros(64, dtype=np.uint8), []
-    end = np.zeros(0, dtype=np.uint8)
-    for stage, slab in chain(zip(chain([0], repeat(1)), labels.slabs(), strict=False), [(2, end)]):
-        whole = np.ascontiguousarray(slab)
-        out = np.empty(whole.size + 1024, dtype=np.uint8)
-        count = kernels.packed(memory.ctypes.data, stage, whole.ctypes.data, whole.size, out.ctypes.data)
-        if count < 0:
-            return _by_zlib(labels)
-        parts.append(out[:count].tobytes())
-    return parts
+    return b"".join([_header(labels).encode("ascii"), *parts, packer.flush()])
 
 
 def _header(labels: Labels) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import subprocess
 import sys
@@ -37,7 +36,7 @@ from ct_inertia.volume.working import working_box
 from hatch_build import system_compiler
 from stapeskit.native import SWITCH, library_name
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def both(monkeypatch, work):
@@ -278,10 +277,8 @@ def test_the_normal_distribution(monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16"])
-def test_labels_and_their_packing(monkeypatch, dtype):
-    from ct_inertia.bodies import LabelledVolume
+def test_labels_of_regions(monkeypatch, dtype):
     from ct_inertia.labelling.label_box import _labels, _Region
-    from ct_inertia.volume.label_file import packed_labels
 
     rng = np.random.default_rng(11)
     array = rng.integers(0, 120, (33, 41, 52)).astype(dtype)
@@ -298,38 +295,6 @@ def test_labels_and_their_packing(monkeypatch, dtype):
     low, high = np.array([3, 0, 2]), np.array([50, 41, 33])
     labels = exactly(monkeypatch, lambda: [_labels(volume, regions, 0.0, low, high)])[0]
     assert set(np.unique(labels)) == {0, 1, 2}
-    for values in (labels, np.zeros((1, 1, 1), dtype=np.uint8), np.full((9, 40, 500), 3, dtype=np.uint8)):
-        given = LabelledVolume.of_array(values, np.zeros(3, dtype=np.int64), volume)
-        ours, theirs = both(monkeypatch, lambda g=given: packed_labels(g))
-        for packed in (ours, theirs):
-            assert gzip.decompress(packed.partition(b"\n\n")[2]) == values.tobytes()
-        assert ours.partition(b"\n\n")[0] == theirs.partition(b"\n\n")[0]
-
-
-def test_a_run_over_many_pieces_keeps_to_the_room_of_each():
-    """Nothing is written behind count + 1024 bytes, however long one value goes on before the end."""
-    from ct_inertia.native import compiled
-
-    kernels = compiled()
-    assert kernels is not None
-    memory, piece, packed = np.zeros(64, dtype=np.uint8), np.zeros(70_001, dtype=np.uint8), b""
-    for stage, data in ((0, piece), *((1, piece),) * 60, (2, piece[:0])):
-        out = np.full(len(data) + 1024 + 4096, 77, dtype=np.uint8)
-        count = kernels.packed(memory.ctypes.data, stage, data.ctypes.data, len(data), out.ctypes.data)
-        assert count <= len(data) + 1024
-        assert np.all(out[len(data) + 1024 :] == 77)
-        packed += out[:count].tobytes()
-    assert gzip.decompress(packed) == bytes(61 * len(piece))
-
-
-def test_labels_above_three_are_packed_too():
-    from ct_inertia.bodies import LabelledVolume
-    from ct_inertia.volume.label_file import packed_labels
-
-    values = (np.arange(7 * 8 * 9) % 5).astype(np.uint8).reshape(7, 8, 9)
-    volume = Volume(values, np.full(3, 0.01), np.zeros(3), np.eye(3))
-    packed = packed_labels(LabelledVolume.of_array(values, np.zeros(3, dtype=np.int64), volume))
-    assert gzip.decompress(packed.partition(b"\n\n")[2]) == values.tobytes()
 
 
 def test_the_kernels_are_there_where_a_compiler_is_and_can_be_left_out():

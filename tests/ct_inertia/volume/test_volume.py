@@ -5,8 +5,7 @@ import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.volume import Volume
-
-from .solids import random_rotation
+from tests.ct_inertia.solids import random_rotation
 
 
 def make(array=None, spacing=(0.1, 0.2, 0.3), origin=(1.0, 2.0, 3.0), direction=None):

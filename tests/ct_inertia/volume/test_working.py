@@ -14,9 +14,8 @@ from ct_inertia.volume.coarse import coarse_scan, material_levels, noise_of
 from ct_inertia.volume.interior import interior
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working import block_for, working_box
-
-from .ears import ear
-from .solids import random_rotation
+from tests.ct_inertia.ears import ear
+from tests.ct_inertia.solids import random_rotation
 
 SPACING = np.array([0.005, 0.008, 0.02])
 

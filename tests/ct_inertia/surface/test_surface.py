@@ -5,8 +5,14 @@ import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface import Surface, count_open_edges, read_surface, write_surface
-
-from .solids import box_surface, implicit_surface, joined, moved, random_rotation, stapes_surface
+from tests.ct_inertia.solids import (
+    box_surface,
+    implicit_surface,
+    joined,
+    moved,
+    random_rotation,
+    stapes_surface,
+)
 
 
 def ellipsoid(axes, step):
