@@ -143,6 +143,8 @@ def _write(
 def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     import numpy as np
 
+    from stapeskit.page.quantities import MASS
+
     body, footplate, matrix = result.body, result.footplate, result.matrix
     deviation = matrix.standard_deviation
     pose = np.sqrt(np.diag(footplate.covariance))
@@ -152,7 +154,7 @@ def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str,
 
     rows: list[tuple[str, str]] = [
         ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
-        ("mass", entry(0, 0, 1e6, "mg")),
+        ("mass", entry(0, 0, MASS.per_si, MASS.symbol)),
         ("centre of mass (footplate)", _vector(matrix.parameters[1:4] / matrix.parameters[0] * 1e3, "mm")),
         ("M(alpha, alpha)", entry(3, 3, 1e12, "e-12 kg m2")),
         ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
@@ -177,7 +179,7 @@ def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str,
         rows.append(
             (
                 f"by {way['by']} instead",
-                f"{way['mass_kg'] * 1e6:.4f} mg ({way['mass_change_percent']:+.2f} %) at "
+                f"{MASS.of(way['mass_kg']):.4f} {MASS.symbol} ({way['mass_change_percent']:+.2f} %) at "
                 f"{way['density_kg_m3']:.0f} kg/m3; centre {shift:.1f} um off; M within {worst:.2f} %",
             )
         )

@@ -13,6 +13,7 @@ from pipeline.study import Study
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
+from stapeskit.page.quantities import MASS
 from stapeskit.provenance import input_record, versions
 from stapeskit.records.motion_files import read_motion
 from stapeskit.warnings import unique
@@ -74,7 +75,7 @@ def write_report(
 def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the numbers that a reader looks for first, each with its standard deviation."""
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    rows = [("mass", f"{plus_minus(mass['mass_kg'] * 1e6, sd * 1e6)} mg")]
+    rows = [("mass", MASS.with_sd(mass["mass_kg"], sd))]
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for place, dof in enumerate(kd["dof"]):
             value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))

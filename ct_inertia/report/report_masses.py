@@ -9,6 +9,7 @@ import numpy as np
 
 from ct_inertia.mass.masses import WORDS
 from stapeskit.page import page
+from stapeskit.page.quantities import MASS, SMALL_LENGTH
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -33,7 +34,7 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
     rows = [
         (
             f"{WORDS[lead]} (used)",
-            f"{content['mass_kg'] * 1e6:.4f} ± {sd * 1e6:.2g}",
+            f"{MASS.of(content['mass_kg']):.4f} ± {MASS.of(sd):.2g}",
             f"{content['density_kg_m3']:.1f}",
             "",
             "",
@@ -41,12 +42,12 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
         )
     ]
     for way in others:
-        shift = np.array(way["center_of_mass_change_m"]) * 1e6
+        shift = SMALL_LENGTH.of(np.array(way["center_of_mass_change_m"]))
         diagonal = np.diag(np.array(way["matrix_change_percent"]))[3:]
         rows.append(
             (
                 WORDS[way["by"]],
-                f"{way['mass_kg'] * 1e6:.4f} ± {way['mass_sd_kg'] * 1e6:.2g}",
+                f"{MASS.of(way['mass_kg']):.4f} ± {MASS.of(way['mass_sd_kg']):.2g}",
                 f"{way['density_kg_m3']:.1f}",
                 f"{way['mass_change_percent']:+.2f}",
                 ", ".join(f"{value:+.1f}" for value in shift),
@@ -55,7 +56,7 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
         )
     header = (
         "mass by",
-        "mass (mg)",
+        f"mass ({MASS.symbol})",
         "bone (kg/m³)",
         "Δ mass (%)",
         "Δ centre x, y, z (µm)",

@@ -20,7 +20,7 @@ from ct_inertia.report.report_masses import cross_check_section, files_blocks, m
 from ct_inertia.surface.surface import Surface
 from stapeskit.frames import RigidTransform
 from stapeskit.page import page
-from stapeskit.page.numbers import plus_minus
+from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice, from_json
 
@@ -148,17 +148,17 @@ def _given(key: str, value: Any) -> str:
 def _found_section(content: Mapping[str, Any]) -> page.Section:
     found = content["found"]
     com = np.array(content["inertial_parameters"]["values_si"])
-    com = com[1:4] / com[0] * 1e3
+    com = LENGTH.of(com[1:4] / com[0])
     deviation = content["uncertainty"]["total"]
-    com_sd = ", ".join(f"{value * 1e6:.2g}" for value in deviation["center_of_mass_m"])
+    com_sd = ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in deviation["center_of_mass_m"])
     rows = [
         (
             "mass with what was added" if found["added_masses"] else "mass",
-            f"{plus_minus(content['mass_kg'] * 1e6, deviation['mass_kg'] * 1e6)} mg",
+            MASS.with_sd(content["mass_kg"], deviation["mass_kg"]),
             _ANATOMY["mass_mg"] + " mg",
         ),
         ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³", ""),
-        ("volume of the bone", f"{content['volume_m3'] * 1e9:.4f} mm³", ""),
+        ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f"), ""),
         (
             "centre of mass, footplate axes",
             f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
@@ -185,8 +185,9 @@ def _found_section(content: Mapping[str, Any]) -> page.Section:
     ]
     for mass in found["added_masses"]:
         place = ", ".join(f"{value:g}" for value in mass["position_mm"])
-        sd = f" ± {mass['sd_kg'] * 1e6:g}" if mass["sd_kg"] else ""
-        rows.append(("added mass", f"{mass['mass_kg'] * 1e6:g}{sd} mg at {place} (scan, mm)", ""))
+        sd = f" ± {MASS.of(mass['sd_kg']):g}" if mass["sd_kg"] else ""
+        value = f"{MASS.of(mass['mass_kg']):g}{sd} {MASS.symbol}"
+        rows.append(("added mass", f"{value} at {place} (scan, mm)", ""))
     blocks = [page.table(("", "found", "published human stapes"), rows)]
     blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
     return page.Section("What was found", blocks)
@@ -238,7 +239,7 @@ def _frames_table(content: Mapping[str, Any]) -> Any:
         columns[f"{key} frame"] = [
             _listed(frame.translation_mm, 4),
             *(_listed(frame.rotation[:, axis], 4) for axis in range(3)),
-            ", ".join(f"{value * 1e6:.2g}" for value in sd[:3]),
+            ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in sd[:3]),
             ", ".join(f"{np.degrees(value):.2g}" for value in sd[3:]),
         ]
     labels = (
@@ -331,7 +332,7 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
             f"{100.0 * sd / value:.3f}"
             for sd, value in zip(row["mass_matrix_diagonal_si"][2:], diagonal[2:], strict=True)
         ]
-        com = ", ".join(f"{value * 1e6:.2f}" for value in row["center_of_mass_m"])
+        com = ", ".join(f"{SMALL_LENGTH.of(value):.2f}" for value in row["center_of_mass_m"])
         rows.append((described(source), com, *shares))
     header = ("source", "centre of mass (µm)", "mass (%)", "M(α, α) (%)", "M(β, β) (%)", "M(γ, γ) (%)")
     section = page.Section(

@@ -1,0 +1,63 @@
+"""The units in which SI quantities are shown to people: one place for commands, reports and the study."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stapeskit.page.numbers import plus_minus
+
+Value = TypeVar("Value", float, NDArray[np.float64])
+
+
+@dataclass(frozen=True)
+class ShownUnit:
+    """A unit for people.
+
+    Attributes
+    ----------
+    symbol : str
+        As written behind a number.
+    per_si : float
+        How many of it make one SI unit.
+    """
+
+    symbol: str
+    per_si: float
+
+    def of(self, value: Value) -> Value:
+        """Return SI values in this unit."""
+        return value * self.per_si
+
+    def si(self, shown: Value) -> Value:
+        """Return values in this unit as SI values."""
+        return shown / self.per_si
+
+    def text(self, value: float, form: str = "g") -> str:
+        """Return an SI value with the symbol.
+
+        Examples
+        --------
+        >>> MASS.text(2.71828e-6, ".3f"), LENGTH.text(0.0031), SMALL_LENGTH.text(4.2e-6)
+        ('2.718 mg', '3.1 mm', '4.2 µm')
+        """
+        return f"{self.of(value):{form}} {self.symbol}"
+
+    def with_sd(self, value: float, sd: float | None) -> str:
+        """Return an SI value with its standard deviation and the symbol.
+
+        Examples
+        --------
+        >>> MASS.with_sd(2.71828e-6, 3e-8)
+        '2.718 ± 0.030 mg'
+        """
+        return f"{plus_minus(self.of(value), None if sd is None else self.of(sd))} {self.symbol}"
+
+
+MASS = ShownUnit("mg", 1e6)
+VOLUME = ShownUnit("mm³", 1e9)
+LENGTH = ShownUnit("mm", 1e3)
+SMALL_LENGTH = ShownUnit("µm", 1e6)

@@ -1,0 +1,27 @@
+"""Units for people."""
+
+import doctest
+
+import numpy as np
+import pytest
+
+from stapeskit.page import quantities
+from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
+
+
+def test_examples():
+    assert doctest.testmod(quantities).failed == 0
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "shown"),
+    [(MASS, 3e-6, 3.0), (VOLUME, 1.5e-9, 1.5), (LENGTH, 0.0034, 3.4), (SMALL_LENGTH, 2e-6, 2.0)],
+)
+def test_factors_and_back(unit, si, shown):
+    assert unit.of(si) == pytest.approx(shown)
+    assert unit.si(unit.of(si)) == pytest.approx(si)
+    assert unit.of(np.full(2, si)) == pytest.approx(np.full(2, shown))
+
+
+def test_a_value_without_a_standard_deviation_says_so():
+    assert MASS.with_sd(2e-6, None) == "2 ± unknown mg"
