@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-ROOMS = ("ct_inertia", "kinematics", "fitting", "stapeskit")
+ROOMS = ("ct_inertia", "kinematics", "fitting", "pipeline", "stapeskit")
 """In the order of the page."""
 
 
@@ -68,6 +68,7 @@ def page() -> str:
         "ct_inertia": "ct2mass",
         "kinematics": "points2dof",
         "fitting": "dof2kd",
+        "pipeline": "scan2kd",
         "stapeskit": "all commands",
     }
     lines = [

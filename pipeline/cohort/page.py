@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cohort import Ear, Quantity, labels, quantities
+from pipeline.cohort.ears import Ear, Quantity, labels, quantities
+from pipeline.cohort.law_page import law_sections
+from pipeline.cohort.study_of_ears import Cohort
 from stapeskit.page import page
 from stapeskit.page.drawings import plain
 from stapeskit.page.numbers import plus_minus
@@ -18,7 +20,9 @@ from stapeskit.page.page import Page
 _FEW = 5
 
 
-def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]) -> None:
+def write_cohort_page(
+    path: Path, ears: Sequence[Ear], faults: Mapping[str, str], cohort: Cohort | None = None
+) -> None:
     """Write cohort.html: the ears side by side, and a plain comparison."""
     found = quantities(ears)
     count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units."
@@ -39,6 +43,7 @@ def write_cohort_page(path: Path, ears: Sequence[Ear], faults: Mapping[str, str]
     ]
     header = ("study", "folder", "side", "degrees of freedom", "estimator", "warnings")
     made.section("Studies", page.table(header, rows, words=True))
+    made.sections.extend([] if cohort is None else law_sections(cohort))
     made.section("Side by side", *_side_by_side(ears, found))
     made.section("Do the ears differ?", *_comparison(ears, found))
     made.write(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ class Ear:
         Side is empty when the study does not name it.
     mass, kd : mapping
         Content of mass.json and kd.json.
+    about : mapping
+        What the study says of the ear: subject, age, sex, group and further covariates.
     warnings : int
     """
 
@@ -37,6 +39,7 @@ class Ear:
     side: str
     mass: Mapping[str, Any]
     kd: Mapping[str, Any]
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def warnings(self) -> int:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cohort import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
-from pipeline.cohort_page import write_cohort_page
+from pipeline.cohort.ears import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
+from pipeline.cohort.page import write_cohort_page
 from pipeline.several import folder_names, run_studies
 from stapeskit.faults import StapeskitError
 

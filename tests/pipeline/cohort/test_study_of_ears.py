@@ -1,0 +1,184 @@
+"""From ears to laws: logarithms, shared errors, refusals, cohort.json."""
+
+import copy
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.cohort.ears import Ear
+from pipeline.cohort.logarithms import log_table
+from pipeline.cohort.page import write_cohort_page
+from pipeline.cohort.study_of_ears import study_ears, study_ears_or_say_why
+from pipeline.errors import PipelineError
+
+
+def ear(number, rng, exponent=2.0, density=1900.0, side="left"):
+    """Return an ear whose K and D follow its mass by a law, as mass.json and kd.json hold it."""
+    size = float(np.exp(0.15 * rng.standard_normal()))
+    follow = size**exponent * float(np.exp(0.1 * rng.standard_normal()))
+    theta = np.array([3e-6, 1e-10, 3e-9, 2e-10, 1.2e-11, 8e-12, 1.0e-11, 1e-13, 2e-13, -3e-13]) * size
+    relative = 0.01
+    noise = (0.002 * theta)[:, None] * (0.002 * theta)
+    dense = (relative * theta)[:, None] * (relative * theta)
+    stiffness = follow * np.array([[1700.0, 0.4, -0.5], [0.4, 1.4e-3, -6e-5], [-0.5, -6e-5, 3.8e-3]])
+    damping = follow * np.array([[0.023, 6e-6, -4e-6], [6e-6, 3e-8, -1e-9], [-4e-6, -1e-9, 5.6e-8]])
+    damping = damping * float(np.exp(0.1 * rng.standard_normal()))
+    names = [f"{letter}{i + 1}{j + 1}" for letter in "KD" for i in range(3) for j in range(i, 3)]
+    entries = np.r_[stiffness[np.triu_indices(3)], damping[np.triu_indices(3)]]
+    sizes = np.r_[
+        [
+            np.sqrt(m[i, i] * m[j, j])
+            for m in (stiffness, damping)
+            for i, j in zip(*np.triu_indices(3), strict=True)
+        ]
+    ]
+    channel = 0.01 * sizes
+    covariance = np.diag(channel**2) + relative**2 * np.outer(entries, entries)
+    mass = {
+        "density_kg_m3": density,
+        "mass_known_by": "density",
+        "mass_kg": float(theta[0]),
+        "frames": {"side": side},
+        "inertial_parameters": {
+            "values_si": theta.tolist(),
+            "contributions_si": {"noise": noise.tolist(), "density": dense.tolist()},
+        },
+        "mass_matrix": {"standard_deviation_si": [[0.01 * float(theta[0])]]},
+        "found": {"height_mm": 3.4, "footplate_length_mm": 2.7 * size ** (1 / 3), "footplate_width_mm": 1.3},
+        "segmentation": {"voxel_size_mm": [0.02, 0.02, 0.02]},
+    }
+    kd = {
+        "dof": ["y", "alpha", "gamma"],
+        "estimator": "ml",
+        "model": {"damping_law": "viscous"},
+        "parameters": names,
+        "stiffness_si": stiffness.tolist(),
+        "damping_si": damping.tolist(),
+        "stiffness_sd_si": (0.02 * np.abs(stiffness)).tolist(),
+        "damping_sd_si": (0.02 * np.abs(damping)).tolist(),
+        "covariance_si": covariance.tolist(),
+        "budget": {
+            "channel_noise": dict(zip(names, channel.tolist(), strict=True)),
+            "mass.density": dict(zip(names, (relative * np.abs(entries)).tolist(), strict=True)),
+        },
+        "modes": [],
+        "principal_axes": {"stiffness_si": [1.0, 1.0, 1.0]},
+        "provenance": {"inputs": {"motion": {"hash": f"xxh3_128:{number}"}}},
+    }
+    return Ear(f"ear {number}", f"ear{number}", side, mass, kd, {"subject": f"s{number}"})
+
+
+@pytest.fixture(scope="module")
+def ears():
+    rng = np.random.default_rng(11)
+    return [ear(k, rng) for k in range(9)]
+
+
+@pytest.fixture(scope="module")
+def studied(ears):
+    return study_ears(ears)
+
+
+def test_the_planted_law_comes_back(studied):
+    law = studied.law("K11", "mass").law
+    assert law.interval[0] <= 2.0 <= law.interval[1]
+    assert law.interval[1] - law.interval[0] < 2.5
+    assert law.p_value < 0.01
+    assert studied.law("K11", "mass").family == "primary"
+
+
+def test_the_density_is_shared_and_the_noise_is_not(ears):
+    table = log_table(ears)
+    assert table.sources == ("density 1900",)
+    column, k11 = table.column("mass"), table.column("K11")
+    assert table.shared[:, column, 0] == pytest.approx(0.01)
+    assert table.shared[:, k11, 0] == pytest.approx(0.01)
+    assert table.own[:, column, column] == pytest.approx(0.002**2, rel=1e-3)
+    assert table.own[:, k11, k11] == pytest.approx(0.01**2, rel=1e-3)
+
+
+def test_the_state_of_the_density_changes_no_exponent(ears, studied):
+    """Half the density in every ear: M, K and D halve, the laws stay."""
+    halved = []
+    for one in ears:
+        mass, kd = copy.deepcopy(one.mass), copy.deepcopy(one.kd)
+        record = mass["inertial_parameters"]
+        record["values_si"] = (0.5 * np.array(record["values_si"])).tolist()
+        record["contributions_si"] = {
+            k: (0.25 * np.array(v)).tolist() for k, v in record["contributions_si"].items()
+        }
+        for key in ("stiffness_si", "damping_si"):
+            kd[key] = (0.5 * np.array(kd[key])).tolist()
+        kd["covariance_si"] = (0.25 * np.array(kd["covariance_si"])).tolist()
+        kd["budget"] = {s: {k: 0.5 * v for k, v in e.items()} for s, e in kd["budget"].items()}
+        halved.append(replace(one, mass=mass, kd=kd))
+    other = study_ears(halved).law("K11", "mass").law
+    assert other.exponent == pytest.approx(studied.law("K11", "mass").law.exponent, abs=1e-5)
+
+
+def test_the_record_has_the_keys_of_the_contract(studied, tmp_path, ears):
+    content = json.loads(json.dumps(studied.as_json({"date": "today"}), allow_nan=False))
+    assert content["schema"] == "stapeskit.cohort/1"
+    assert content["ears"] == [one.name for one in ears]
+    keys = {
+        "response", "predictor", "exponent", "exponent_interval_95", "p_value", "q_value", "intrinsic_sd_log",
+        "intrinsic_sd_log_interval_95", "prediction_error_log", "n",
+    }  # fmt: skip
+    assert all(keys <= set(law) for law in content["laws"])
+    assert set(content["independent_parameters"]) >= {"estimate", "interval_95"}
+    assert len(repr(studied).splitlines()) < 12
+    assert len(studied.to_frame()) == len(studied.laws)
+    write_cohort_page(tmp_path / "cohort.html", ears, {}, studied)
+    page = (tmp_path / "cohort.html").read_text(encoding="utf-8")
+    assert "Independent parameters" in page
+    assert len(page) < 3e6
+
+
+def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
+    rng = np.random.default_rng(99)
+    inside = 0
+    for number in range(20):
+        other = ear(100 + number, rng)
+        low, high = studied.predict(other.mass, "K11").interval
+        inside += low <= np.log(other.kd["stiffness_si"][0][0]) <= high
+    assert inside >= 17
+    low, high = studied.tolerance("K11")
+    assert low < np.log(1700.0) < high
+
+
+@pytest.mark.parametrize(
+    ("change", "thing"),
+    [
+        (lambda e: [*e, e[0]], "an ear"),
+        (lambda e: [*e, replace(e[0], folder="copy")], "ears"),
+        (lambda e: [*e[:-1], replace(e[-1], kd={**e[-1].kd, "estimator": "pinv"})], "the estimator"),
+        (lambda e: [*e[:-1], replace(e[-1], about={"cochlea": "open"})], "the cochlea"),
+        (lambda e: [*e[:-1], replace(e[-1], kd={**e[-1].kd, "dof": ["y"]})], "the degrees of freedom"),
+    ],
+)
+def test_what_does_not_mix_is_refused(ears, change, thing):
+    with pytest.raises(PipelineError) as refused:
+        study_ears(change(ears))
+    assert refused.value.faults[0].thing == thing
+    told = study_ears_or_say_why(change(ears), {})
+    assert [notice.code for notice in told.warnings] == ["cohort_mixed"]
+    assert not told.laws
+
+
+def test_a_mixture_that_is_asked_for_is_allowed(ears):
+    mixed = [*ears[:5], replace(ears[5], kd={**ears[5].kd, "estimator": "pinv"})]
+    assert study_ears(mixed, mix=True).laws
+
+
+def test_few_ears_stand_side_by_side_only(ears):
+    few = study_ears(ears[:3], {"ear9": "its scan holds no stapes"})
+    assert [notice.code for notice in few.warnings] == ["cohort_too_small"]
+    assert few.as_json({})["excluded"] == [{"ear": "ear9", "reason": "its scan holds no stapes"}]
+
+
+def test_an_unknown_law_names_those_there_are(studied):
+    with pytest.raises(PipelineError) as refused:
+        studied.law("K11", "colour")
+    assert "K11 ~ mass_kg" in refused.value.faults[0].expected
