@@ -177,7 +177,7 @@ def monte_carlo_section(fit: KDFit, found: MonteCarlo) -> Section:
         (name, f"{stated[place]:.3g}", f"{scatter[place]:.3g}", f"{scatter[place] / stated[place]:.3f}")
         for place, name in enumerate(found.names)
     ]
-    return Section("Monte Carlo").add(
+    return Section("Monte Carlo", key="monte_carlo").add(
         page.text(
             f"{len(found.estimates)} simulated repetitions were fitted, with channel noise and every common "
             f"error of motion and mass drawn anew ({found.failed} failed). A ratio carries a chance error of "

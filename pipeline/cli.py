@@ -145,13 +145,13 @@ def _several(given: argparse.Namespace) -> Outcome:
 
 def _failure(result: CohortResult) -> Exception:
     """Return the error that lists the studies which failed; a bug stays a bug."""
-    listed = "\n".join(f"{name}: {fault}" for name, fault in result.faults.items())
+    listed = [f"{name}: {fault}" for name, fault in result.faults.items()]
     done = (
         f"{len(result.ears)} of {len(result.ears) + len(result.faults)} studies are finished in {result.out}."
     )
     if 1 in result.codes.values():
-        return RuntimeError(f"{listed}\n{done}")
-    return StapeskitError(f"{listed}\n{done}")
+        return RuntimeError("\n".join([*listed, done]))
+    return StapeskitError(*listed, done)
 
 
 def _line(kd: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
@@ -90,9 +91,7 @@ def section_in_study_words(section: Section, table: str) -> Section:
     """Return a section of a page whose texts name the keys of a study file."""
     from markupsafe import Markup
 
-    from stapeskit.page.page import Section
-
-    return Section(section.heading, [Markup(in_study_words(str(one), table)) for one in section.blocks])
+    return replace(section, blocks=[Markup(in_study_words(str(block), table)) for block in section.blocks])
 
 
 def mass_options(scan: Scan) -> MassOptions:

@@ -161,7 +161,11 @@ def write_told(folder: Path, stage: str, told: Told) -> None:
     """Keep the sections of a stage, so that the report can be put together without making them anew."""
     content = {
         "sections": [
-            {"heading": section.heading, "blocks": [str(block) for block in section.blocks]}
+            {
+                "key": section.key,
+                "heading": section.heading,
+                "blocks": [str(block) for block in section.blocks],
+            }
             for section in told.sections
         ],
         "warnings": [notice.as_json() for notice in told.notices],
@@ -177,7 +181,7 @@ def read_told(path: Path) -> Told:
 
     content = json.loads(Path(path).read_text(encoding="utf-8"))
     sections = tuple(
-        Section(entry["heading"], [Markup(block) for block in entry["blocks"]])
+        Section(entry["heading"], [Markup(block) for block in entry["blocks"]], entry.get("key", ""))
         for entry in content["sections"]
     )
     return Told(sections, from_json(content["warnings"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,30 +19,30 @@ from stapeskit.provenance import input_record, versions
 from stapeskit.records.motion_files import read_motion
 from stapeskit.warnings import unique
 
-# Heading in its room, and heading in this page; the order is the page's. What is not named here comes after
-# the last section of its own room.
-_ORDER: tuple[tuple[str, str, str], ...] = (
-    ("scan", "Bodies and frames", "The stapes in its frames"),
-    ("scan", "What was found", "The stapes beside the literature"),
-    ("scan", "Segmentation", "Segmentation"),
-    ("scan", "Mass matrix", "Mass matrix M"),
-    ("motion", "Points and beams", "Points and beams"),
-    ("motion", "Motion at one frequency", "Motion at one frequency"),
-    ("motion", "Motion of the rigid bodies", "Motion of stapes and bone"),
-    ("fit", "Stiffness and damping", "Stiffness K and damping D"),
-    ("fit", "Measured and simulated responses", "Measured and simulated responses"),
-    ("fit", "Principal axes", "Principal axes on the footplate"),
-    ("fit", "Modes", "Modes"),
-    ("fit", "Where the uncertainty comes from", "Uncertainty of K and D"),
-    ("fit", "What the data can tell", "What the data can tell"),
-    ("fit", "Residuals", "Residuals of the fit"),
-    ("scan", "Uncertainty budget", "Uncertainty of M"),
-    ("motion", "Verdict on every channel", "Verdict on every channel"),
-    ("motion", "Residuals of the rigid fit", "Residuals of the rigid bodies"),
-    ("motion", "Registration", "Registration"),
-    ("motion", "Points on the surfaces of the scan", "Points on the surfaces of the scan"),
-    ("motion", "Geometry estimated with the motion", "Geometry estimated with the motion"),
-)
+# Sections by key, with their heading in this page; the order is the page's. What is not listed here comes
+# after the last listed section of its own stage.
+_ORDER: dict[str, str] = {
+    "bodies_and_frames": "The stapes in its frames",
+    "literature": "The stapes beside the literature",
+    "segmentation": "Segmentation",
+    "mass_matrix": "Mass matrix M",
+    "points_and_beams": "Points and beams",
+    "motion_at_one_frequency": "Motion at one frequency",
+    "rigid_motion": "Motion of stapes and bone",
+    "stiffness_and_damping": "Stiffness K and damping D",
+    "responses": "Measured and simulated responses",
+    "principal_axes": "Principal axes on the footplate",
+    "modes": "Modes",
+    "kd_uncertainty": "Uncertainty of K and D",
+    "identifiability": "What the data can tell",
+    "kd_residuals": "Residuals of the fit",
+    "mass_uncertainty": "Uncertainty of M",
+    "verdicts": "Verdict on every channel",
+    "rigid_residuals": "Residuals of the rigid bodies",
+    "registration": "Registration",
+    "points_on_surfaces": "Points on the surfaces of the scan",
+    "calibration": "Geometry estimated with the motion",
+}
 
 
 def write_report(
@@ -93,15 +94,16 @@ def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[st
 
 def ordered(told: Mapping[str, Told]) -> list[Section]:
     """Return the sections of all stages in the order of the page."""
-    places = {(stage, heading): place for place, (stage, heading, _) in enumerate(_ORDER)}
-    last = {stage: place for place, (stage, _, _) in enumerate(_ORDER)}
-    listed = []
-    for stage, one in told.items():
-        for number, section in enumerate(one.sections):
-            place = places.get((stage, section.heading))
-            heading = section.heading if place is None else _ORDER[place][2]
-            key = (last.get(stage, len(_ORDER)), 1, number) if place is None else (place, 0, number)
-            listed.append((key, Section(heading, section.blocks)))
+    places = {key: place for place, key in enumerate(_ORDER)}
+    listed: list[tuple[tuple[int, int, int], Section]] = []
+    for stage in told.values():
+        last = max((places.get(section.key, -1) for section in stage.sections), default=-1)
+        for number, section in enumerate(stage.sections):
+            place = places.get(section.key)
+            if place is None:
+                listed.append(((last if last >= 0 else len(_ORDER), 1, number), section))
+            else:
+                listed.append(((place, 0, number), replace(section, heading=_ORDER[section.key])))
     return [section for _, section in sorted(listed, key=lambda pair: pair[0])]
 
 

@@ -6,12 +6,21 @@ A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 Vocabulary = Callable[[str], str]
 """How the reader of a message writes the option of that name: ``box`` as `--box`, `scan.box_mm`."""
+
+LONGEST = 4000
+"""Characters of a message at most: what fits on a screen or two."""
+
+FEW = 5
+"""Faults of a kind that are written one by one."""
+
+_FIELD = 500  # characters of one text of a fault where the whole is too long: five fit into LONGEST - _REST
+_REST = 1000  # characters kept for the line that counts the rest
 
 _REFERENCE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 
@@ -150,41 +159,114 @@ def collecting(faults: list[Fault]) -> Iterator[None]:
         faults += error.faults
 
 
-def message(faults: Sequence[Fault], vocabulary: Vocabulary = as_command, most: int = 40) -> str:
-    """Write faults one a line; of long lists some of every kind, and a count of the rest.
+def message(faults: Sequence[Fault], vocabulary: Vocabulary = as_command) -> str:
+    """Write faults one a line, in `LONGEST` characters at most.
+
+    More than `FEW` faults that differ in their row and value only become one sentence with ranges of rows.
+    If the message is still too long, faults that differ in their thing too are joined; then some of every
+    kind are written, and the rest is counted with its rows.
 
     Parameters
     ----------
     faults : sequence of Fault
     vocabulary : callable
         As of `render`.
-    most : int
-        How many are written out.
     """
-    if len(faults) <= most:
-        return "\n".join(render(fault, vocabulary) for fault in faults)
-    kinds: dict[str, list[int]] = {}
+    rows_joined = _join_groups(faults, _same_thing)
+    kinds_joined = [_shorten(fault) for fault in _join_groups(rows_joined, _same_kind)]
+    for listed in (rows_joined, kinds_joined):
+        lines = [render(fault, vocabulary) for fault in listed]
+        if sum(map(len, lines)) + len(lines) <= LONGEST:
+            return "\n".join(lines)
+    left = LONGEST - _REST
+    written = []
+    for number in _in_turn(listed):
+        left -= len(lines[number]) + 1
+        if left < 0:
+            break
+        written.append(number)
+    rest = [fault for number, fault in enumerate(listed) if number not in written]
+    return "\n".join([*(lines[number] for number in sorted(written)), _count(rest)])
+
+
+def _same_thing(fault: Fault) -> Hashable:
+    """Return what faults share that differ in their row and value only."""
+    where = fault.where
+    place = replace(where, numbers=()) if isinstance(where, Place) and where.numbers else where
+    return fault.thing, fault.expected, fault.next_step, place
+
+
+def _same_kind(fault: Fault) -> Hashable:
+    """Return what faults share that differ in their thing, place and value."""
+    return fault.expected or fault.thing, fault.next_step
+
+
+def _join_groups(faults: Sequence[Fault], key: Callable[[Fault], Hashable]) -> list[Fault]:
+    """Join each group of more than `FEW` faults into one, at the place of its first."""
+    groups: dict[Hashable, list[int]] = {}
+    for number, fault in enumerate(faults):
+        groups.setdefault(key(fault), []).append(number)
+    joined: dict[int, Fault] = {}
+    for members in groups.values():
+        if len(members) > FEW:
+            joined[members[0]] = _join([faults[number] for number in members])
+        else:
+            joined.update((number, faults[number]) for number in members)
+    return [joined[number] for number in sorted(joined)]
+
+
+def _join(faults: Sequence[Fault]) -> Fault:
+    """Return one fault for several of a kind."""
+    things = _some([fault.thing for fault in faults])
+    values = _some([str(fault.got) for fault in faults])
+    places = [fault.where for fault in faults]
+    rows = [place for place in places if isinstance(place, Place) and place.numbers]
+    first = places[0]
+    where: Place | str = _some([str(place) for place in places if str(place)])
+    if isinstance(first, Place) and len(rows) == len(places):
+        details = {place.detail for place in rows}
+        if {(place.file, place.unit) for place in rows} == {(first.file, first.unit)}:
+            numbers = tuple(number for place in rows for number in place.numbers)
+            where = Place(first.file, first.unit, numbers, first.detail if len(details) == 1 else "")
+    return Fault(things, faults[0].expected, values, where, faults[0].next_step)
+
+
+def _some(texts: Sequence[str], most: int = 3) -> str:
+    """List the first distinct texts and count the others."""
+    distinct = list(dict.fromkeys(texts))
+    more = f" and {len(distinct) - most} more" if len(distinct) > most else ""
+    return ", ".join(distinct[:most]) + more
+
+
+def _shorten(fault: Fault) -> Fault:
+    """Cut long texts of a fault in their middle."""
+    where = fault.where if len(str(fault.where)) <= _FIELD else _cut(str(fault.where))
+    return Fault(_cut(fault.thing), _cut(fault.expected), _cut(str(fault.got)), where, _cut(fault.next_step))
+
+
+def _cut(text: str) -> str:
+    half = (_FIELD - 5) // 2
+    return text if len(text) <= _FIELD else f"{text[:half]} ... {text[-half:]}"
+
+
+def _in_turn(faults: Sequence[Fault]) -> list[int]:
+    """Return the numbers of the faults, every kind in turn."""
+    kinds: dict[Hashable, list[int]] = {}
     for number, fault in enumerate(faults):
         kinds.setdefault(fault.expected or fault.thing, []).append(number)
-    turn = sorted((rank, number) for members in kinds.values() for rank, number in enumerate(members))
-    shown = sorted(number for _, number in turn[:most])
-    rest = [faults[number] for _, number in turn[most:]]
-    return "\n".join([*(render(faults[number], vocabulary) for number in shown), _count(rest)])
+    turns = sorted((turn, number) for members in kinds.values() for turn, number in enumerate(members))
+    return [number for _, number in turns]
 
 
 def _count(faults: Sequence[Fault]) -> str:
-    """Count faults and list the lines they are in."""
-    places: dict[tuple[str, Place], list[int]] = {}
+    """Count faults and list the rows of the first files."""
+    rows: dict[tuple[str, str], list[int]] = {}
     for fault in faults:
         if isinstance(fault.where, Place) and fault.where.numbers:
-            thing = fault.thing if len(fault.thing) < 40 else "rows"
-            whole = replace(fault.where, numbers=(), detail="")
-            places.setdefault((thing, whole), []).extend(fault.where.numbers)
-    parts = [
-        f"{thing} in {ranges(numbers, place.unit)} of {place.file}"
-        for (thing, place), numbers in sorted(places.items(), key=lambda item: -len(item[1]))[:8]
-    ]
-    return f"... and {len(faults)} more faults" + (f": {'; '.join(parts)}." if parts else ".")
+            rows.setdefault((fault.where.file, fault.where.unit), []).extend(fault.where.numbers)
+    parts = [f"{ranges(numbers, unit, 5)} of {file}" for (file, unit), numbers in rows.items()]
+    more = f" ({_cut(_some(parts))})" if parts else ""
+    return f"... and {len(faults)} more faults{more}."
 
 
 def ranges(numbers: Sequence[int], unit: str = "line", most: int = 30) -> str:

@@ -78,13 +78,13 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
         )
         for way in others
     ]
-    return page.Section("Ways to the mass", blocks)
+    return page.Section("Ways to the mass", blocks, "ways_to_mass")
 
 
 def cross_check_section(content: Mapping[str, Any]) -> page.Section:
     """Compare the grey-value integral with the closed surface, and that with a second program."""
     check = content["cross_check"]
-    section = page.Section("Cross-check")
+    section = page.Section("Cross-check", key="cross_check")
     if check["used"] != check["other"]:
         apart = np.array(check["centroid_difference_mm"]) * 1e3
         worst = float(np.max(np.abs(check["mass_matrix_difference_percent"])))

@@ -190,7 +190,7 @@ def _found_section(content: Mapping[str, Any]) -> page.Section:
         rows.append(("added mass", f"{value} at {place} (scan, mm)", ""))
     blocks = [page.table(("", "found", "published human stapes"), rows)]
     blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
-    return page.Section("What was found", blocks)
+    return page.Section("What was found", blocks, "literature")
 
 
 def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
@@ -206,7 +206,7 @@ def _bodies_section(
 
     footplate = _frame(content, "footplate")
     if footplate is None:
-        return page.Section("Bodies and frames"), ()
+        return page.Section("Bodies and frames", key="bodies_and_frames"), ()
     plate = _frame(content, "plate")
     codes = {warning["code"] for warning in content["warnings"]}
     known = "anterior_not_given" not in codes
@@ -225,7 +225,7 @@ def _bodies_section(
         page.image(picture, caption, caption) for picture, caption in zip(pictures, captions, strict=False)
     ]
     blocks.append(_frames_table(content))
-    return page.Section("Bodies and frames", blocks), notices
+    return page.Section("Bodies and frames", blocks, "bodies_and_frames"), notices
 
 
 def _frames_table(content: Mapping[str, Any]) -> Any:
@@ -262,7 +262,7 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
     from ct_inertia.report.slices_figure import slices_figure
 
     footplate = _frame(content, "footplate")
-    section = page.Section("Segmentation")
+    section = page.Section("Segmentation", key="segmentation")
     if footplate is None or pictured.labelled is None:
         return section
     drawing = slices_figure(pictured.labelled, footplate)
@@ -290,7 +290,7 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
 
 
 def _matrix_section(content: Mapping[str, Any]) -> page.Section:
-    section = page.Section("Mass matrix")
+    section = page.Section("Mass matrix", key="mass_matrix")
     section.add(
         page.text(
             "Order of the degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, "
@@ -344,6 +344,7 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
             ),
             page.table(header, rows),
         ],
+        "mass_uncertainty",
     )
     missing = content["uncertainty"].get("not_included", [])
     if missing:

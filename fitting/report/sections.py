@@ -115,7 +115,7 @@ def _sd(value: float | None) -> str:
 
 
 def _responses(fit: KDFit) -> Section:
-    section = Section("Measured and simulated responses")
+    section = Section("Measured and simulated responses", key="responses")
     found = responses(fit)
     load = " and to the measured in-plane load" if fit.inplane.used else ""
     section.add(
@@ -142,7 +142,7 @@ def _responses(fit: KDFit) -> Section:
 
 def _residuals(fit: KDFit) -> Section:
     ratio = f"{fit.chi2 / fit.n_dof:.3f}" if fit.n_dof > 0 else "not defined"
-    return Section("Residuals").add(
+    return Section("Residuals", key="kd_residuals").add(
         page.figure(
             residual_figure(responses(fit)),
             "Residuals of the equations of motion over their noise. Left: no pattern means that the model "
@@ -157,7 +157,7 @@ def _residuals(fit: KDFit) -> Section:
 
 def _frequency(found: FrequencyDependence) -> Section:
     verdict = "holds" if not found.notices() else "does NOT hold"
-    return Section("K and D over the band").add(
+    return Section("K and D over the band", key="kd_over_band").add(
         page.figure(
             frequency_figure(found),
             "Stiffness and damping of parts of the band over those of the whole, to first order, with 95 % "
@@ -171,7 +171,7 @@ def _frequency(found: FrequencyDependence) -> Section:
 def _matrices(fit: KDFit) -> Section:
     stiffness_sd, damping_sd = fit.standard_deviation
     units = entry_units(fit.dof)
-    section = Section("Stiffness and damping")
+    section = Section("Stiffness and damping", key="stiffness_and_damping")
     place = "about the footplate centre, footplate axes"
     section.add(
         page.matrix(fit.stiffness, fit.dof, f"K, {place}, ± sd of all sources.", stiffness_sd, units),
@@ -228,7 +228,7 @@ def _modal(fit: KDFit) -> Section:
             value, sd = abs(mode.shape[index]) * scale, derived.shape_sd[place, index] * scale
             cells.append(plus_minus(value, sd))
         rows.append(cells)
-    section = Section("Modes").add(
+    section = Section("Modes", key="modes").add(
         page.table(header, rows),
         page.text(f"Shapes have {NORMALISATION}; the units only name the scaling (paper Table 2)."),
     )
@@ -258,7 +258,7 @@ def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
         *((f"stiffness {name}", f"{value:.5g}", _sd(spread)) for name, value, spread in stiffness),
     ]
     drawn = "over the footplate's outline " if outline_mm is not None else ""
-    return Section("Principal axes").add(
+    return Section("Principal axes", key="principal_axes").add(
         page.figure(
             principal_figure(values, sd, outline_mm, centre),
             f"Principal axes of K {drawn}seen along y from lateral (y towards the reader): a shift to "
@@ -278,7 +278,7 @@ def _budget(fit: KDFit) -> Section:
         rows.append([source_words(source), *(f"{100.0 * entries[name]:.0f} %" for name in fit.parameters)])
     rows.append(["sd, all sources (SI)", *(f"{value:.2g}" for value in sd)])
     half = len(fit.parameters) // 2
-    section = Section("Where the uncertainty comes from")
+    section = Section("Where the uncertainty comes from", key="kd_uncertainty")
     for part in (slice(0, half), slice(half, None)):
         names = fit.parameters[part]
         section.add(page.table(["share of the variance", *names], [[row[0], *row[1:][part]] for row in rows]))
@@ -323,7 +323,7 @@ def _identifiability(fit: KDFit) -> Section:
         (name, f"{value:.2g}", f"{100.0 * relative:.2g} %")
         for name, value, relative in zip(known.names, known.bound_si, known.relative, strict=True)
     ]
-    section = Section("What the data can tell").add(
+    section = Section("What the data can tell", key="identifiability").add(
         page.text(
             f"Column-scaled condition number of the equations: {known.condition:.3g}. Relative means "
             "relative to "

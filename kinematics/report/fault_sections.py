@@ -91,7 +91,7 @@ def groups_of(result: Points2Dof) -> list[Group]:
 
 def verdict_section(result: Points2Dof) -> Section:
     """Return the table of verdicts, the most severe first, and all channels behind a fold."""
-    section = Section("Verdict on every channel")
+    section = Section("Verdict on every channel", key="verdicts")
     counts = Counter(v.verdict for v in result.channels)
     said = ", ".join(f"{number} {name}" for name, number in counts.most_common())
     section.add(page.text(f"{channel_count(result)}: {said}."))
@@ -215,7 +215,7 @@ def _number(value: float) -> str:
 
 def residual_section(result: Points2Dof) -> Section:
     """Return the residual maps, chi2 over frequency and the rigidity tests."""
-    section = Section("Residuals of the rigid fit")
+    section = Section("Residuals of the rigid fit", key="rigid_residuals")
     runs = _worst_runs(result)
     for run in runs:
         drawing, one = residual_figure(result, run)

@@ -121,7 +121,7 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
     from stapeskit.page import page
     from stapeskit.page.page import Section
 
-    section = Section("Points on the surfaces of the scan")
+    section = Section("Points on the surfaces of the scan", key="points_on_surfaces")
     section.add(
         page.text(
             "Distances of the measured points, as the registration places them, from the surface that they "
@@ -155,7 +155,7 @@ def _calibration(made: Calibration) -> Section:
     from stapeskit.page import page
     from stapeskit.page.page import Section
 
-    section = Section("Geometry estimated with the motion")
+    section = Section("Geometry estimated with the motion", key="calibration")
     section.add(
         page.text(
             "Most probable errors of the stated geometry, all lines together, the motion at every line left "

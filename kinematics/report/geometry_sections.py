@@ -22,7 +22,7 @@ _LIGHT = 150
 
 def points_section(result: Points2Dof, scenery: Scenery) -> Section:
     """Return the figure of points and beams, and what the beams of each body can observe."""
-    section = Section("Points and beams")
+    section = Section("Points and beams", key="points_and_beams")
     bodies = result.measurement.bodies
     channels = sum(len(body.points) for body in bodies)
     wrong = len(faulty_channels(result))
@@ -63,7 +63,7 @@ def points_section(result: Points2Dof, scenery: Scenery) -> Section:
 
 def registration_section(result: Points2Dof) -> Section:
     """Return how the fiducials fit, and what that leaves unknown at the footplate and at the points."""
-    section = Section("Registration")
+    section = Section("Registration", key="registration")
     fit = result.placement.registration
     if fit is None:
         return section

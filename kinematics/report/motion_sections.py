@@ -32,7 +32,7 @@ _MOST_FIGURES = 3
 
 def moving_section(result: Points2Dof, scenery: Scenery, interactive: bool) -> Section:
     """Return the motion at one frequency: eight phases of a period, and with a script any frequency."""
-    section = Section("Motion at one frequency")
+    section = Section("Motion at one frequency", key="motion_at_one_frequency")
     run, line = chosen_line(result, scenery)
     now = moment(result, scenery, run, line)
     if interactive:
@@ -77,7 +77,7 @@ def _moment_words(result: Points2Dof, now: Moment, scenery: Scenery) -> str:
 def motion_section(result: Points2Dof) -> Section:
     """Return the spectra of the degrees of freedom and what shared errors do to them."""
     motion = result.motion
-    section = Section("Motion of the rigid bodies")
+    section = Section("Motion of the rigid bodies", key="rigid_motion")
     per = f" per unit of {motion.reference}" if motion.reference else ""
     runs = len(motion.runs)
     groups = [tuple(range(k, min(k + _RUNS_A_FIGURE, runs))) for k in range(0, runs, _RUNS_A_FIGURE)]

@@ -31,7 +31,7 @@ _TESTS = {
 
 def repeats_section(result: Points2Dof) -> Section:
     """Return what the comparison of repeats and levels gave before they were pooled."""
-    section = Section("Repeats and levels")
+    section = Section("Repeats and levels", key="repeats")
     for one in result.repeats:
         several = len(result.repeats) > 1
         where = f"Run {one.run}: " if several else ""

@@ -63,8 +63,8 @@ _TEMPLATE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{{ title }}</title><style>{{ style }}</style></head><body>
 <h1>{{ title }}</h1>{% if lead %}<p class="lead">{{ lead }}</p>{% endif %}
-{% if sections|length > 2 %}<nav>{% for s in sections %}<a href="#s{{ loop.index }}">{{ s.heading }}</a>{% endfor %}</nav>{% endif %}
-{% for s in sections %}<section id="s{{ loop.index }}"><h2>{{ s.heading }}</h2>
+{% if sections|length > 2 %}<nav>{% for s in sections %}<a href="#{{ s.key or 's%d' % loop.index }}">{{ s.heading }}</a>{% endfor %}</nav>{% endif %}
+{% for s in sections %}<section id="{{ s.key or 's%d' % loop.index }}"><h2>{{ s.heading }}</h2>
 {% for block in s.blocks %}{{ block }}
 {% endfor %}</section>
 {% endfor %}</body></html>
@@ -80,10 +80,19 @@ def _render(template: str, **values: Any) -> Markup:
 
 @dataclass
 class Section:
-    """One heading with its blocks, each made by a function of this file."""
+    """One heading with its blocks, each made by a function of this file.
+
+    Attributes
+    ----------
+    heading : str
+    blocks : list of Markup
+    key : str
+        Stable name, by which pages order and link sections; empty where nothing refers to it.
+    """
 
     heading: str
     blocks: list[Markup] = field(default_factory=list)
+    key: str = ""
 
     def add(self, *blocks: Markup) -> Section:
         """Append blocks and return the section."""

@@ -4,8 +4,21 @@ import pickle
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from stapeskit.faults import Fault, Place, StapeskitError, collecting, raise_all, ranges, render
+from stapeskit.faults import (
+    FEW,
+    LONGEST,
+    Fault,
+    Place,
+    StapeskitError,
+    collecting,
+    message,
+    raise_all,
+    ranges,
+    render,
+)
 
 SPACING = Fault("the spacing", "positive", -1, "scan.tif", "Give --spacing.")
 
@@ -65,13 +78,56 @@ def test_faults_are_collected_and_the_work_goes_on():
     assert faults == [SPACING]
 
 
-def test_of_many_faults_some_of_each_kind_are_written_and_the_rest_counted_with_their_lines():
-    bad = [Fault("x_mm", "a number", f"t{k}", Place("a.csv", "line", (k,))) for k in range(2, 92)]
-    error = StapeskitError(*bad, Fault("dir", "given", "none", "a.csv"))
-    text = str(error)
+def test_the_same_fault_in_many_rows_is_one_sentence():
+    rows = [Fault("x_mm", "a number", f"t{k}", Place("a.csv", "line", (k,))) for k in range(2, 92)]
+    error = StapeskitError(*rows, Fault("dir", "given", "none", "a.csv"))
     assert len(error.faults) == 91
-    assert "dir must be given" in text
-    assert "... and 51 more faults: x_mm in lines 41 to 91 of a.csv." in text
+    assert str(error).splitlines() == [
+        "x_mm must be a number; got t2, t3, t4 and 87 more (a.csv, lines 2 to 91).",
+        "dir must be given; got none (a.csv).",
+    ]
+    assert len(str(StapeskitError(*rows[:FEW])).splitlines()) == FEW
+
+
+def test_the_same_fault_of_many_things_is_one_sentence_when_they_do_not_fit():
+    points = [
+        Fault(f"point {k}", "in points.csv", "none", Place("a.csv", "line", (k,))) for k in range(2, 400)
+    ]
+    assert str(StapeskitError(*points)) == (
+        "point 2, point 3, point 4 and 395 more must be in points.csv; got none (a.csv, lines 2 to 399)."
+    )
+
+
+def test_of_many_kinds_as_many_as_fit_are_written_and_the_rest_counted_with_its_rows():
+    kinds = [Fault("x", f"as rule {k} says", "y" * 90, Place("a.csv", "line", (k,))) for k in range(1, 101)]
+    lines = str(StapeskitError(*kinds)).splitlines()
+    assert lines[0].startswith("x must be as rule 1 says")
+    assert lines[-1] == f"... and {101 - len(lines)} more faults (lines {len(lines)} to 100 of a.csv)."
+
+
+texts = st.text(st.characters(codec="utf-8", exclude_characters="\n"), max_size=30) | st.integers(
+    1, 9000
+).map(lambda n: "name " * (n // 5))
+places = st.builds(
+    Place,
+    st.sampled_from(["a.csv", "b" * 250]),
+    st.sampled_from(["line", "dataset"]),
+    st.lists(st.integers(1, 10**6), max_size=4).map(tuple),
+    texts,
+)
+listed = st.lists(
+    st.builds(Fault, texts, texts, texts, texts | places, texts)
+    | st.builds(Fault, st.integers().map(str), st.sampled_from("ab"), texts, places, st.just("z")),
+    min_size=1,
+    max_size=60,
+)
+
+
+@given(listed, st.integers(1, 9))
+@settings(deadline=None, max_examples=60)
+def test_no_message_is_longer_than_fits_on_a_screen_or_two(faults, times):
+    text = message(faults * times)
+    assert 0 < len(text) <= LONGEST or not any(str(fault) for fault in faults)
 
 
 def test_numbers_are_written_as_ranges():

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus, printed
+from stapeskit.page.page import Page, Section
 from stapeskit.warnings import Notice
 
 EVIL = '<script>alert("x")</script> & more'
@@ -73,3 +76,13 @@ def test_messages_have_the_letters_of_a_page():
         "0.2 µrad enter per nm, 14 µm off, factor 1.08 ± 0.01; give --density RHO+-SD, x_um, a volume"
     )
     assert "1.08 ± 0.01" in page.notices([Notice("channel_gain", text)])
+
+
+def test_sections_are_linked_by_their_keys():
+    made = Page("t")
+    made.section("one")
+    made.sections.append(Section("two", key="second"))
+    made.section("three")
+    html = made.html()
+    assert re.findall(r'<section id="(\w+)"', html) == ["s1", "second", "s3"]
+    assert re.findall(r'<a href="#(\w+)"', html) == ["s1", "second", "s3"]
