@@ -34,7 +34,7 @@ def read_volume(
     ----------
     path : Path or str
     spacing_mm : float or sequence of 3 floats, optional
-        Voxel spacing x, y, z in mm; needed where the file does not tell it, and overrides the file.
+        Voxel spacing x, y, z in mm; needed where the file has none; replaces that of the file.
     mirror : str, optional
         ``x``, ``y`` or ``z``: reverse the slices along that array axis. The box of the scan keeps its place
         and its origin; the content is reflected inside it.

@@ -27,7 +27,7 @@ class ExportBody:
     Attributes
     ----------
     source : str
-        Name of the file it was made from.
+        Name of the file of the scan, labels or mesh.
     matrix : MassMatrix
         About the footplate centre in footplate axes, SI.
     plate_matrix : MassMatrix or None
@@ -115,8 +115,8 @@ def quaternion(rotation: Array) -> Array:
     k[0, 0] = np.trace(r)
     k[0, 1:] = k[1:, 0] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
     k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
-    found = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(-found if found[0] < 0.0 else found)
+    vector = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(-vector if vector[0] < 0.0 else vector)
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:

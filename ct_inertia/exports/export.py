@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
-    """Read a comma list of formats, in the order of FORMATS; ``all`` stands for every one.
+    """Read a comma list of formats, in the order of FORMATS; ``all`` selects every one.
 
     Raises
     ------

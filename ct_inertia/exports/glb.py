@@ -78,22 +78,22 @@ def _add(
     raw = data.tobytes()
     views.append({"buffer": 0, "byteOffset": len(buffer), "byteLength": len(raw), "target": kind})
     buffer += raw
-    made: dict[str, Any] = {"bufferView": len(views) - 1, "count": len(data)}
+    accessor: dict[str, Any] = {"bufferView": len(views) - 1, "count": len(data)}
     if kind == _VERTICES:
-        made |= {"componentType": _FLOAT, "type": "VEC3"}
-        made |= {"min": data.min(axis=0).tolist(), "max": data.max(axis=0).tolist()}
+        accessor |= {"componentType": _FLOAT, "type": "VEC3"}
+        accessor |= {"min": data.min(axis=0).tolist(), "max": data.max(axis=0).tolist()}
     else:
-        made |= {"componentType": _UINT, "type": "SCALAR"}
-    accessors.append(made)
+        accessor |= {"componentType": _UINT, "type": "SCALAR"}
+    accessors.append(accessor)
     return len(accessors) - 1
 
 
 def _material(name: str) -> dict[str, Any]:
     colour = _COLOURS[name]
-    made: dict[str, Any] = {
+    material: dict[str, Any] = {
         "name": name,
         "pbrMetallicRoughness": {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.8},
     }
     if colour[3] < 1.0:
-        made["alphaMode"] = "BLEND"
-    return made
+        material["alphaMode"] = "BLEND"
+    return material

@@ -11,7 +11,7 @@ from ct_inertia.exports.body import ExportBody
 from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES
 
 UNITS = {"length": "m (frames: mm)", "mass": "kg", "inertia": "kg m2", "coordinates": "footplate"}
-_TOLD = {
+_DESCRIPTIONS = {
     "M": "6x6 about the footplate centre in footplate axes: kg, kg m, kg m2",
     "J": "3x3 about the centre of mass in footplate axes: kg m2; J(1,2) = -integral of x y dm",
     "c": "centre of mass from the footplate centre, footplate axes: m",
@@ -39,7 +39,7 @@ def write(body: ExportBody, folder: Path) -> list[str]:
         "density_kg_m3": body.density_kg_m3,
         "volume_m3": body.volume_m3,
         "source": body.source,
-        "units": _TOLD,
+        "units": _DESCRIPTIONS,
     }
     if body.scan_from_plate is not None:
         frames["scan_from_plate"] = body.scan_from_plate.matrix

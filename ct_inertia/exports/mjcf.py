@@ -10,7 +10,7 @@ from ct_inertia.exports.obj import obj_text
 UNITS = {"length": "m", "mass": "kg", "inertia": "kg m2", "coordinates": "footplate"}
 _TEXT = """<mujoco model="stapes">
   <!-- Made by stapeskit from {source}. SI units: m, kg, kg m2. The frame of the body is the footplate frame
-       (x anterior, y lateral, origin at the footplate centre); the inertia stands in its principal axes about
+       (x anterior, y lateral, origin at the footplate centre); the inertia is in its principal axes about
        the centre of mass; the mesh lies in scan coordinates (mm) and is scaled and placed here. -->
   <compiler angle="radian" inertiafromgeom="false"/>
   <asset>

@@ -1,4 +1,4 @@
-"""What a run of `ct2mass` may write, and under which name its labels stand."""
+"""The files that a run of `ct2mass` may write, and the name of its labels."""
 
 from __future__ import annotations
 

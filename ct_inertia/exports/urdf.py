@@ -12,7 +12,7 @@ UNITS = {"length": "m", "mass": "kg", "inertia": "kg m2", "coordinates": "footpl
 _TEXT = """<?xml version="1.0"?>
 <robot name="stapes">
   <!-- Made by stapeskit from {source}. SI units: m, kg, kg m2. The frame of the link is the footplate frame
-       (x anterior, y lateral, origin at the footplate centre); the inertia stands in its principal axes about
+       (x anterior, y lateral, origin at the footplate centre); the inertia is in its principal axes about
        the centre of mass; the mesh lies in scan coordinates (mm) and is scaled and placed here. -->
   <link name="stapes">
     <inertial>

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
-from ct_inertia.volume.masked import Sums, deviation, every_nth, lowest, sums
+from ct_inertia.volume.mask_statistics import Sums, deviation, every_nth, lowest, sums
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
-from ct_inertia.volume.masked import gathered
+from ct_inertia.volume.mask_statistics import gathered
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 

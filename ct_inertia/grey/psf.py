@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.native import compiled, shape_of
 from ct_inertia.volume.grids import interpolated
-from ct_inertia.volume.masked import places_between
+from ct_inertia.volume.mask_statistics import places_between
 from ct_inertia.volume.normal import normal_quantile
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.grids import gaussian
-from ct_inertia.volume.masked import every_nth
+from ct_inertia.volume.mask_statistics import every_nth
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice

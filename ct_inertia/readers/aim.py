@@ -36,7 +36,7 @@ _LONGEST_LOG = 1 << 20
 
 @dataclass(frozen=True)
 class _Head:
-    """What stands before the log: the type's number, place, size, voxel size, where log and voxels lie."""
+    """The fields of the header that are used, and the offsets of log and voxels."""
 
     kind: int
     position: Array
@@ -60,29 +60,29 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     with path.open("rb") as stream:
         start = stream.read(4096)
-        found = _new(start, path) if start.startswith(_V030) else _old(start, path)
-        if not 0 <= found.log <= found.data <= path.stat().st_size:
-            raise header_fault(path, "AIM file", f"data at byte {found.data}")
-        stream.seek(found.log)
-        log = stream.read(min(_LONGEST_LOG, max(0, found.data - found.log))).decode("latin-1")
-    if found.kind not in _TYPES:
+        head = _new(start, path) if start.startswith(_V030) else _old(start, path)
+        if not 0 <= head.log <= head.data <= path.stat().st_size:
+            raise header_fault(path, "AIM file", f"data at byte {head.data}")
+        stream.seek(head.log)
+        log = stream.read(min(_LONGEST_LOG, max(0, head.data - head.log))).decode("latin-1")
+    if head.kind not in _TYPES:
         raise CtInertiaError(
             Fault(
                 "the AIM data",
                 "8-bit, 16-bit, 32-bit or float voxels, not packed",
-                f"type {found.kind:#x}",
+                f"type {head.kind:#x}",
                 path.name,
                 "Export it unpacked, or as ISQ or MHA",
             )
         )
-    check_positive(found.size, path.name)
-    spacing = found.cell_mm if np.all(found.cell_mm > 0.0) else None
+    check_positive(head.size, path.name)
+    spacing = head.cell_mm if np.all(head.cell_mm > 0.0) else None
     grid = Grid(
-        found.size,
-        np.dtype(_TYPES[found.kind]),
-        ((path, found.data),),
+        head.size,
+        np.dtype(_TYPES[head.kind]),
+        ((path, head.data),),
         spacing,
-        np.zeros(3) if spacing is None else found.position * spacing,
+        np.zeros(3) if spacing is None else head.position * spacing,
         notices=tuple(_calibration(log, path.name)),
     )
     return grid_volume(grid, path, options)
@@ -129,18 +129,18 @@ def _new(start: bytes, path: Path) -> _Head:
 
 
 def _calibration(log: str, name: str) -> list[Notice]:
-    """Return what the processing log says of grey value and density."""
-    told = {}
+    """Return the line from grey value to density in the processing log."""
+    entries = {}
     for line in log.splitlines():
         key, _, value = line.partition("  ")
-        told[key.strip()] = value.strip()
+        entries[key.strip()] = value.strip()
     try:
         scaling, slope, intercept = (
-            float(told[key]) for key in ("Mu_Scaling", "Density: slope", "Density: intercept")
+            float(entries[key]) for key in ("Mu_Scaling", "Density: slope", "Density: intercept")
         )
     except (KeyError, ValueError):
         return []
-    return density_notice(name, scaling, slope, intercept, told.get("Density: unit", ""))
+    return density_notice(name, scaling, slope, intercept, entries.get("Density: unit", ""))
 
 
 def _vax_float(four: bytes) -> float:

@@ -80,9 +80,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _sizes(text: str, path: Path) -> tuple[int, int, int]:
-    found = re.search(r"define\s+Lattice\s+(\d+)\s+(\d+)\s+(\d+)", text)
-    if found is None or re.search(r'CoordType\s+"(?!uniform)', text):
+    definition = re.search(r"define\s+Lattice\s+(\d+)\s+(\d+)\s+(\d+)", text)
+    if definition is None or re.search(r'CoordType\s+"(?!uniform)', text):
         raise header_fault(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
-    size = int(found[1]), int(found[2]), int(found[3])
+    size = int(definition[1]), int(definition[2]), int(definition[3])
     check_dimensions(size, path.name)
     return size

@@ -38,7 +38,7 @@ def mm_per_unit(unit: str | None) -> float | None:
 def settle_spacing(
     from_file: Array | None, given: Sequence[float] | None, name: str, known: str = ""
 ) -> tuple[Array, tuple[Notice, ...]]:
-    """Choose the voxel spacing: what the user gave, otherwise what the file says.
+    """Choose the voxel spacing: that of the user, otherwise that of the file.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def settle_spacing(
     name : str
         File name for messages.
     known : str
-        What the file does say, for the message when the spacing is incomplete.
+        The part of an incomplete spacing that the file has, for the message.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def no_data_file(path: Path, data: Path) -> CtInertiaError:
 
 
 def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:
-    """Make the error for a header that says something impossible or leaves out something needed."""
+    """Return the error for a header with an impossible value or without a needed one."""
     return CtInertiaError(Fault("the scan", f"a readable {kind}", what, path.name, "Copy or export it again"))
 
 
@@ -201,7 +201,7 @@ def density_notice(name: str, scaling: float, slope: float, intercept: float, un
 
 
 def numbered_names(words: Sequence[str], path: Path, kind: str) -> list[str]:
-    """Return the file names that ``pattern first last [step]`` stands for, as in ``s%03d.raw 0 99 1``."""
+    """Return the file names of ``pattern first last [step]``, as in ``s%03d.raw 0 99 1``."""
     pattern, *rest = words
     if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):
         raise header_fault(path, kind, f"data files {' '.join(words)}")
@@ -233,7 +233,7 @@ def _memory() -> int:
 
 
 def amount(count: int) -> str:
-    """Return a number of bytes as people say it."""
+    """Return a number of bytes with a prefix."""
     for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= size:
             return f"{count / size:.3g} {unit}"

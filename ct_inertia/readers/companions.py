@@ -1,4 +1,4 @@
-"""Which files hold the voxels of a scan whose header stands in a file of its own."""
+"""The files that are read together with a scan: voxels of a separate header, or the header of voxels."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]
     ----------
     inputs : mapping of str to Path or None
     """
-    found: dict[str, Path | None] = {}
+    files: dict[str, Path | None] = {}
     for role, path in inputs.items():
-        found[role] = path
+        files[role] = path
         for number, data in enumerate(data_files(path), start=1):
-            found[f"{role}_data" if number == 1 else f"{role}_data_{number}"] = data
-    return found
+            files[f"{role}_data" if number == 1 else f"{role}_data_{number}"] = data
+    return files
 
 
 def data_files(path: Path | None) -> list[Path]:

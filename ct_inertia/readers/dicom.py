@@ -20,6 +20,7 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Share of the usual distance of slices by which another one may differ: a missing slice doubles it.
 _UNEVEN = 0.02
 _TYPES = {
     "8-bit unsigned integer": "u1",
@@ -35,7 +36,7 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class _Slice:
-    """What the header of one DICOM file says."""
+    """The fields of the header of a DICOM file that are used."""
 
     file: str
     size: tuple[int, ...]
@@ -96,23 +97,25 @@ def _read_folder(folder: Path, options: ReadOptions) -> Volume:
     normal = slices[0].direction[:, 2]
     places = np.array([float(s.origin @ normal) for s in slices])
     notices: list[Notice] = []
-    found = None
+    spacing_of_series = None
     if np.ptp(places) > 0.0:
         slices = [slices[k] for k in np.argsort(places, kind="stable")]
         step = _even_step(np.sort(places), folder)
-        found = np.array([*slices[0].spacing[:2], step])
+        spacing_of_series = np.array([*slices[0].spacing[:2], step])
     elif options.spacing_mm is not None:
         text = (
-            f"The slices in {folder.name} tell no positions: they were taken in the order of their numbers."
+            f"The slices in {folder.name} have no positions: they were taken in the order of their numbers."
         )
         notices.append(Notice("positions_not_told", text))
-    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, "the slices tell no positions")
+    spacing, settled = settle_spacing(
+        spacing_of_series, options.spacing_mm, folder.name, "the slices have no positions"
+    )
     return Volume(
         _array(slices),
         spacing,
         slices[0].origin,
         slices[0].direction,
-        handedness_confirmed=found is not None,
+        handedness_confirmed=spacing_of_series is not None,
         source=folder,
         notices=(*notices, *settled),
     )
@@ -233,7 +236,7 @@ def _listed(folder: Path, series: Sequence[str]) -> str:
     """Return what the series of a folder are called and how many slices each has."""
     import SimpleITK as sitk
 
-    told = []
+    titles = []
     for uid in series[:6]:
         names = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), uid)
         reader = sitk.ImageFileReader()
@@ -244,5 +247,5 @@ def _listed(folder: Path, series: Sequence[str]) -> str:
         except RuntimeError:
             known = {}
         name = known.get("0008|103e") or f"series {known.get('0020|0011') or uid}"
-        told.append(f"{name} ({len(names)} files)")
-    return ": " + ", ".join(told) if told else ""
+        titles.append(f"{name} ({len(names)} files)")
+    return ": " + ", ".join(titles) if titles else ""

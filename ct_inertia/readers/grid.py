@@ -1,4 +1,4 @@
-"""What NRRD, MetaImage, NIfTI, raw and other headers say, and the volume that lies behind it."""
+"""The grid that a header of NRRD, MetaImage, NIfTI, raw or another format describes, as a volume."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Grid:
         Files of equal numbers of slices in order, each with the offset of its first voxel; an offset of -1
         counts back from the end.
     spacing_mm : ndarray, (3,), or None
-        None where the header does not tell it.
+        None where the header does not have it.
     origin_mm : ndarray, (3,)
     direction : ndarray, (3, 3)
     packing : str
@@ -52,7 +52,7 @@ class Grid:
     slab : int
         Slices in each file but the last, which may hold fewer; 0: as many in each.
     known : str
-        What the header says of an incomplete spacing.
+        The part of an incomplete spacing that the header has, for the message.
     notices : tuple of Notice
     """
 

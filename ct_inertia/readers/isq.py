@@ -58,7 +58,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _calibration(head: bytes, name: str) -> list[Notice]:
-    """Return what the extended header says of grey value and density."""
+    """Return the line from grey value to density in the extended header."""
     scaling = struct.unpack_from("<i", head, 88)[0]
     if len(head) < 4 * _BLOCK:
         return []

@@ -51,12 +51,12 @@ def read(path: Path, options: ReadOptions) -> Volume:
     A data file named like a picture (.tif, .png) is refused: its folder of slices can be read.
     """
     fields, start, rest = _header(path)
-    told = _values(fields, ("DimSize",), path)
+    sizes = _values(fields, ("DimSize",), path)
     channels_told = fields.get("ElementNumberOfChannels", "1") or "1"
-    if not all(abs(v) < 1e15 and v == int(v) for v in told) or not re.fullmatch(r"\d{1,9}", channels_told):
+    if not all(abs(v) < 1e15 and v == int(v) for v in sizes) or not re.fullmatch(r"\d{1,9}", channels_told):
         got = f"DimSize = {fields['DimSize']}, ElementNumberOfChannels = {channels_told}"
         raise header_fault(path, "MetaImage volume", got)
-    size = [int(v) for v in told]
+    size = [int(v) for v in sizes]
     while len(size) > 3 and size[-1] == 1:
         size.pop()
     check_dimensions(size, path.name)
@@ -121,7 +121,7 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
             Fault(
                 "the grey values",
                 "integers or floating point numbers",
-                f"ElementType {kind or 'not told'}",
+                f"ElementType {kind or 'missing'}",
                 path.name,
                 next_step="Export it as grey values",
             )

@@ -88,7 +88,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def companion_files(path: Path) -> list[Path]:
-    """Return the voxels that belong to a header of its own."""
+    """Return the voxels of a separate header."""
     return [path.with_suffix(".img")] if path.suffix.lower() == ".hdr" else []
 
 
@@ -176,9 +176,9 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
         notices.append(Notice("unit_not_told", text))
     affine = _affine(header)
     spacing = np.linalg.norm(affine[:, :3], axis=0)
-    found = None
+    spacing_mm = None
     if np.all(np.isfinite(spacing)) and np.all(spacing > 0.0):
-        found, direction = spacing * unit, affine[:, :3] / spacing
+        spacing_mm, direction = spacing * unit, affine[:, :3] / spacing
     else:
         direction = np.eye(3)
     slope, intercept = header.slope, header.intercept
@@ -191,7 +191,7 @@ def _grid(path: Path, header: _Header, size: list[int]) -> Grid:
         (size[0], size[1], size[2]),
         np.dtype(header.order + _TYPES[header.datatype]),
         ((data, 0 if packed else start),),
-        found,
+        spacing_mm,
         affine[:, 3] * unit,
         direction,
         "gzip" if packed else "raw",

@@ -109,10 +109,10 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
 
 
 def _sizes(fields: dict[str, str], path: Path) -> list[int]:
-    told = _numbers(fields, "sizes", path)
-    if not all(abs(n) < 1e15 and n == int(n) for n in told):
+    sizes = _numbers(fields, "sizes", path)
+    if not all(abs(n) < 1e15 and n == int(n) for n in sizes):
         raise header_fault(path, "NRRD volume", f"sizes {fields['sizes']}")
-    return [int(n) for n in told]
+    return [int(n) for n in sizes]
 
 
 def _numbers(fields: dict[str, str], name: str, path: Path) -> list[float]:
@@ -146,7 +146,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
             Fault(
                 "the grey values",
                 "integers or floating point numbers",
-                f"type {kind or 'not told'}",
+                f"type {kind or 'missing'}",
                 path.name,
                 next_step="Export it as grey values",
             )
@@ -199,8 +199,8 @@ def _place(
     signs, anatomical = _signs(space, path)
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
     factors = [mm_per_unit(unit) for unit in units]
-    told = [f for f in factors if f is not None]
-    scale = told[0] if told and min(told) == max(told) else 1.0
+    known = [f for f in factors if f is not None]
+    scale = known[0] if known and min(known) == max(known) else 1.0
     if "space directions" in fields:
         vectors = [_vector(part, path) for part in re.findall(r"\([^)]*\)", fields["space directions"])]
         if len(vectors) != 3:
@@ -232,9 +232,16 @@ def _signs(space: str, path: Path) -> tuple[Array, bool]:
     names = {"ras": "right-anterior-superior", "las": "left-anterior-superior"}
     names["lps"] = "left-posterior-superior"
     words = names.get(space, space).split("-")
-    told = {"left": 1.0, "right": -1.0, "posterior": 1.0, "anterior": -1.0, "superior": 1.0, "inferior": -1.0}
-    if len(words) == 3 and all(word in told for word in words):
-        return np.array([told[word] for word in words]), True
+    signs = {
+        "left": 1.0,
+        "right": -1.0,
+        "posterior": 1.0,
+        "anterior": -1.0,
+        "superior": 1.0,
+        "inferior": -1.0,
+    }
+    if len(words) == 3 and all(word in signs for word in words):
+        return np.array([signs[word] for word in words]), True
     if space == "3d-left-handed":
         raise CtInertiaError(
             Fault("the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS")
@@ -266,7 +273,7 @@ def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list
         names = numbered_names(named.split(), path, "NRRD volume")
     else:
         names = [named]
-    found = []
+    files = []
     for name in names:
         file = folder / name
         past = 0
@@ -275,22 +282,22 @@ def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list
                 for _ in range(lines):
                     stream.readline()
                 past = stream.tell()
-        found.append((file, -1 if skip == -1 else past + skip))
-    if not found:
+        files.append((file, -1 if skip == -1 else past + skip))
+    if not files:
         raise header_fault(path, "NRRD volume", "an empty list of data files")
-    return found
+    return files
 
 
 def _integer(fields: dict[str, str], path: Path, *names: str) -> int:
-    told = next((fields[name] for name in names if fields.get(name)), "0")
-    if not re.fullmatch(r"-1|\d{1,15}", told):
-        raise header_fault(path, "NRRD volume", f"{names[0]} {told}")
-    return int(told)
+    text = next((fields[name] for name in names if fields.get(name)), "0")
+    if not re.fullmatch(r"-1|\d{1,15}", text):
+        raise header_fault(path, "NRRD volume", f"{names[0]} {text}")
+    return int(text)
 
 
 def _segments(keys: dict[str, str], path: Path) -> list[tuple[int, int, str]]:
     """Return layer, value in that layer and name of each segment of a Slicer segmentation."""
-    found = []
+    segments = []
     for number in range(1000):
         value = keys.get(f"Segment{number}_LabelValue")
         if value is None:
@@ -298,8 +305,8 @@ def _segments(keys: dict[str, str], path: Path) -> list[tuple[int, int, str]]:
         layer = keys.get(f"Segment{number}_Layer", "0")
         if not all(re.fullmatch(r"\s*\d{1,9}\s*", word) for word in (value, layer)):
             raise header_fault(path, "NRRD volume", f"segment {number} with value {value}, layer {layer}")
-        found.append((int(layer), int(value), keys.get(f"Segment{number}_Name", f"segment {number + 1}")))
-    return found
+        segments.append((int(layer), int(value), keys.get(f"Segment{number}_Name", f"segment {number + 1}")))
+    return segments
 
 
 def _flattened(layered: NDArray[Any], segments: list[tuple[int, int, str]]) -> tuple[NDArray[Any], Notice]:

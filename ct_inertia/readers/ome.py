@@ -1,4 +1,4 @@
-"""What OME-XML says of voxel size and place."""
+"""Voxel size and origin from OME-XML."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _UM = "µm"
 
 @dataclass(frozen=True)
 class Calibration:
-    """Voxel size and place as a file tells them.
+    """Voxel size and origin of a file.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Calibration:
     origin_mm : ndarray, (3,)
         Scan coordinates of the first voxel's centre.
     known : str
-        What the file does say of an incomplete spacing.
+        The part of an incomplete spacing that the file has, for the message.
     """
 
     spacing_mm: Array | None
@@ -42,7 +42,7 @@ def ome_calibration(xml: str) -> Calibration | None:
     Notes
     -----
     Lengths are in micrometres where no unit is given (OME schema 2016-06). A position in a reference frame
-    without a length counts as 0. Where PhysicalSizeZ is missing, the positions of the planes tell it.
+    without a length counts as 0. Where PhysicalSizeZ is missing, it is the distance of the planes.
     """
     from xml.etree import ElementTree
 
@@ -67,11 +67,11 @@ def ome_calibration(xml: str) -> Calibration | None:
         steps = np.abs(np.diff(heights))
         if np.all(np.isfinite(steps)) and np.ptp(steps) < 1e-3 * np.mean(steps):
             sizes[2] = float(np.mean(steps))
-    told = [value for value in sizes if value is not None and value > 0.0]
-    if len(told) < 3:
+    lengths = [value for value in sizes if value is not None and value > 0.0]
+    if len(lengths) < 3:
         shown = ", ".join(f"{a} {v:.6g} mm" for a, v in zip("xyz", sizes, strict=True) if v)
         return Calibration(None, origin, f"the OME header says {shown or 'no physical size'}")
-    return Calibration(np.array(told), origin)
+    return Calibration(np.array(lengths), origin)
 
 
 def _name(tag: str) -> str:

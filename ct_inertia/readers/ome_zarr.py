@@ -42,7 +42,7 @@ def read(folder: Path, options: ReadOptions) -> Volume:
     if image is None:
         array = zarr_array(folder)
         axes = list("tczyx")[-len(array.shape) :]
-        placed: tuple[Array | None, Array, str] = (None, np.zeros(3), "a Zarr array alone does not tell it")
+        placed: tuple[Array | None, Array, str] = (None, np.zeros(3), "a Zarr array alone does not have it")
         voxels = _spatial(array, axes, folder)
     else:
         where, scales = image
@@ -61,8 +61,8 @@ def read(folder: Path, options: ReadOptions) -> Volume:
             f"writers leave out empty chunks, but so does an incomplete copy."
         )
         notices.append(Notice("chunks_not_stored", text))
-    found, origin, known = placed
-    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, known)
+    stored_spacing, origin, known = placed
+    spacing, settled = settle_spacing(stored_spacing, options.spacing_mm, folder.name, known)
     volume = Volume(
         voxels.as_array(), spacing, origin, np.eye(3), source=folder, notices=(*notices, *settled)
     )
@@ -100,15 +100,15 @@ def _image(folder: Path) -> tuple[tuple[Path, Meta] | None, list[Notice]]:
 def _attributes(folder: Path) -> Meta:
     if (folder / "zarr.json").is_file():
         attributes = metadata(folder / "zarr.json").get("attributes") or {}
-        found: Meta = attributes.get("ome") or attributes
-        return found
+        content: Meta = attributes.get("ome") or attributes
+        return content
     return metadata(folder / ".zattrs") if (folder / ".zattrs").is_file() else {}
 
 
 def _placed(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, Array, str]:
     """Return spacing and origin x, y, z in mm, or None and what is known of the spacing."""
     scale, shift = np.ones(len(axes)), np.zeros(len(axes))
-    told = False
+    has_scale = False
     for transform in [
         *level.get("coordinateTransformations", []),
         *scales.get("coordinateTransformations", []),
@@ -117,7 +117,7 @@ def _placed(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, A
         if values.shape != (len(axes),) or not np.all(np.isfinite(values)):
             continue
         if transform["type"] == "scale":
-            scale, shift, told = scale * values, shift * values, True
+            scale, shift, has_scale = scale * values, shift * values, True
         elif transform["type"] == "translation":
             shift = shift + values
     order = [axes.index(axis) for axis in reversed(_SPACE) if axis in axes]
@@ -126,7 +126,7 @@ def _placed(scales: Meta, level: Meta, axes: list[str]) -> tuple[Array | None, A
     units = [scales["axes"][k].get("unit") if isinstance(scales["axes"][k], dict) else None for k in order]
     factors = [mm_per_unit(unit) for unit in units]
     values = scale[order]
-    if not told or np.any(values <= 0.0):
+    if not has_scale or np.any(values <= 0.0):
         return None, np.zeros(3), "the image has no scale"
     if any(factor is None for factor in factors):
         return (
@@ -179,7 +179,7 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
 def _levels(where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...]) -> list[Level]:
     """Return the coarser levels that are whole and whose voxels are whole numbers of voxels of the finest."""
     fine = _scale(scales["datasets"][0], len(axes))
-    found = []
+    levels = []
     for level in scales["datasets"][1:]:
         try:
             array = zarr_array(where / str(level["path"]))
@@ -193,8 +193,8 @@ def _levels(where: Path, scales: Meta, axes: list[str], folder: Path, shape: tup
         sizes = [-(-n // f) if f > 0 else 0 for n, f in zip(shape, factors, strict=True)]
         near = all(abs(c - n) <= 1 for c, n in zip(coarse.shape, sizes, strict=True))
         if near and np.max(np.abs(ratio - np.rint(ratio))) < 0.01 and array.missing()[0] == 0:
-            found.append(Level((factors[0], factors[1], factors[2]), coarse))
-    return found
+            levels.append(Level((factors[0], factors[1], factors[2]), coarse))
+    return levels
 
 
 def _scale(level: Meta, count: int) -> Array:

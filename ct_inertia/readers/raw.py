@@ -1,4 +1,4 @@
-"""Raw voxels whose layout the user tells, memory-mapped."""
+"""Raw voxels in a layout that the user gives, memory-mapped."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         needed *= int(n)
     stored = path.stat().st_size - layout.header_bytes
     if stored != needed:
-        told = " x ".join(str(int(n)) for n in layout.shape)
+        shape = " x ".join(str(int(n)) for n in layout.shape)
         guess = "Check --shape, --dtype and --header-bytes"
         if stored > needed:
             surplus = layout.header_bytes + stored - needed
@@ -40,7 +40,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         raise CtInertiaError(
             Fault(
                 "the raw file",
-                f"as long as {told} voxels of {layout.dtype} ({amount(needed)}, {needed} bytes)",
+                f"as long as {shape} voxels of {layout.dtype} ({amount(needed)}, {needed} bytes)",
                 f"{stored} bytes after the header",
                 path.name,
                 guess,
@@ -48,7 +48,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
         )
     size = (int(layout.shape[0]), int(layout.shape[1]), int(layout.shape[2]))
     grid = Grid(
-        size, layout.stored_type, ((path, layout.header_bytes),), None, known="raw voxels do not tell it"
+        size, layout.stored_type, ((path, layout.header_bytes),), None, known="raw voxels do not have it"
     )
     return grid_volume(grid, path, options)
 

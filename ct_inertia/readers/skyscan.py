@@ -1,4 +1,4 @@
-"""What the log beside Bruker/SkyScan slices tells of their voxel size."""
+"""The voxel size in the log next to Bruker/SkyScan slices."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NUMBER = r"\s*=\s*([0-9.]+(?:[eE][-+]?\d+)?)"
 
 
 def log_spacing(folder: Path) -> NDArray[np.float64] | None:
-    """Return the voxel spacing that a reconstruction log in the folder tells, mm.
+    """Return the voxel spacing in a reconstruction log in the folder, mm.
 
     Parameters
     ----------
@@ -21,18 +21,18 @@ def log_spacing(folder: Path) -> NDArray[np.float64] | None:
     Returns
     -------
     ndarray, (3,), or None
-        None when no log tells it, or two of them differ.
+        None when no log has it, or two of them differ.
 
     Notes
     -----
     The pixel size of the reconstruction, in um, times the step from section to section along z (NRecon).
     Where the log has no such size, the scaled pixel size of the acquisition: NRecon reconstructs at it
-    unless told otherwise. A size in mm or with another word for the pixel is read too.
+    by default. A size in mm or with another word for the pixel is read too.
     """
-    found = {told for path in sorted(folder.glob("*.log")) if (told := _size(path)) is not None}
-    if len(found) != 1:
+    sizes = {entry for path in sorted(folder.glob("*.log")) if (entry := _size(path)) is not None}
+    if len(sizes) != 1:
         return None
-    ((size, ratio),) = found
+    ((size, ratio),) = sizes
     return np.array([size, size, size * ratio])
 
 

@@ -27,6 +27,7 @@ SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _TIFF = (".tif", ".tiff")
 # SkyScan's preview of a reconstruction lies among the slices.
 _PREVIEW = re.compile(r"_spr$|_arc$|^\.", re.I)
+# Share of the longest series from which on another one in the folder is no side product.
 _RIVAL = 0.5
 
 
@@ -48,8 +49,10 @@ def read(folder: Path, options: ReadOptions) -> Volume:
         No slices, several series, slices of different size or type, a damaged slice, or no spacing given.
     """
     files, notices = slice_files(folder)
-    found = log_spacing(folder)
-    spacing, settled = settle_spacing(found, options.spacing_mm, folder.name, "slice images do not tell it")
+    spacing_of_log = log_spacing(folder)
+    spacing, settled = settle_spacing(
+        spacing_of_log, options.spacing_mm, folder.name, "slice images do not have it"
+    )
     array = stacked_slices(files)
     if _white_is_zero(files[0]):
         array, notices = turned(array), [*notices, turned_notice(files[0])]
@@ -178,13 +181,13 @@ def _different(
 def _look(path: Path) -> _Look:
     """Return size and type of a slice from its header; a picture in colours is read as a whole."""
     try:
-        found = _tiff_look(path) if path.suffix.lower() in _TIFF else _picture_look(path)
+        look = _tiff_look(path) if path.suffix.lower() in _TIFF else _picture_look(path)
     except CtInertiaError:
         raise
     except Exception as fault:
         raise not_readable(path, "slice image", fault) from fault
-    if found is not None:
-        return found
+    if look is not None:
+        return look
     image = _slice(path)
     return _Look((image.shape[0], image.shape[1]), image.dtype, None)
 

@@ -34,8 +34,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     Notes
     -----
     Where the file says that 0 is white, bright and dark are exchanged, with a notice: bone is bright then.
-    OME tells the position of the first plane, ImageJ its zero; no TIFF tells direction or handedness:
-    identity, not confirmed. Plain resolution tags tell x and y only; the distance of slices is then asked
+    OME has the position of the first plane, ImageJ its zero; no TIFF has direction or handedness:
+    identity, not confirmed. Plain resolution tags hold x and y only; the distance of slices is then asked
     for, not guessed.
     """
     import tifffile
@@ -52,11 +52,11 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _calibration(tif: tifffile.TiffFile) -> Calibration:
-    """Return spacing and origin x, y, z in mm, or what the file does say of them."""
+    """Return spacing and origin x, y, z in mm, or the part of them that the file has."""
     if tif.is_ome and tif.ome_metadata:
-        found = ome_calibration(tif.ome_metadata)
-        if found is not None:
-            return found
+        calibration = ome_calibration(tif.ome_metadata)
+        if calibration is not None:
+            return calibration
     plane = _resolution(tif)
     if tif.is_imagej and tif.imagej_metadata is not None:
         return _imagej(tif.imagej_metadata, plane)
@@ -88,7 +88,7 @@ def _resolution(tif: tifffile.TiffFile) -> Array | None:
 
 
 def _imagej(meta: dict[str, Any], plane: Array | None) -> Calibration:
-    """Return what ImageJ says; its origin is the voxel at 0, counted in voxels."""
+    """Return spacing and origin of ImageJ; the origin is the voxel at 0, counted in voxels."""
     unit = mm_per_unit(str(meta.get("unit", "")))
     depth = meta.get("spacing")
     if unit is None:

@@ -1,4 +1,4 @@
-"""What tifffile only logs about damaged files, turned into a fault."""
+"""Raise the damage that tifffile only logs."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ def listening(path: Path, kind: str) -> Iterator[None]:
     ------
     CtInertiaError
     """
-    told = _Listener()
+    listener = _Listener()
     logger = logging.getLogger("tifffile")
-    logger.addHandler(told)
+    logger.addHandler(listener)
     propagate, logger.propagate = logger.propagate, False
     try:
         yield
     except CtInertiaError as fault:
-        if told.damage:
+        if listener.damage:
             raise _damaged(path, kind) from fault
         raise
     except Exception as fault:
         raise not_readable(path, kind, fault) from fault
     finally:
-        logger.removeHandler(told)
+        logger.removeHandler(listener)
         logger.propagate = propagate
-    if told.damage:
+    if listener.damage:
         raise _damaged(path, kind)
 
 

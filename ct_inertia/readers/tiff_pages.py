@@ -36,7 +36,7 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     kept = tuple(n for n in series.shape if n > 1)
     dtype = np.dtype(tif.byteorder + series.dtype.char)
     packed = page.compression.name != "NONE" or dtype.kind == "b" or page.bitspersample < 8
-    # The offset is told where all pages lie in one piece; it spares looking at each of them.
+    # There is an offset where all pages lie in one piece: then they need not be looked at one by one.
     start = None if packed else series.dataoffset
     files = [path] if start is not None else _files(series, path)
     size = sum(file.stat().st_size for file in set(files))
@@ -45,7 +45,7 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
         return mapped(path, dtype, start, kept, path.name)
     _check_pages(series, files, path)
     if len(series.pages) != kept[0]:
-        # A page of its own depth: tiles that are boxes.
+        # Tiles with a depth: boxes.
         check_size(kept, dtype, size, packed, path.name)
         return np.asarray(series.asarray()).reshape(kept)
     return _planes(series, page, files, kept, dtype)

@@ -77,7 +77,7 @@ def _sections(path: Path) -> Sections:
     """Return the sections of the first volume, names and keys in lower case."""
     with path.open("rb") as stream:
         text = stream.read(_HEADER_BYTES).decode("utf-8", "replace")
-    found: Sections = {}
+    sections: Sections = {}
     name = ""
     for line in text.splitlines():
         line = line.strip()
@@ -87,14 +87,14 @@ def _sections(path: Path) -> Sections:
             continue
         if line.startswith("["):
             name = line.strip("[] ").lower()
-            found.setdefault(name, {})
+            sections.setdefault(name, {})
             continue
         key, equals, value = line.partition("=")
         if equals:
-            found.setdefault(name, {}).setdefault(key.strip().lower(), value.strip())
-    if not found:
+            sections.setdefault(name, {}).setdefault(key.strip().lower(), value.strip())
+    if not sections:
         raise header_fault(path, "VGI header", "a text without sections")
-    return found
+    return sections
 
 
 def _number(name: str) -> int:
@@ -133,10 +133,10 @@ def _beside(path: Path, part: dict[str, str]) -> Path:
 
 
 def _skipped(part: dict[str, str], path: Path) -> int:
-    told = part.get("skipheader", "0")
-    if not told.isdigit():
-        raise header_fault(path, "VGI header", f"SkipHeader = {told}")
-    return int(told)
+    text = part.get("skipheader", "0")
+    if not text.isdigit():
+        raise header_fault(path, "VGI header", f"SkipHeader = {text}")
+    return int(text)
 
 
 def _spacing(sections: Sections) -> tuple[NDArray[np.float64] | None]:

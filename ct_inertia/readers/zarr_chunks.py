@@ -212,11 +212,11 @@ def _decoder(
     dtype, axes = plain.newbyteorder("<"), list(range(len(chunks)))
     steps: list[Callable[[bytes], bytes]] = []
     for codec in codecs:
-        name, told = codec["name"], codec.get("configuration", {})
+        name, settings = codec["name"], codec.get("configuration", {})
         if name == "bytes":
-            dtype = plain.newbyteorder(">" if told.get("endian") == "big" else "<")
+            dtype = plain.newbyteorder(">" if settings.get("endian") == "big" else "<")
         elif name == "transpose":
-            axes = [int(axis) for axis in told["order"]]
+            axes = [int(axis) for axis in settings["order"]]
         else:
             steps.insert(0, _unpacker(name.removeprefix("numcodecs."), folder))
 

@@ -1,4 +1,4 @@
-"""Off-screen rendering in a process of its own, so that a crash of the GL driver ends nothing else.
+"""Off-screen rendering in a separate process, so that a crash of the GL driver does not end the command.
 
 Run as ``python -m ct_inertia.report.offscreen FOLDER`` by draw_offscreen: reads ``job.npz`` and writes
 ``done.npy``.
@@ -151,10 +151,10 @@ def _mesh(job: Any, number: int) -> Any:
     """Return one surface, with normals at its vertices when its edges shall look smooth."""
     import pyvista
 
-    made = pyvista.PolyData.from_regular_faces(job[f"vertices{number}"], job[f"faces{number}"])
+    mesh = pyvista.PolyData.from_regular_faces(job[f"vertices{number}"], job[f"faces{number}"])
     if not job[f"look{number}"][-1]:
-        return made
-    return made.compute_normals(cell_normals=False, consistent_normals=False, split_vertices=False)
+        return mesh
+    return mesh.compute_normals(cell_normals=False, consistent_normals=False, split_vertices=False)
 
 
 def _look(plotter: Any, matrix: Array, right: float, up: float, half: float) -> None:

@@ -96,7 +96,7 @@ def render_views(
 def render_scenes(scenes: Sequence[Scene]) -> tuple[list[bytes], tuple[Notice, ...]]:
     """Draw several pictures, with one start of the renderer for all of them.
 
-    The surfaces are drawn off-screen by pyvista in a process of its own, because a missing or broken GL
+    The surfaces are drawn off-screen by pyvista in a separate process, because a missing or broken GL
     library ends a process without an exception. When that fails, matplotlib draws them.
 
     Returns

@@ -22,25 +22,25 @@ _BONE_FROM = {
 }
 
 
-def evidence_rows(told: Mapping[str, Any]) -> list[Row]:
+def evidence_rows(segmentation: Mapping[str, Any]) -> list[Row]:
     """Return label and words of everything that ``segmentation`` of mass.json tells.
 
     Parameters
     ----------
-    told : mapping
+    segmentation : mapping
         Keys that are not known here are shown by their own name.
     """
     rows: list[Row] = []
-    evidence = dict(told.get("evidence") or {})
-    rest = {key: value for key, value in told.items() if key not in _TOLD and key != "evidence"}
+    evidence = dict(segmentation.get("evidence") or {})
+    rest = {key: value for key, value in segmentation.items() if key not in _DESCRIBED and key != "evidence"}
     for make in (_pieces, _separation, _levels, _blur, _grid):
-        rows += make(told, evidence)
+        rows += make(segmentation, evidence)
     rest |= {key: value for key, value in evidence.items() if key not in _USED}
     rows += [(name, text) for name, text in flat(rest).items() if text not in ("None", "")]
     return rows
 
 
-_TOLD = {"levels", "psf_sigma_mm", "voxel_size_mm", "size_voxels"}
+_DESCRIBED = {"levels", "psf_sigma_mm", "voxel_size_mm", "size_voxels"}
 _USED = {
     "stapes",
     "other_bone",
@@ -98,8 +98,8 @@ def _separation(_told: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[R
     return [("parted from other bone", text)]
 
 
-def _levels(told: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
-    levels = told.get("levels")
+def _levels(segmentation: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
+    levels = segmentation.get("levels")
     if not levels:
         return []
     contrast = levels["bone"] - levels["air"]
@@ -132,8 +132,8 @@ def _levels(told: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
-def _blur(told: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
-    sigma, spacing = told.get("psf_sigma_mm"), told.get("voxel_size_mm")
+def _blur(segmentation: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
+    sigma, spacing = segmentation.get("psf_sigma_mm"), segmentation.get("voxel_size_mm")
     if not sigma:
         return []
     text = f"{1e3 * sigma:.1f} µm (standard deviation, voxel included)"
@@ -143,8 +143,8 @@ def _blur(told: Mapping[str, Any], evidence: Mapping[str, Any]) -> list[Row]:
     return [("blur of the scan", f"{text}; read off {source}" if source else text)]
 
 
-def _grid(told: Mapping[str, Any], _evidence: Mapping[str, Any]) -> list[Row]:
-    spacing, size = told.get("voxel_size_mm"), told.get("size_voxels")
+def _grid(segmentation: Mapping[str, Any], _evidence: Mapping[str, Any]) -> list[Row]:
+    spacing, size = segmentation.get("voxel_size_mm"), segmentation.get("size_voxels")
     if not spacing:
         return []
     voxel = " × ".join(f"{1e3 * value:.4g}" for value in spacing) + " µm"
@@ -153,17 +153,17 @@ def _grid(told: Mapping[str, Any], _evidence: Mapping[str, Any]) -> list[Row]:
 
 def flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return nested keys as one level of words and short texts."""
-    made: dict[str, str] = {}
+    words: dict[str, str] = {}
     for key, entry in value.items():
         name = f"{prefix}{key}".replace("_", " ")
         if isinstance(entry, Mapping):
-            made |= flat(entry, f"{name}: ")
+            words |= flat(entry, f"{name}: ")
         elif isinstance(entry, list) and entry and isinstance(entry[0], Mapping):
             for place, part in enumerate(entry):
-                made |= flat(part, f"{name} {place + 1}: ")
+                words |= flat(part, f"{name} {place + 1}: ")
         else:
-            made[name] = _short(entry)
-    return made
+            words[name] = _short(entry)
+    return words
 
 
 def _short(entry: Any) -> str:

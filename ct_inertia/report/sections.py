@@ -1,6 +1,6 @@
-"""The report of a mass matrix: sections that other reports reuse, and a page of its own.
+"""The report of a mass matrix: sections that other reports reuse, and the page of `ct2mass`.
 
-The sections are made from what stands on disk (mass.json, the surfaces, the labels, the scan), so that a
+The sections are built from the files of a result (mass.json, the surfaces, the labels, the scan), so that a
 result read back gives the same report as a fresh one.
 """
 
@@ -106,7 +106,7 @@ def write_report(
     full = dict(content)
     full["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
     source = result.options.scan or result.options.labels
-    made = page.Page(
+    document = page.Page(
         f"Mass matrix of {Path(str(source)).name}",
         "A stapes from micro-CT: its volume, frames and generalized mass matrix about the footplate centre.",
         [
@@ -116,7 +116,7 @@ def write_report(
             inputs_section(full),
         ],
     )
-    made.write(path)
+    document.write(path)
     return full
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.volume.graphs import in_hull
 from ct_inertia.volume.grids import boxes_and_sizes, labelled, majority, used_box
-from ct_inertia.volume.masked import every_nth
+from ct_inertia.volume.mask_statistics import every_nth
 
 Array = NDArray[np.float64]
 

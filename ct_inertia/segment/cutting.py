@@ -13,7 +13,7 @@ from ct_inertia.segment.separate import flooded
 from ct_inertia.segment.sight import Sight
 from ct_inertia.volume.coarse import calmed
 from ct_inertia.volume.grids import boxes_and_sizes, eroded, labelled
-from ct_inertia.volume.masked import looked_up
+from ct_inertia.volume.mask_statistics import looked_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working import PARTING_MM, WORKING_MM, Working, block_for, working_box
 from stapeskit.warnings import Notice

@@ -15,7 +15,7 @@ from ct_inertia.segment.necks import MOST_POINTS, necks
 from ct_inertia.segment.separate import Separation, renamed, separations
 from ct_inertia.volume.coarse import calmed
 from ct_inertia.volume.grids import boxes_and_sizes, labelled
-from ct_inertia.volume.masked import every_nth, looked_up
+from ct_inertia.volume.mask_statistics import every_nth, looked_up
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working import Working, working_box
 

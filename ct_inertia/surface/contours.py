@@ -27,8 +27,8 @@ def contoured(field: NDArray[np.float32], level: float) -> tuple[Array, Indices]
         return _by_vtk(values, level)
     points, faces = ctypes.c_void_p(), ctypes.c_void_p()
     n_points, n_faces = ctypes.c_int64(), ctypes.c_int64()
-    told = [ctypes.addressof(part) for part in (points, n_points, faces, n_faces)]
-    checked(kernels.contoured(values.ctypes.data, shape_of(values), level, *told))
+    results = [ctypes.addressof(part) for part in (points, n_points, faces, n_faces)]
+    checked(kernels.contoured(values.ctypes.data, shape_of(values), level, *results))
     return (
         _taken(kernels, points, n_points.value, np.dtype(np.float64)),
         _taken(kernels, faces, n_faces.value, np.dtype(np.int64)),
@@ -36,7 +36,7 @@ def contoured(field: NDArray[np.float32], level: float) -> tuple[Array, Indices]
 
 
 def _taken(kernels: Any, memory: ctypes.c_void_p, count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a copy of rows of three that a kernel made, and free its memory."""
+    """Return a copy of rows of three in the memory of a kernel, and free it."""
     out = np.empty((count, 3), dtype=dtype)
     if memory.value:
         ctypes.memmove(out.ctypes.data, memory.value, out.nbytes)

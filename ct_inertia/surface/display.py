@@ -1,4 +1,4 @@
-"""A lighter or calmer surface for pictures and other programs; no number of the result comes from it."""
+"""A surface with fewer triangles or less noise, for pictures and exports; no result is computed from it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Step:
 
     @property
     def words(self) -> str:
-        """What to tell a person."""
+        """The step in a sentence."""
         what = f"{self.asked} steps of Taubin smoothing" if self.name == "smooth" else f"{self.faces} faces"
         shift = float(np.linalg.norm(self.center_of_mass_change_mm)) * 1e3
         return (
@@ -76,7 +76,7 @@ class DisplayMesh:
     steps: tuple[Step, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return what mass.json says of it."""
+        """Return its entry of mass.json."""
         return {
             "file": "stapes_display.ply",
             "used_for": "pictures and exports; no number of this file comes from it",
@@ -107,16 +107,16 @@ def display_mesh(surface: Surface, smooth: int | None = None, faces: int | None 
     Taubin 1995, SIGGRAPH, doi:10.1145/218380.218473; Garland and Heckbert 1997, doi:10.1145/258734.258849.
     """
     steps = []
-    made = surface
+    thinned = surface
     if smooth:
-        made = _filtered(
-            made, "--smooth", "apply_coord_taubin_smoothing", lambda_=_LAMBDA, mu=_MU, stepsmoothnum=smooth
+        thinned = _filtered(
+            thinned, "--smooth", "apply_coord_taubin_smoothing", lambda_=_LAMBDA, mu=_MU, stepsmoothnum=smooth
         )
-        steps.append(_step("smooth", smooth, surface, made))
-    if faces is not None and faces < len(made.faces):
-        before = made
-        made = _filtered(
-            made,
+        steps.append(_step("smooth", smooth, surface, thinned))
+    if faces is not None and faces < len(thinned.faces):
+        before = thinned
+        thinned = _filtered(
+            thinned,
             "--faces",
             "meshing_decimation_quadric_edge_collapse",
             targetfacenum=faces,
@@ -125,8 +125,8 @@ def display_mesh(surface: Surface, smooth: int | None = None, faces: int | None 
             optimalplacement=True,
             autoclean=False,
         )
-        steps.append(_step("faces", faces, before, made))
-    return DisplayMesh(made, tuple(steps))
+        steps.append(_step("faces", faces, before, thinned))
+    return DisplayMesh(thinned, tuple(steps))
 
 
 def check_request(smooth: int | None, faces: int | None) -> None:
@@ -172,9 +172,9 @@ def _filtered(surface: Surface, option: str, name: str, **values: Any) -> Surfac
     meshes.add_mesh(pymeshlab.Mesh(surface.vertices_mm - middle, surface.faces.astype(np.int32)))
     getattr(meshes, name)(**values)
     meshes.meshing_remove_unreferenced_vertices()
-    found = meshes.current_mesh()
+    mesh = meshes.current_mesh()
     try:
-        return Surface(found.vertex_matrix() + middle, found.face_matrix().astype(np.int64))
+        return Surface(mesh.vertex_matrix() + middle, mesh.face_matrix().astype(np.int64))
     except CtInertiaError as fault:
         raise CtInertiaError(
             Fault(

@@ -56,7 +56,7 @@ def volume_matched(
         Met within 5e-5 of itself where a level does it.
     scan_from_index : ndarray, (4, 4)
     level : float
-        Taken where no voxel count tells a better start.
+        First level, where the count of voxels gives none.
 
     Notes
     -----

@@ -233,7 +233,7 @@ def positive_patch(mesh: Mesh, field: Array, areas: Array, points: Array | None 
 
 
 def _has_open_chain(segments: Indices) -> bool:
-    """Say whether lines made of segments (s, 2), named by their end points, have ends."""
+    """Return whether lines of segments (s, 2), named by their end points, have ends."""
     _, uses = np.unique(segments.ravel(), return_counts=True)
     return bool(np.any(uses % 2))
 

@@ -1,4 +1,4 @@
-"""Volumes that are read block by block when their voxels are asked for: packed or scattered files."""
+"""Arrays that read and unpack blocks of a file when they are indexed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Key = tuple[slice, slice, slice]
 ReadBlock = Callable[[int, int, int], NDArray[Any]]
+# Bound the memory of layers read together and of blocks kept for the next index.
 _LAYER_BYTES = 64 << 20
 _KEPT_BYTES = 64 << 20
 
@@ -28,9 +29,9 @@ class _Kept:
 
     def __call__(self, z: int, y: int, x: int) -> NDArray[Any]:
         with self._lock:
-            found = self._blocks.get((z, y, x))
-        if found is not None:
-            return found
+            kept = self._blocks.get((z, y, x))
+        if kept is not None:
+            return kept
         block = self.read(z, y, x)
         if block.nbytes > _KEPT_BYTES or isinstance(block, np.memmap):
             return block
@@ -107,7 +108,7 @@ class BlockArray:
         return self.size * self.dtype.itemsize
 
     def as_array(self) -> NDArray[Any]:
-        """Return itself under the type that it stands for."""
+        """Return the block array itself, typed as the ndarray that it behaves like."""
         return cast(NDArray[Any], self)
 
     def view(self, key: Key) -> BlockArray:
@@ -185,14 +186,14 @@ def _touched(wanted: range, block: int) -> list[_Touch]:
     numbers = where // block
     starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
     ends = np.append(starts[1:], where.size)
-    found = []
+    touches = []
     for a, b in zip(starts.tolist(), ends.tolist(), strict=True):
         inside = where[a:b] - numbers[a] * block
         low, high = int(inside[0]), int(inside[-1])
         stop = high + (1 if wanted.step > 0 else -1)
         chosen = slice(low, None if stop < 0 else stop, wanted.step)
-        found.append((int(numbers[a]), slice(a, b), chosen))
-    return found
+        touches.append((int(numbers[a]), slice(a, b), chosen))
+    return touches
 
 
 def sampled(array: NDArray[Any], steps: tuple[int, int, int]) -> tuple[NDArray[Any], bool]:
@@ -208,7 +209,7 @@ def sampled(array: NDArray[Any], steps: tuple[int, int, int]) -> tuple[NDArray[A
     if not fit:
         z, y, x = (slice(s // 2, None, s) for s in steps)
         return np.asarray(array[z, y, x]), False
-    level = max(fit, key=lambda found: int(np.prod(found.factors)))
+    level = max(fit, key=lambda entry: int(np.prod(entry.factors)))
     places = [
         np.minimum(np.arange(s // 2, n, s) // f, m - 1)
         for s, n, f, m in zip(steps, array.shape, level.factors, level.array.shape, strict=True)

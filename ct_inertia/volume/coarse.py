@@ -1,4 +1,4 @@
-"""A quick look at the whole scan: a subsample, and the grey levels of the materials in it."""
+"""A subsample of the whole scan, and the grey levels of the materials in it."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def material_levels(scan: CoarseScan) -> Array:
     six neighbours agree with them are counted, so that blurred edges hardly count, and each
     material stands out however little of it there is. A level between the lowest and the highest must fill
     cubes of three voxels at one voxel of it in fifty: in a gap one or two voxels wide between two bones, and
-    where the edges of thin bone run together, the blur has a level of its own, which is no material's.
+    where the edges of thin bone run together, the blur has a level that belongs to no material.
 
     Raises
     ------
@@ -182,9 +182,9 @@ def material_levels(scan: CoarseScan) -> Array:
     """
     noise = scan.noise
     apart = max(2.5 * noise, 0.04 * (float(scan.grey.max()) - float(scan.grey.min())))
-    found = interior(scan.grey, calibrated("coarse.flat_noise") * noise, apart / _BINS)
-    top = _bright_rest(scan, found)
-    levels = _solid(_modes(found), found, noise)
+    inside = interior(scan.grey, calibrated("coarse.flat_noise") * noise, apart / _BINS)
+    top = _bright_rest(scan, inside)
+    levels = _solid(_modes(inside), inside, noise)
     if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * noise):
         levels = np.append(levels, top)
     if levels.size < 2:
@@ -199,12 +199,12 @@ def material_levels(scan: CoarseScan) -> Array:
     return levels
 
 
-def _modes(found: Interior) -> Array:
+def _modes(inside: Interior) -> Array:
     """Return the peaks of the histogram that stand apart from each other."""
-    if found.histogram.sum() < _LEAST_INTERIOR:
+    if inside.histogram.sum() < _LEAST_INTERIOR:
         return np.zeros(0)
-    histogram = np.pad(found.histogram.astype(float), _BINS)
-    centres = found.low + (np.arange(len(histogram)) - _BINS + 0.5) * found.width
+    histogram = np.pad(inside.histogram.astype(float), _BINS)
+    centres = inside.low + (np.arange(len(histogram)) - _BINS + 0.5) * inside.width
     bell = np.exp(-0.5 * (np.arange(-10, 11) / calibrated("coarse.smooth_bins")) ** 2)
     smooth = np.convolve(histogram, bell / bell.sum(), mode="same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
@@ -237,28 +237,28 @@ def _standing_apart(
     return kept
 
 
-def _solid(levels: Array, found: Interior, noise: float) -> Array:
+def _solid(levels: Array, inside: Interior, noise: float) -> Array:
     """Leave out what lies between two materials and hardly fills a cube of three voxels anywhere."""
     kept = [
         level
         for k, level in enumerate(levels)
         if k in (0, len(levels) - 1)
-        or _fills(found.filled(level, calibrated("coarse.same_material_noise") * noise))
+        or _fills(inside.filled(level, calibrated("coarse.same_material_noise") * noise))
     ]
     return np.array(kept)
 
 
-def _fills(found: tuple[int, int]) -> bool:
-    """Say whether voxels of a level fill cubes of three, and not by chance alone as in blurred edges."""
-    voxels, cubes = found
+def _fills(counts: tuple[int, int]) -> bool:
+    """Return whether voxels of a level fill more cubes of three than those of a blurred edge do."""
+    voxels, cubes = counts
     return cubes >= max(_LEAST_INTERIOR, calibrated("coarse.least_solid_share") * voxels)
 
 
-def _bright_rest(scan: CoarseScan, found: Interior) -> float | None:
+def _bright_rest(scan: CoarseScan, inside: Interior) -> float | None:
     """Return a level for what is brighter than every interior voxel: bone too thin to have an inside."""
-    total = np.cumsum(found.histogram)
+    total = np.cumsum(inside.histogram)
     if total[-1]:
-        base = float(found.centres[np.searchsorted(total, 0.999 * total[-1])])
+        base = float(inside.centres[np.searchsorted(total, 0.999 * total[-1])])
     else:
         base = float(np.median(scan.grey))
     bright = scan.grey[scan.grey > base + 8.0 * scan.noise]

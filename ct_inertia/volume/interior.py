@@ -1,4 +1,4 @@
-"""Voxels inside a material: a histogram of their means over a cross of seven, made slab by slab."""
+"""Voxels inside a material: a histogram of their means over a cross of seven, computed slab by slab."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ct_inertia.native import checked, compiled, shape_of
 
 Array = NDArray[np.float64]
 Part = TypeVar("Part")
+# A slab of this size stays in the cache of a core.
 _SLAB_VOXELS = 100_000
 _THREADS = 2
 
@@ -90,11 +91,11 @@ def interior(grey: NDArray[np.float32], scatter: float, width: float) -> Interio
         out = bins[start : start + layers]
         source = grey[start : start + len(out) + 2]
         if kernels is not None:
-            found = np.zeros(count, dtype=np.int64)
+            counts = np.zeros(count, dtype=np.int64)
             scale = (limit, np.float32(low), np.float32(1.0 / width))
             given = (source.ctypes.data, len(out), *source.shape[1:], *map(float, scale))
-            kernels.interior(*given, out.ctypes.data, found.ctypes.data)
-            return found
+            kernels.interior(*given, out.ctypes.data, counts.ctypes.data)
+            return counts
         mean, flat = _cross(source, limit)
         mean -= np.float32(low)
         mean *= np.float32(1.0 / width)

@@ -37,7 +37,7 @@ class Labels(Protocol):
 
 
 def packed_labels(labels: Labels) -> bytes:
-    """Return labels as a compressed NRRD with spacing, origin and direction, made some layers at a time.
+    """Return labels as a compressed NRRD with spacing, origin and direction, packed some layers at a time.
 
     Notes
     -----

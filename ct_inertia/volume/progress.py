@@ -1,4 +1,4 @@
-"""What a person sees of long work: one live line on a terminal, nothing anywhere else."""
+"""Show the stage of long work in one line on a terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CLEAR = "\r\x1b[2K"
 
 
 def untold(_stage: str) -> None:
-    """Tell nobody."""
+    """Show nothing."""
 
 
 @contextmanager

@@ -17,16 +17,14 @@ from ct_inertia.volume.volume import Volume
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Finer voxels than this bring nothing to a body measured by its grey integral, and cost their number.
 WORKING_MM: float = calibrated("working.largest_block_mm")
-# Where bones touch, the narrow gap between them is kept.
 PARTING_MM: float = calibrated("working.largest_block_in_situ_mm")
 _LAYERS = 16
 
 
 @dataclass(frozen=True)
 class Working:
-    """A box of the scan on a grid of its own.
+    """A box of the scan, averaged onto a coarser grid.
 
     Attributes
     ----------
@@ -37,7 +35,7 @@ class Working:
     block : ndarray of int, (3,)
         Voxels of the scan per block along x, y, z.
     single : ndarray, [z, y, x], or None
-        One voxel of the scan out of the middle of every block, as it stands in the file; None when every
+        One voxel of the scan out of the middle of every block, in the type of the file; None when every
         block is one voxel.
     noise : float or None
         Standard deviation of the means within a material; None when every block is one voxel.

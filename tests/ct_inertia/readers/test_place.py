@@ -347,7 +347,7 @@ def test_raw_voxels_beside_a_header(tmp_path):
     lone = f.raw(tmp_path / "lone.raw", array)
     with pytest.raises(CtInertiaError, match=r"beside a header .* Give --shape NX,NY,NZ --dtype"):
         read_volume(lone)
-    with pytest.raises(CtInertiaError, match="raw voxels do not tell it"):
+    with pytest.raises(CtInertiaError, match="raw voxels do not have it"):
         read_volume(lone, raw=RawLayout((5, 6, 7), "uint16"))
 
 

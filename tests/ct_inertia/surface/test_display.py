@@ -79,12 +79,15 @@ def test_impossible_requests_are_told(smooth, faces, message):
         check_request(smooth, faces)
 
 
-def test_a_missing_pymeshlab_is_told_before_any_work(monkeypatch):
+def test_a_missing_pymeshlab_is_refused_before_any_work(monkeypatch, tmp_path):
+    scan = tmp_path / "scan.tif"
+    scan.write_bytes(b"not looked at")
     monkeypatch.setitem(sys.modules, "pymeshlab", None)
-    with pytest.raises(
-        CtInertiaError, match=r"--faces must be used where pymeshlab works; .*pip install pymesh"
-    ):
-        work(["none.tif", "--density", "1900", "--faces", "5000"])
+    with pytest.raises(CtInertiaError) as caught:
+        work([str(scan), "--density", "1900", "--faces", "5000"])
+    (fault,) = caught.value.faults
+    assert fault.thing == "--faces"
+    assert "pymeshlab" in fault.next_step
     check_request(None, None)
 
 

@@ -29,7 +29,15 @@ from ct_inertia.volume.grids import (
     watershed,
 )
 from ct_inertia.volume.interior import interior
-from ct_inertia.volume.masked import deviation, every_nth, gathered, looked_up, lowest, places_between, sums
+from ct_inertia.volume.mask_statistics import (
+    deviation,
+    every_nth,
+    gathered,
+    looked_up,
+    lowest,
+    places_between,
+    sums,
+)
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working import working_box

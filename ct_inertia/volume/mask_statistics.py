@@ -1,4 +1,4 @@
-"""Sums and places of the voxels of a mask, by compiled kernels where there are any, else by numpy."""
+"""Statistics and places of the voxels in a mask, by compiled kernels where they were built, else by numpy."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def sums(grey: Grey, mask: Mask) -> Sums:
 
 
 def deviation(grey: Grey, mask: Mask, level: float) -> float:
-    """Return the root mean square of what grey values in a mask differ from a level by."""
+    """Return the root mean square difference of the grey values in a mask from a level."""
     kernels = compiled()
     if kernels is None or not _plain(grey, mask):
         return float(np.sqrt(np.mean((grey[mask].astype(float) - level) ** 2)))
@@ -109,10 +109,10 @@ def places_between(
     place = np.empty((0, 3), dtype=np.int64)
     for _ in range(2):
         given = (grey.ctypes.data, mask.ctypes.data, shape_of(grey), off.ctypes.data)
-        found = kernels.between(*given, low, high, len(place), place.ctypes.data)
-        if found == len(place):
+        count = kernels.between(*given, low, high, len(place), place.ctypes.data)
+        if count == len(place):
             break
-        place = np.empty((found, 3), dtype=np.int64)
+        place = np.empty((count, 3), dtype=np.int64)
     return place
 
 
@@ -144,6 +144,6 @@ def looked_up(number: NDArray[np.int32], table: Mask) -> Mask:
 
 
 def _plain(values: NDArray[Any], mask: Mask) -> bool:
-    """Say whether both lie in memory as a kernel takes them."""
+    """Return whether both are contiguous and of native byte order, as the kernels need them."""
     native = values.dtype.isnative and values.flags.c_contiguous
     return bool(native and mask.flags.c_contiguous and values.shape == mask.shape)
