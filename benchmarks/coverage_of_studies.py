@@ -9,7 +9,6 @@ whole chain runs on its files. Printed per entry: bias and spread in standard de
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 import time
@@ -27,30 +26,23 @@ ENTRIES = np.triu_indices(3)
 def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
     from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.exports.mass_json import mass_json
     from fitting.kd import fit_kd
-    from kinematics.points2dof import points2dof
-    from kinematics.registration.placement import place
-    from pipeline.options import fit_options, mass_options, motion_options
-    from pipeline.stages import read_measurement
+    from kinematics.measure_motion import motion_of, read_inputs
+    from pipeline.options import fit_options, mass_options, motion_inputs, motion_options
     from pipeline.study import read_study
     from sample_volumes.make_sample import make_study
     from sample_volumes.phantom import Ear
     from sample_volumes.vibrometer import Vibrometry
-    from stapeskit.records.mass_record import read_mass_record
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         truth = make_study(folder, Ear(pose_seed=seed, noise_seed=seed), Vibrometry(seed=seed), f"ear {seed}")
         study = read_study(folder / "study.toml")
         started = time.perf_counter()
-        content = mass_json(ct2mass(mass_options(study.scan)))
-        (folder / "mass.json").write_text(json.dumps(content))
-        mass = read_mass_record(folder / "mass.json")
-        measurement, fiducials = read_measurement(study)
-        motion = points2dof(
-            measurement, place(fiducials, "footplate", mass), motion_options(study.ldv), mass
-        ).motion
+        measured = ct2mass(mass_options(study.scan)).measured_mass()
+        mass, content = measured.record, measured.record.raw
+        inputs = motion_inputs(study.ldv)
+        motion = motion_of(inputs, read_inputs(inputs), motion_options(study.ldv), measured).motion
         fit = fit_kd(motion, mass.mass_matrix, fit_options(study.fit))
         seconds = time.perf_counter() - started
     wanted = np.concatenate([np.array(truth[key])[ENTRIES] for key in ("stiffness_si", "damping_si")])

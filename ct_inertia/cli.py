@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -13,7 +12,7 @@ from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
 from stapeskit.option_parser import Given, Parser
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.ct2mass import MassMeasurement
     from stapeskit.own_files import OutputSet
     from stapeskit.provenance import Hashes
     from stapeskit.warnings import Notice
@@ -79,6 +78,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
         check_request(given.smooth, given.faces)
     from ct_inertia.ct2mass import ct2mass
     from ct_inertia.exports.output_files import output_set
+    from ct_inertia.report.summary import summary_rows
     from ct_inertia.volume.progress import told_on_terminal
     from stapeskit.provenance import Hashes
 
@@ -98,11 +98,11 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
         progress("writing" if given.no_report else "drawing the report")
         files, content, notices = _write(given, outputs, result, hashes)
     title = f"ct2mass: {options.scan or options.labels}"
-    return given, Outcome(title, _rows(result, content), (*result.notices, *notices), files, content)
+    return given, Outcome(title, summary_rows(result, content), (*result.notices, *notices), files, content)
 
 
 def _write(
-    given: Given, outputs: OutputSet, result: MassResult, hashes: Hashes
+    given: Given, outputs: OutputSet, result: MassMeasurement, hashes: Hashes
 ) -> tuple[list[Path], dict[str, Any], tuple[Notice, ...]]:
     """Write every output; return their paths, the content of mass.json, and what writing has to tell."""
     from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
@@ -138,65 +138,6 @@ def _write(
             content = write_report(stage / "report.html", result, content, shown)
         names = [*write_outputs(result, stage, content), *names, *report]
     return [outputs.folder / name for name in names], content, notices
-
-
-def _rows(result: MassResult, content: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
-    import numpy as np
-
-    from stapeskit.page.quantities import MASS
-
-    body, footplate, matrix = result.body, result.footplate, result.matrix
-    deviation = matrix.standard_deviation
-    pose = np.sqrt(np.diag(footplate.covariance))
-
-    def entry(row: int, column: int, factor: float, unit: str) -> str:
-        return f"{matrix.matrix[row, column] * factor:.4f} ± {deviation[row, column] * factor:.4f} {unit}"
-
-    rows: list[tuple[str, str]] = [
-        ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
-        ("mass", entry(0, 0, MASS.per_si, MASS.symbol)),
-        ("centre of mass (footplate)", _vector(matrix.parameters[1:4] / matrix.parameters[0] * 1e3, "mm")),
-        ("M(alpha, alpha)", entry(3, 3, 1e12, "e-12 kg m2")),
-        ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
-        ("M(y, alpha)", entry(1, 3, 1e12, "e-12 kg m")),
-        ("M(y, gamma)", entry(1, 5, 1e12, "e-12 kg m")),
-        (
-            "footplate",
-            f"{footplate.length_mm:.2f} x {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
-        ),
-        ("footplate centre (scan)", _vector(footplate.scan_from_footplate.translation_mm, "mm")),
-        (
-            "frame sd",
-            f"{1e6 * np.max(pose[:3]):.1f} um, {np.degrees(np.max(pose[3:])):.2f} degrees; "
-            f"x by {footplate.anterior_from}",
-        ),
-    ]
-    if result.plate_frame is not None:
-        rows.append(("plate frame (scan)", _vector(result.plate_frame.scan_from_plate.translation_mm, "mm")))
-    for way in content["mass_alternatives"]:
-        worst = max(abs(value) for row in way["matrix_change_percent"] for value in row)
-        shift = float(np.linalg.norm(way["center_of_mass_change_m"])) * 1e6
-        rows.append(
-            (
-                f"by {way['by']} instead",
-                f"{MASS.of(way['mass_kg']):.4f} {MASS.symbol} ({way['mass_change_percent']:+.2f} %) at "
-                f"{way['density_kg_m3']:.0f} kg/m3; centre {shift:.1f} um off; M within {worst:.2f} %",
-            )
-        )
-    for step in content.get("display_mesh", {}).get("steps", []):
-        shift = float(np.linalg.norm(step["center_of_mass_change_mm"])) * 1e3
-        rows.append(
-            (
-                f"display: {step['step']} {step['asked']}",
-                f"{step['faces']} faces; would change the mass by {step['mass_change_percent']:+.3f} %, "
-                f"its centre by {shift:.2f} um, M by {step['mass_matrix_change_percent']:.3f} %",
-            )
-        )
-    return rows
-
-
-def _vector(values: Any, unit: str) -> str:
-    return ", ".join(f"{value:.4f}" for value in values) + f" {unit}"
 
 
 def main() -> NoReturn:

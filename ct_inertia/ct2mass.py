@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from ct_inertia.frames.plate_frame import PlateFrame
     from ct_inertia.mass.calibration import Calibration
 
-__all__ = ["MassOptions", "MassResult", "ct2mass"]
+__all__ = ["MassMeasurement", "MassOptions", "ct2mass"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MassResult:
+class MassMeasurement:
     """What `ct2mass` found.
 
     Attributes
@@ -96,7 +96,7 @@ class _Known:
     calibration: Calibration | None
 
 
-def ct2mass(options: MassOptions, progress: Tell = untold) -> MassResult:
+def ct2mass(options: MassOptions, progress: Tell = untold) -> MassMeasurement:
     """Find the stapes, its frames and its mass matrix.
 
     Parameters
@@ -189,7 +189,7 @@ def _result(
     frame_surface: Surface,
     plate: Surface | None,
     notices: Sequence[Notice],
-) -> MassResult:
+) -> MassMeasurement:
     mesh_moments = stapes.moments() if bodies is None else bodies.mesh_moments
     moments = mesh_moments if bodies is None else bodies.moments
     later = Later(_plate_frame, known, bodies, stapes, plate)
@@ -215,7 +215,7 @@ def _result(
         *not_stated(matrix.contributions, ways[0].way),
         *disagreements(ways),
     ]
-    return MassResult(
+    return MassMeasurement(
         options,
         stapes,
         plate,

@@ -8,41 +8,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fitting.errors import FittingError
-from fitting.kd import KDFit, fit_kd
+from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
-from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
 from fitting.options import KDOptions
 from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
-from fitting.report.kd_json import kd_json
-from fitting.report.sections import kd_page
+from fitting.results import KDResult
 from stapeskit.faults import Fault
 from stapeskit.own_files import OutputSet
 from stapeskit.provenance import record
-from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion_files import read_motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class KDResult:
+class WrittenFit:
     """A fit with what was written.
 
     Attributes
     ----------
-    fit : KDFit
+    fit : KDResult
     content : mapping
         kd.json.
     files : tuple of Path
     """
 
-    fit: KDFit
+    fit: KDResult
     content: Mapping[str, Any]
     files: tuple[Path, ...]
 
@@ -55,7 +47,7 @@ def dof2kd(
     *,
     force: bool = False,
     config: Path | None = None,
-) -> KDResult:
+) -> WrittenFit:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
 
     With ``options.monte_carlo``, that many simulated repetitions are fitted; their scatter is in both files.
@@ -83,19 +75,12 @@ def dof2kd(
     outputs = _outputs(out, [motion_path, beside, mass_path, config], force)
     outputs.check()
     mass, mass_record = read_mass(mass_path, options.dof)
-    fit = fit_kd(read_motion(motion_path), mass, options)
+    motion = read_motion(motion_path)
     provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
-    content = kd_json(fit, provenance)
-    made = kd_page(fit, provenance, footplate_outline(mass_record))
-    if options.monte_carlo:
-        scatter = monte_carlo(fit, options.monte_carlo)
-        content["monte_carlo"] = monte_carlo_json(fit, scatter)
-        made.sections.insert(-1, monte_carlo_section(fit, scatter))
-    html = out.with_suffix(".html")
+    fit = kd_of(motion, mass, options, mass_record, provenance)
     with outputs.staged() as folder:
-        (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        made.write(folder / html.name)
-    return KDResult(fit, content, (out, html))
+        names = fit.write_into(folder, out.name)
+    return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))
 
 
 def plan2kd(
@@ -145,14 +130,3 @@ def _json_name(out: Path) -> Path:
         step = f"Give --out {out.with_suffix('.json').name}" if out.name else "Give --out kd.json"
         raise FittingError(Fault("--out", "a file name that ends with .json", out.name or out, "", step))
     return out
-
-
-def footplate_outline(mass_record: MassRecord | None) -> Array | None:
-    """Return the footplate's outline in footplate axes (points, 2 or 3), mm, when mass.json holds one."""
-    found = {} if mass_record is None else mass_record.raw.get("found") or {}
-    raw = found.get("footplate_outline_in_footplate_mm")
-    if raw is None:
-        return None
-    outline = np.asarray(raw, dtype=float)
-    good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
-    return outline if good and np.all(np.isfinite(outline)) else None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from kinematics.errors import KinematicsError
+from kinematics.motion_outputs import output_set
 from kinematics.registration import geometry_options
 from kinematics.registration.geometry_options import add_options
 from kinematics.signals.series_options import add_series_arguments, series_options
@@ -15,9 +15,12 @@ from stapeskit.command import Outcome, Parser, run
 from stapeskit.faults import Fault, collecting, raise_all
 
 if TYPE_CHECKING:
-    from kinematics.points2dof import Options, Points2Dof
+    from kinematics.measure_motion import MotionInputs
+    from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
+    from kinematics.results import MotionResult
     from stapeskit.own_files import OutputSet
+    from stapeskit.records.measured_mass import MassInput
 
 _EPILOG = """\
 Vibrometer files, told by what they hold; several are parts of one measurement, or different runs when
@@ -49,8 +52,6 @@ fiducials.csv: name, x_mm, y_mm, z_mm (vibrometer), x_ref_mm, y_ref_mm, z_ref_mm
 Written: X.csv, X.h5, X.channels.csv, X.html, named after --out X.csv.
 Motion is displacement, peak, e^{+iwt}, about the footplate centre in footplate axes.
 """
-
-_BESIDE_MASS = ("stapes.ply", "plate.ply", "labels.nrrd", "labels.measured.nrrd")
 
 
 def parser() -> Parser:
@@ -146,61 +147,85 @@ def parser() -> Parser:
 def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome]:
     """Run the command on its arguments."""
     options = parser().parse(arguments)
-    faults = _faults(options)
-    from kinematics.points2dof import points2dof
-    from kinematics.readers import read_measurement
-    from kinematics.registration.align import tie
-    from kinematics.registration.fiducials import read_fiducials
-    from kinematics.registration.scan_surfaces import ScanSurfaces
-    from kinematics.registration.surface_points import mirrored, read_surface_points
-    from stapeskit.provenance import record
-    from stapeskit.records.mass_record import read_mass_record
-
-    said, chosen = _choices(options, faults)
-    inputs = _inputs(options)
-    outputs = _outputs(options, inputs)
+    reading, chosen = _choices(options, _faults(options))
+    inputs = motion_inputs(options, reading)
+    outputs = output_set(options.out, [*inputs.by_role.values(), options.config], options.mass, options.force)
     outputs.check()
-    mass = None if options.mass is None else read_mass_record(options.mass)
-    fiducials = None if options.fiducials is None else read_fiducials(options.fiducials)
-    frame = options.frame or "footplate"
-    kinds = {"plate": options.plate_points, "bone": options.bone_points}
-    clouds = {kind: read_surface_points(path, kind) for kind, path in kinds.items() if path is not None}
-    source = "vibrometer" if fiducials or "plate" in clouds else frame
-    measurement = read_measurement(options.ldv, options.points, source, said)
-    if options.mirror:
-        measurement = measurement.mirrored(options.mirror)
-        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror)
-        clouds = {kind: mirrored(cloud, options.mirror) for kind, cloud in clouds.items()}
-    if options.mirror_points:
-        measurement = measurement.mirrored(options.mirror_points, points_only=True)
-        fiducials = None if fiducials is None else fiducials.mirrored(options.mirror_points)
-        clouds = {kind: mirrored(cloud, options.mirror_points) for kind, cloud in clouds.items()}
-    surfaces = None if options.mass is None else ScanSurfaces.beside(options.mass, mass)
-    placement = tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
-    provenance = record(
-        inputs,
-        {
-            "dof": list(chosen.dof),
-            "reference": chosen.reference,
-            "robust": chosen.robust,
-            "reference_noise": chosen.reference_noise,
-            "repeats": chosen.repeats,
-            "frame": frame if source == frame else None,
-            "mirror": options.mirror,
-            "body": list(options.body),
-            "run": list(options.run),
-            "beam": options.beam,
-            "amplitude": options.amplitude,
-            "length_unit": options.length_unit,
-            "n_avg": options.n_avg,
-            **geometry_options.parameters(options),
-            "series": None if said.series is None else {k: str(v) for k, v in vars(said.series).items()},
-        },
-        ["points2dof", *arguments],
+    result = _measure(options, inputs, chosen, options.mass, arguments)
+    return options, _outcome(result, _write(options, result, outputs))
+
+
+def measure(arguments: list[str], given_mass: MassInput | None = None) -> MotionResult:
+    """Return the motion that the command with these arguments writes, without writing it.
+
+    Parameters
+    ----------
+    arguments : list of str
+    given_mass : path, MeasuredMass, or result of ct2mass, optional
+        In place of ``--mass``.
+    """
+    options = parser().parse(arguments)
+    options.mass = given_mass if given_mass is not None else options.mass
+    reading, chosen = _choices(options, _faults(options))
+    return _measure(options, motion_inputs(options, reading), chosen, options.mass, arguments)
+
+
+def _measure(
+    options: argparse.Namespace,
+    inputs: MotionInputs,
+    chosen: Options,
+    given_mass: MassInput | None,
+    arguments: list[str],
+) -> MotionResult:
+    from kinematics.measure_motion import motion_of, read_inputs
+    from stapeskit.provenance import record
+    from stapeskit.records.measured_mass import measured_mass
+
+    mass = None if given_mass is None else measured_mass(given_mass)
+    read = read_inputs(inputs)
+    files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
+    provenance = record(files, parameters(inputs, chosen, options), ["points2dof", *arguments])
+    return motion_of(inputs, read, chosen, mass, provenance)
+
+
+def motion_inputs(options: argparse.Namespace, reading: InputOptions) -> MotionInputs:
+    """Return the files that the options name, and the coordinates that they are in."""
+    from kinematics.measure_motion import MotionInputs
+
+    return MotionInputs(
+        files=tuple(options.ldv),
+        points=options.points,
+        fiducials=options.fiducials,
+        plate_points=options.plate_points,
+        bone_points=options.bone_points,
+        frame=options.frame,
+        mirror=options.mirror,
+        mirror_points=options.mirror_points,
+        reading=reading,
     )
-    result = points2dof(measurement, placement, chosen, mass, provenance)
-    files = _write(options, result, outputs)
-    return options, _outcome(result, files)
+
+
+def parameters(inputs: MotionInputs, chosen: Options, options: argparse.Namespace) -> dict[str, Any]:
+    """Return the choices that provenance records, as JSON-able data."""
+    reading = inputs.reading
+    tied = inputs.source_frame == "vibrometer"
+    return {
+        "dof": list(chosen.dof),
+        "reference": chosen.reference,
+        "robust": chosen.robust,
+        "reference_noise": chosen.reference_noise,
+        "repeats": chosen.repeats,
+        "frame": None if tied else inputs.source_frame,
+        "mirror": inputs.mirror,
+        "body": list(reading.body),
+        "run": list(reading.run),
+        "beam": reading.beam,
+        "amplitude": reading.amplitude,
+        "length_unit": reading.length_unit,
+        "n_avg": reading.n_avg,
+        **geometry_options.parameters(options),
+        "series": None if reading.series is None else {k: str(v) for k, v in vars(reading.series).items()},
+    }
 
 
 def _choices(options: argparse.Namespace, faults: list[Fault]) -> tuple[InputOptions, Options]:
@@ -269,101 +294,29 @@ def _faults(options: argparse.Namespace) -> list[Fault]:
     named += [("--plate-points", options.plate_points), ("--bone-points", options.bone_points)]
     faults += geometry_options.faults(options)
     for thing, path in named:
-        if path is not None and not path.exists():
+        if isinstance(path, Path) and not path.exists():
             faults.append(Fault(thing, "an existing file", path, "", "Check its name and folder"))
     return faults
 
 
-def _inputs(options: argparse.Namespace) -> dict[str, Path | None]:
-    """Return the files that are read, by their role."""
-    from kinematics.readers import inputs_of
-
-    names = ("fiducials", "mass", "plate_points", "bone_points", "mapping")
-    beside = (path.with_name(path.name + ".toml") for path in options.ldv)
-    return {
-        **inputs_of(options.ldv, options.points),
-        **{name: getattr(options, name) for name in names},
-        **{path.name: path for path in beside if path.is_file()},
-        "channels": options.channels,
-        "steps": options.steps,
-    }
-
-
-def _outputs(options: argparse.Namespace, inputs: Mapping[str, Path | None]) -> OutputSet:
-    """Return the files that are written, beside those that are read."""
-    from stapeskit.own_files import OutputSet
-
-    scan = [] if options.mass is None else [options.mass.parent / name for name in _BESIDE_MASS]
-    read = [path for path in (*inputs.values(), options.config, *scan) if path is not None]
-    names = tuple(f"{options.out.stem}{end}" for end in (".csv", ".h5", ".channels.csv", ".html"))
-    return OutputSet("points2dof", options.out.parent, names, tuple(read), options.force)
-
-
-def _write(options: argparse.Namespace, result: Points2Dof, outputs: OutputSet) -> list[Path]:
+def _write(options: argparse.Namespace, result: MotionResult, outputs: OutputSet) -> list[Path]:
     """Write all outputs at once and return their paths."""
-    from kinematics.faults.verdicts import write_channels
-    from kinematics.report.sections import write_report
-    from kinematics.report.stapes_surface import read_scenery
-    from stapeskit.records.motion_files import write_motion
+    from kinematics.motion_outputs import write_outputs
 
-    stem = options.out.stem
-    scenery = None if options.mass is None else read_scenery(options.mass)
     with outputs.staged() as stage:
-        write_motion(stage, stem, result.motion)
-        write_channels(stage / f"{stem}.channels.csv", result.channels)
-        write_report(stage / f"{stem}.html", result, scenery)
+        write_outputs(stage, options.out.stem, result, result.scenery)
     return [outputs.folder / name for name in outputs.names]
 
 
-def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
+def _outcome(result: MotionResult, files: list[Path]) -> Outcome:
     """Return the table of the terminal and the JSON result."""
-    from collections import Counter
-
-    import numpy as np
-
     from kinematics.report import geometry_report
-    from stapeskit.page.drawings import line_words
-    from stapeskit.records.motion_files import standard_deviation
+    from kinematics.report.summary import bodies_json, summary_rows
 
     motion = result.motion
-    rows = [
-        (
-            "degrees of freedom",
-            ", ".join(motion.dof) + (f" per {motion.reference}" if motion.reference else ""),
-        ),
-        (
-            "lines",
-            f"{line_words(motion.freq_hz)}, {len(motion.runs)} run{'s' if len(motion.runs) > 1 else ''}",
-        ),
-    ]
-    rows += [("input", text) for text in result.measurement.said[:4]]
-    sd = standard_deviation(motion)
-    bodies = {}
-    for number, name in enumerate(motion.bodies[:6]):
-        chi2, n_dof = float(np.nansum(motion.chi2[:, number])), int(np.sum(motion.n_dof[:, number]))
-        size = np.nanmax(np.abs(motion.q[:, number]), axis=(0, 1))
-        known = np.isfinite(sd[:, number])
-        power = np.sum(np.where(known, sd[:, number], 0.0) ** 2, axis=(0, 1))
-        noise = np.sqrt(power / np.maximum(np.sum(known, axis=(0, 1)), 1))
-        channels = len(result.measurement.bodies[number].points)
-        text = f"{channels} channels, " + (f"chi2/dof {chi2 / n_dof:.3g}" if n_dof else "no redundancy")
-        if np.any(noise > 0.0):
-            text += f", best peak/noise {float(np.max(size[noise > 0.0] / noise[noise > 0.0])):.3g}"
-        rows.append((name, text))
-        blind = result.unseen.get(name, ())
-        bodies[name] = {"channels": channels, "chi2": chi2, "n_dof": n_dof, "unobservable": list(blind)}
-        if blind:
-            rows.append((f"{name} not seen", "; ".join(blind)))
-    counts = Counter(v.verdict for v in result.channels)
-    rows.append(("channels", ", ".join(f"{number} {name}" for name, number in counts.most_common())))
-    rows += geometry_report.rows(result)
-    rows += [
-        (f"repeats of {one.run}" if len(motion.runs) > 1 else "repeats", one.summary)
-        for one in result.repeats
-    ]
     return Outcome(
         "points2dof",
-        rows,
+        summary_rows(result),
         result.notices,
         files,
         {
@@ -373,7 +326,7 @@ def _outcome(result: Points2Dof, files: list[Path]) -> Outcome:
             "inputs_say": list(result.measurement.said),
             "runs": list(motion.runs),
             "lines": len(motion.freq_hz),
-            "bodies": bodies,
+            "bodies": bodies_json(result),
             **geometry_report.as_json(result),
             "repeats": [one.as_json() for one in result.repeats],
             "verdicts": [

@@ -11,7 +11,7 @@ from stapeskit.command import Outcome, Parser, run
 from stapeskit.faults import Fault, StapeskitError
 
 if TYPE_CHECKING:
-    from pipeline.scan2kd import StudyResult
+    from pipeline.results import StudyResult
     from pipeline.several import CohortResult
 
 _DESCRIPTION = """From micro-CT scan and vibrometer table to mass, stiffness and damping of a stapes.

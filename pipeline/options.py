@@ -15,6 +15,7 @@ from stapeskit.faults import Fault
 if TYPE_CHECKING:
     from ct_inertia.options import MassOptions
     from fitting.options import KDOptions
+    from kinematics.measure_motion import MotionInputs
     from kinematics.points2dof import Options
     from kinematics.readers import InputOptions
     from kinematics.signals.series_options import SeriesOptions
@@ -133,6 +134,23 @@ def input_options(ldv: Ldv) -> InputOptions:
         ldv.n_avg,
         ldv.mapping,
         _series_options(ldv),
+    )
+
+
+def motion_inputs(ldv: Ldv) -> MotionInputs:
+    """Return the vibrometer files of a study, and the coordinates that they are in."""
+    from kinematics.measure_motion import MotionInputs
+
+    return MotionInputs(
+        files=ldv.files,
+        points=ldv.points,
+        fiducials=ldv.fiducials,
+        plate_points=ldv.plate_points,
+        bone_points=ldv.bone_points,
+        frame=ldv.frame,
+        mirror=ldv.mirror,
+        mirror_points=ldv.mirror_points,
+        reading=input_options(ldv),
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stapeskit.page.page import Section
-from stapeskit.provenance import content_hash, versions
+from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice, from_json
 
 FOLDER = ".stapeskit"
@@ -42,12 +42,12 @@ class StageRecord:
         names = sorted({*self.fingerprint, *fingerprint})
         return [name for name in names if self.fingerprint.get(name) != fingerprint.get(name)]
 
-    def spoiled(self, folder: Path) -> list[str]:
+    def spoiled(self, folder: Path, hashes: Hashes) -> list[str]:
         """Name the outputs in ``folder`` that are missing or no longer what was written."""
         return [
             name
             for name, known in self.outputs.items()
-            if not (folder / name).is_file() or content_hash(folder / name) != known
+            if not (folder / name).is_file() or hashes.of(folder / name) != known
         ]
 
 
@@ -90,7 +90,7 @@ def fingerprint(
     rooms: Iterable[str],
     inputs: Mapping[str, Path | None],
     parameters: Mapping[str, Any],
-    known: dict[Path, str],
+    hashes: Hashes,
 ) -> dict[str, str]:
     """Return everything that a stage depends on, by name.
 
@@ -101,15 +101,13 @@ def fingerprint(
     inputs : mapping of str to Path or None
     parameters : mapping
         JSON-able; paths left out.
-    known : dict
-        Hashes found so far in this run; extended.
+    hashes : Hashes
+        Of the files of this run.
     """
-    made = {"stapeskit": _code(rooms), "packages": json.dumps(versions(), sort_keys=True)}
+    made = {"stapeskit": _code(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
     for role, path in inputs.items():
         for place, file in enumerate(() if path is None else _with_data(path)):
-            if file not in known:
-                known[file] = content_hash(file)
-            made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = known[file]
+            made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
     for name, value in parameters.items():
         made[name] = _short(json.dumps(value, sort_keys=True))
     return made

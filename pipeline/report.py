@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.records import Told
-from pipeline.stages import Workspace, results
 from pipeline.study import Study
+from pipeline.workspace import Workspace
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
 from stapeskit.page.quantities import MASS
-from stapeskit.provenance import input_record, versions
-from stapeskit.records.motion_files import read_motion
+from stapeskit.provenance import input_record
 from stapeskit.warnings import unique
 
 # Sections by key, with their heading in this page; the order is the page's. What is not listed here comes
@@ -62,7 +61,7 @@ def write_report(
     told : mapping of str to Told
         Sections and warnings by stage.
     """
-    mass, kd = results(work)
+    mass, kd = work.mass.record.raw, work.kd
     made = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
     notes = [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
     made.section("This ear", *notes, page.table(("", "value"), key_results(mass, kd)))
@@ -109,8 +108,8 @@ def ordered(told: Mapping[str, Told]) -> list[Section]:
 
 def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], work: Workspace) -> list[Any]:
     """Return every input with its hash, the settings, and the versions."""
-    motion = read_motion(work.find("dof.h5")).provenance
-    entries = {"study": input_record(study_file)}
+    motion = work.motion.provenance
+    entries = {"study": input_record(study_file, hashes=work.hashes)}
     for source in (mass["provenance"], motion):
         entries |= source["inputs"]
     settings: list[tuple[str, Any]] = [
@@ -119,7 +118,7 @@ def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], wo
     settings += [(f"motion: {key}", value) for key, value in motion["parameters"].items() if value]
     settings += [(f"fit: {key}", value) for key, value in kd["provenance"]["parameters"].items() if value]
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    used = ", ".join(f"{package} {number}" for package, number in versions().items())
+    used = ", ".join(f"{package} {number}" for package, number in work.hashes.versions().items())
     return [
         page.inputs_table({"inputs": entries}),
         page.table(("setting", "value"), [(key, _listed(value)) for key, value in settings], words=True),

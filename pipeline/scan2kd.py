@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+from pipeline.checks import check_inputs
 from pipeline.errors import PipelineError
 from pipeline.options import faults_in_study_words, in_study_words, section_in_study_words
 from pipeline.progress import Progress
@@ -21,52 +21,17 @@ from pipeline.records import (
     write_record,
     write_told,
 )
-from pipeline.stages import STAGES, Workspace, check_inputs, inputs_of, names_of_outputs, results
+from pipeline.results import StageRun, StudyResult
+from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
 from pipeline.study import Study, read_study
+from pipeline.workspace import Workspace
 from stapeskit.faults import StapeskitError
 from stapeskit.own_files import OutputSet
-from stapeskit.provenance import content_hash
-from stapeskit.warnings import Notice, unique
+from stapeskit.provenance import Hashes
+from stapeskit.warnings import unique
 
 REPORT, REPORT_FILE = "report", "report.html"
 _REPORT_CODE = ("pipeline", "stapeskit/page/page.py")
-
-
-@dataclass(frozen=True)
-class StageRun:
-    """How a stage came about: made or reused, and why."""
-
-    name: str
-    reused: bool
-    seconds: float
-    reason: str
-
-
-@dataclass(frozen=True)
-class StudyResult:
-    """A finished study.
-
-    Attributes
-    ----------
-    study : Study
-    name : str
-        Its name, or the stem of its file.
-    out : Path
-    mass, kd : mapping
-        Content of mass.json and kd.json.
-    stages : tuple of StageRun
-    files : tuple of Path
-    notices : tuple of Notice
-    """
-
-    study: Study
-    name: str
-    out: Path
-    mass: Mapping[str, Any]
-    kd: Mapping[str, Any]
-    stages: tuple[StageRun, ...]
-    files: tuple[Path, ...]
-    notices: tuple[Notice, ...]
 
 
 def run_study(path: Path, out: Path, force: bool = False, progress: Progress | None = None) -> StudyResult:
@@ -91,24 +56,23 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     path, out = Path(path), Path(out).absolute()
     study = read_study(path)
     name = study.study.name or path.stem
-    old = {stage: read_record(out, stage) for stage in (*(one.name for one in STAGES), REPORT)}
-    known: dict[Path, str] = {}
-    outputs = output_set(path, study, out, force)
+    hashes = Hashes()
+    old = _records(out)
+    outputs = output_set(path, study, out, force, old, hashes)
     outputs.check()
     kept: list[str] = []
     with outputs.staged(kept) as fresh:
-        work = Workspace(out, fresh)
+        work = Workspace(out, fresh, hashes)
         with progress.step("study file and vibrometer table"):
-            check_inputs(study)
+            check_inputs(study, work)
+        usable: Mapping[str, StageRecord] = {} if force else old
         runs: list[StageRun] = []
         told: dict[str, Told] = {}
         for stage in STAGES:
-            told[stage.name] = _stage(
-                stage, study, work, None if force else old[stage.name], known, runs, progress
-            )
-        _report(path, name, study, work, told, None if force else old[REPORT], runs, progress)
-        mass, kd = results(work)
-        names = _outputs(work, old, runs)
+            told[stage.name] = _stage(stage, study, work, usable.get(stage.name), runs, progress)
+        _report(path, name, study, work, told, usable.get(REPORT), runs, progress)
+        mass, kd = work.mass.record.raw, work.kd
+        names = _outputs(runs)
         kept += names
     shown = tuple(out / one for one in names if not one.startswith(FOLDER))
     notices = unique(
@@ -117,43 +81,72 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     return StudyResult(study, name, out, mass, kd, tuple(runs), shown, notices)
 
 
-def output_set(path: Path, study: Study, out: Path, force: bool = False) -> OutputSet:
-    """Return the files that a study may write into a folder, beside those that it reads.
+def _records(out: Path) -> dict[str, StageRecord]:
+    """Return the records of finished stages in an output folder, by stage."""
+    read = {stage: read_record(out, stage) for stage in (*(stage.name for stage in STAGES), REPORT)}
+    return {stage: record for stage, record in read.items() if record is not None}
 
-    What the records of its stages hold counts as known, too.
+
+def output_set(
+    path: Path,
+    study: Study,
+    out: Path,
+    force: bool = False,
+    records: Mapping[str, StageRecord] | None = None,
+    hashes: Hashes | None = None,
+) -> OutputSet:
+    """Return the files that a study may write into a folder, and those that it reads.
+
+    Parameters
+    ----------
+    path : Path
+        The study file.
+    study : Study
+    out : Path
+    force : bool
+    records : mapping of str to StageRecord, optional
+        Of finished stages, whose outputs count as known; read from ``out`` when left out.
+    hashes : Hashes, optional
+        Of the files of this run.
     """
     from ct_inertia.exports.output_files import LABELS
 
-    records = [read_record(out, stage) for stage in (*(one.name for one in STAGES), REPORT)]
+    records = _records(out) if records is None else records
     known = {
         name: found
-        for record in records
-        for name, found in (() if record is None else record.outputs.items())
+        for record in records.values()
+        for name, found in record.outputs.items()
         if not name.startswith(FOLDER)
     }
     names = (REPORT_FILE, *names_of_outputs(study, out))
     hint = f'Measure corrected labels with labels = "{out / LABELS}" in [scan], which stay as they are'
     return OutputSet(
-        "scan2kd", out, names, (path, *inputs_of(study)), force, known=known, hints={LABELS: hint}
+        "scan2kd",
+        out,
+        names,
+        (path, *inputs_of(study)),
+        force,
+        known=known,
+        hints={LABELS: hint},
+        hash_of=(hashes or Hashes()).of,
     )
 
 
 def _stage(
-    stage: Any,
+    stage: Stage,
     study: Study,
     work: Workspace,
     old: StageRecord | None,
-    known: dict[Path, str],
     runs: list[StageRun],
     progress: Progress,
 ) -> Told:
     """Reuse a stage or run it."""
     with progress.step(stage.title) as step:
-        now = fingerprint(stage.rooms, stage.inputs(study), stage.parameters(study, work), known)
+        now = fingerprint(stage.rooms, stage.inputs(study), stage.parameters(study, work), work.hashes)
         reason = _reason(old, now, work)
         if not reason:
             step.note = "unchanged, reused"
-            runs.append(StageRun(stage.name, True, 0.0, ""))
+            runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
             return read_told(work.find(told_name(stage.name)))
         try:
             names, told = stage.run(study, work)
@@ -166,10 +159,15 @@ def _stage(
             tuple(replace(n, text=in_study_words(n.text, stage.table)) for n in told.notices),
         )
         write_told(work.fresh, stage.name, told)
-        hashes = {one: content_hash(work.fresh / one) for one in (*names, told_name(stage.name))}
-        write_record(work.fresh, StageRecord(stage.name, now, hashes, step.seconds))
+        record = StageRecord(
+            stage.name,
+            now,
+            {file: work.hash_of(file) for file in (*names, told_name(stage.name))},
+            step.seconds,
+        )
+        write_record(work.fresh, record)
         step.note = "" if old is None else reason
-        runs.append(StageRun(stage.name, False, step.seconds, reason))
+        runs.append(StageRun(stage.name, False, step.seconds, reason, _names(record)))
         return told
 
 
@@ -180,9 +178,10 @@ def _reason(old: StageRecord | None, now: Mapping[str, str], work: Workspace) ->
     changes = old.changes(now)
     if changes:
         return "changed: " + ", ".join(changes[:4]) + (" ..." if len(changes) > 4 else "")
-    spoiled = [name for name in old.spoiled(work.out) if not name.startswith(FOLDER)]
-    if spoiled or old.spoiled(work.out):
-        return "missing or edited: " + ", ".join(spoiled or ["its record"])
+    spoiled = old.spoiled(work.out, work.hashes)
+    if spoiled:
+        named = [name for name in spoiled if not name.startswith(FOLDER)]
+        return "missing or edited: " + ", ".join(named or ["its record"])
     return ""
 
 
@@ -200,25 +199,26 @@ def _report(
     from pipeline.report import write_report
 
     with progress.step("report") as step:
-        parts = {one: content_hash(work.find(told_name(one))) for one in told}
-        parts |= {one: content_hash(work.find(one)) for one in ("mass.json", "dof.h5", "kd.json")}
-        now = fingerprint(_REPORT_CODE, {"study": path}, parts, {})
+        parts = {stage: work.hash_of(told_name(stage)) for stage in told}
+        parts |= {name: work.hash_of(name) for name in ("mass.json", "dof.h5", "kd.json")}
+        now = fingerprint(_REPORT_CODE, {"study": path}, parts, work.hashes)
         reason = _reason(old, now, work)
         if not reason:
             step.note = "unchanged, reused"
-            runs.append(StageRun(REPORT, True, 0.0, ""))
+            runs.append(StageRun(REPORT, True, 0.0, "", _names(old)))
             return
         write_report(work.fresh / REPORT_FILE, path, name, study, work, told)
-        hashes = {REPORT_FILE: content_hash(work.fresh / REPORT_FILE)}
-        write_record(work.fresh, StageRecord(REPORT, now, hashes, step.seconds))
-        runs.append(StageRun(REPORT, False, step.seconds, reason))
+        record = StageRecord(REPORT, now, {REPORT_FILE: work.hash_of(REPORT_FILE)}, step.seconds)
+        write_record(work.fresh, record)
+        runs.append(StageRun(REPORT, False, step.seconds, reason, _names(record)))
 
 
-def _outputs(work: Workspace, old: Mapping[str, StageRecord | None], runs: list[StageRun]) -> list[str]:
+def _names(record: StageRecord | None) -> tuple[str, ...]:
+    return () if record is None else tuple(record.outputs)
+
+
+def _outputs(runs: Sequence[StageRun]) -> list[str]:
     """List the outputs that belong to this run, new and reused."""
-    names: list[str] = []
-    for run in runs:
-        record = old[run.name] if run.reused else read_record(work.fresh, run.name)
-        names += [] if record is None else list(record.outputs)
+    names = [name for run in runs for name in run.outputs]
     order = (REPORT_FILE, "mass.json", "kd.json")
-    return sorted(names, key=lambda one: (order.index(one) if one in order else len(order), one))
+    return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))

@@ -1,4 +1,4 @@
-"""The three stages of a study: scan -> motion -> fit. Each calls its room and writes into a folder."""
+"""The table of stages: scan -> motion -> fit. Each reads a folder and writes a folder; see `run_stage`."""
 
 from __future__ import annotations
 
@@ -8,201 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import PipelineError
-from pipeline.options import faults_in_study_words, fit_options, input_options, mass_options, motion_options
+from pipeline.options import fit_options, mass_options, motion_inputs, motion_options
 from pipeline.records import Told
-from pipeline.study import Ldv, Study
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from pipeline.study import Study, read_study
+from pipeline.workspace import Workspace
 
 if TYPE_CHECKING:
-    from kinematics.measurement import Measurement
-    from kinematics.registration.fiducials import Fiducials
-    from kinematics.registration.icp_refine import Cloud
-    from kinematics.registration.placement import Placement
-    from kinematics.report.stapes_surface import Scenery
-    from stapeskit.records.mass_record import MassRecord
+    from kinematics.measure_motion import MeasurementInputs
 
-_OWN = ("pipeline/stages.py", "pipeline/options.py")
 MOTION_FILES, KD_FILE = ("dof.csv", "dof.h5", "dof.channels.csv"), "kd.json"
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """Where outputs stand during a run: new ones in ``fresh``, reused ones in ``out``."""
-
-    out: Path
-    fresh: Path
-
-    def find(self, name: str) -> Path:
-        """Return the present place of an output."""
-        made = self.fresh / name
-        return made if made.exists() else self.out / name
-
-
-class Scan:
-    """Scan to mass matrix and frames (`ct2mass`)."""
-
-    name = "scan"
-    table = "scan"
-    title = "scan: bodies, frames, mass matrix"
-    rooms = ("stapeskit", "ct_inertia", *_OWN)
-
-    @staticmethod
-    def inputs(study: Study) -> dict[str, Path | None]:
-        """Return the files by role, the data files of headers among them."""
-        from ct_inertia.readers.companions import with_data_files
-
-        scan = study.scan
-        names = ("labels", "calibration", "landmarks", "plate_fiducials")
-        return with_data_files({"scan": scan.file} | {name: getattr(scan, name) for name in names})
-
-    @staticmethod
-    def parameters(study: Study, _work: Workspace) -> dict[str, Any]:
-        """Return what else the outputs depend on."""
-        return study.scan.model_dump(mode="json", exclude=set(_FILES))
-
-    @staticmethod
-    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
-        """Write mass.json, surfaces and labels; return their names and what there is to tell."""
-        from ct_inertia.ct2mass import ct2mass
-        from ct_inertia.exports.mass_json import mass_json, write_outputs
-        from ct_inertia.exports.output_files import labels_name
-        from ct_inertia.report.sections import Pictured, mass_sections
-        from stapeskit.provenance import Hashes
-
-        options = mass_options(study.scan)
-        hashes = Hashes(options.inputs.values())
-        result = ct2mass(options)
-        content = mass_json(result, hashes=hashes, labels_file=labels_name(work.out, options.labels))
-        labelled = None if result.bodies is None else result.bodies.labels
-        sections, notices = mass_sections(content, Pictured(result.stapes, result.plate, labelled))
-        content["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
-        names = write_outputs(result, work.fresh, content)
-        return names, Told(tuple(sections), (*result.notices, *notices))
-
-
-class Motion:
-    """Vibrometer points to rigid motion (`points2dof`)."""
-
-    name = "motion"
-    table = "ldv"
-    title = "motion: points to degrees of freedom"
-    rooms = ("stapeskit", "kinematics", *_OWN)
-
-    @staticmethod
-    def inputs(study: Study) -> dict[str, Path | None]:
-        """Return the files by role."""
-        from kinematics.readers import inputs_of
-
-        names = ("fiducials", "plate_points", "bone_points", "mapping", "channels", "steps")
-        beside = [path.with_name(path.name + ".toml") for path in study.ldv.files]
-        return {
-            **inputs_of(study.ldv.files, study.ldv.points),
-            **{name: getattr(study.ldv, name) for name in names},
-            **{path.name: path for path in beside if path.is_file()},
-        }
-
-    @staticmethod
-    def parameters(study: Study, work: Workspace) -> dict[str, Any]:
-        """Return what else the outputs depend on: of the scan only its frames, shape and mass distribution.
-
-        The motion of the points does not depend on the density, so that another density reuses it.
-        """
-        from stapeskit.provenance import content_hash
-
-        here = work.find("mass.json").parent
-        mass = json.loads((here / "mass.json").read_text(encoding="utf-8"))
-        values = mass["inertial_parameters"]["values_si"]
-        names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
-        labels = mass.get("labels_file") or "labels.nrrd"
-        frames = {key: mass["frames"].get(key) for key in names}
-        return {
-            **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
-            "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
-            "mass distribution": [f"{value / values[0]:.7g}" for value in values],
-            "surfaces": [
-                content_hash(path) if path.exists() else None
-                for path in (here / name for name in ("stapes.ply", "plate.ply", labels))
-            ],
-        }
-
-    @staticmethod
-    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
-        """Write dof.csv, dof.h5 and dof.channels.csv; return their names and what there is to tell."""
-        from kinematics.faults.verdicts import write_channels
-        from kinematics.points2dof import points2dof
-        from kinematics.report.sections import sections
-        from stapeskit.provenance import record
-        from stapeskit.records.mass_record import read_mass_record
-        from stapeskit.records.motion_files import write_motion
-
-        mass = read_mass_record(work.find("mass.json"))
-        measurement, fiducials = read_measurement(study)
-        placement = _placement(study, work, measurement, fiducials, mass)
-        parameters = study.ldv.model_dump(mode="json", exclude=set(_FILES))
-        provenance = record(Motion.inputs(study), {**parameters, "frames": "of the scan"})
-        result = points2dof(measurement, placement, motion_options(study.ldv), mass, provenance)
-        write_motion(work.fresh, "dof", result.motion)
-        write_channels(work.fresh / "dof.channels.csv", result.channels)
-        drawn = sections(result, _scenery(work, mass))
-        return list(MOTION_FILES), Told(tuple(drawn), result.notices)
-
-
-class Fit:
-    """Motion and mass matrix to stiffness and damping (`dof2kd`)."""
-
-    name = "fit"
-    table = "fit"
-    title = "fit: stiffness and damping"
-    rooms = ("stapeskit", "fitting", *_OWN)
-
-    @staticmethod
-    def inputs(_study: Study) -> dict[str, Path | None]:
-        """Return the files by role: none of the user's own."""
-        return {}
-
-    @staticmethod
-    def parameters(study: Study, work: Workspace) -> dict[str, Any]:
-        """Return what the outputs depend on: the files of the stages before, without their dates."""
-        from stapeskit.provenance import content_hash
-
-        mass = json.loads(work.find("mass.json").read_text(encoding="utf-8"))
-        keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
-        return {
-            **study.fit.model_dump(mode="json"),
-            "mass.json": {key: mass.get(key) for key in keys},
-            "dof.h5": content_hash(work.find("dof.h5")),
-        }
-
-    @staticmethod
-    def run(study: Study, work: Workspace) -> tuple[list[str], Told]:
-        """Write kd.json; return its name and what there is to tell."""
-        from fitting.dof2kd import footplate_outline
-        from fitting.kd import fit_kd
-        from fitting.montecarlo import monte_carlo, monte_carlo_json, monte_carlo_section
-        from fitting.report.kd_json import kd_json
-        from fitting.report.sections import kd_sections
-        from stapeskit.provenance import record
-        from stapeskit.records.mass_record import read_mass_record
-        from stapeskit.records.motion_files import read_motion
-
-        mass_file, motion_file = work.find("mass.json"), work.find("dof.h5")
-        mass, motion = read_mass_record(mass_file), read_motion(motion_file)
-        options = fit_options(study.fit)
-        fit = fit_kd(motion, mass.mass_matrix, options)
-        refits = options.monte_carlo
-        content = kd_json(fit, record({"motion": motion_file, "mass": mass_file}, options.parameters()))
-        sections = kd_sections(fit, footplate_outline(mass))
-        if refits:
-            scatter = monte_carlo(fit, refits)
-            content["monte_carlo"] = monte_carlo_json(fit, scatter)
-            sections.append(monte_carlo_section(fit, scatter))
-        text = json.dumps(content, indent=1) + "\n"
-        (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
-        return [KD_FILE], Told(tuple(sections), fit.notices)
-
-
-STAGES = (Scan, Motion, Fit)
+_OWN_CODE = ("pipeline/stages.py", "pipeline/workspace.py", "pipeline/options.py")
 _FILES = (
     "file",
     "calibration",
@@ -219,11 +34,57 @@ _FILES = (
 )
 
 
-def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
-    """Return the names that a study may write into its folder, the report apart."""
-    from ct_inertia.exports.output_files import labels_name, result_names
+@dataclass(frozen=True)
+class Stage:
+    """One step of a study.
 
-    return (*result_names(labels_name(out, study.scan.labels)), *MOTION_FILES, KD_FILE)
+    Attributes
+    ----------
+    name, title : str
+    table : str
+        Table of the study file that its options stand in.
+    rooms : tuple of str
+        Packages and files whose code its outputs depend on.
+    inputs : callable
+        From a study to the user's files by role.
+    parameters : callable
+        From a study and a workspace to what else its outputs depend on, JSON-able.
+    run : callable
+        From a study and a workspace, which has the results of the stages before, to the names of the files
+        written and what the report shows of them.
+    """
+
+    name: str
+    title: str
+    table: str
+    rooms: tuple[str, ...]
+    inputs: Callable[[Study], Mapping[str, Path | None]]
+    parameters: Callable[[Study, Workspace], dict[str, Any]]
+    run: Callable[[Study, Workspace], tuple[list[str], Told]]
+
+
+def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) -> list[str]:
+    """Run one stage anywhere: read the results of the stages before from a folder, write into another.
+
+    Parameters
+    ----------
+    name : str
+        ``scan``, ``motion`` or ``fit``.
+    study_file, folder_in, folder_out : Path
+
+    Returns
+    -------
+    list of str
+        Names of the files that were written.
+
+    Raises
+    ------
+    StapeskitError
+        The study, or a file that it names, is at fault.
+    """
+    stage = next(stage for stage in STAGES if stage.name == name)
+    names, _ = stage.run(read_study(study_file), Workspace(Path(folder_in), Path(folder_out)))
+    return names
 
 
 def inputs_of(study: Study) -> tuple[Path, ...]:
@@ -231,111 +92,156 @@ def inputs_of(study: Study) -> tuple[Path, ...]:
     return tuple(path for stage in STAGES for path in stage.inputs(study).values() if path is not None)
 
 
-def read_measurement(study: Study) -> tuple[Measurement, Fiducials | None]:
-    """Read the vibrometer's table and the fiducials of a study.
+def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
+    """Return the names that a study may write into its folder, the report apart."""
+    from ct_inertia.exports.output_files import labels_name, result_names
+
+    return (*result_names(labels_name(out, study.scan.labels)), *MOTION_FILES, KD_FILE)
+
+
+def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
+    """Return readings, fiducials and surface points of a study, read once a run.
 
     Raises
     ------
-    KinematicsError
-        What is wrong with them, row by row.
+    StapeskitError
+        What is wrong with the files.
     """
-    from kinematics.readers import read_measurement as read_files
-    from kinematics.registration.fiducials import read_fiducials
+    from kinematics.measure_motion import read_inputs
 
-    ldv = study.ldv
-    fiducials = None if ldv.fiducials is None else read_fiducials(ldv.fiducials)
-    tied = fiducials is not None or ldv.plate_points is not None
-    frame = "vibrometer" if tied else ldv.frame or "footplate"
-    measurement = read_files(ldv.files, ldv.points, frame, input_options(ldv))
-    for axis, points_only in ((ldv.mirror, False), (ldv.mirror_points, True)):
-        if axis is not None:
-            measurement = measurement.mirrored(axis, points_only)
-            fiducials = None if fiducials is None else fiducials.mirrored(axis)
-    return measurement, fiducials
+    return work.once("measurement", lambda: read_inputs(motion_inputs(study.ldv)))
 
 
-def _clouds(ldv: Ldv) -> dict[str, Cloud]:
-    """Read the points on surfaces that a study names."""
-    from kinematics.registration.surface_points import mirrored, read_surface_points
+def _scan_inputs(study: Study) -> dict[str, Path | None]:
+    from ct_inertia.readers.companions import with_data_files
 
-    named = {"plate": ldv.plate_points, "bone": ldv.bone_points}
-    clouds = {kind: read_surface_points(path, kind) for kind, path in named.items() if path is not None}
-    for axis in (ldv.mirror, ldv.mirror_points):
-        if axis is not None:
-            clouds = {kind: mirrored(cloud, axis) for kind, cloud in clouds.items()}
-    return clouds
+    scan = study.scan
+    names = ("labels", "calibration", "landmarks", "plate_fiducials")
+    return with_data_files({"scan": scan.file} | {name: getattr(scan, name) for name in names})
 
 
-def _placement(
-    study: Study, work: Workspace, measurement: Measurement, fiducials: Fiducials | None, mass: MassRecord
-) -> Placement:
-    from kinematics.registration.align import tie
-    from kinematics.registration.scan_surfaces import ScanSurfaces
-
-    clouds = _clouds(study.ldv)
-    frame = study.ldv.frame or "footplate"
-    surfaces = ScanSurfaces.beside(work.find("mass.json"), mass)
-    return tie(measurement, fiducials, frame, mass, surfaces, clouds.get("plate"), clouds.get("bone"))
+def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
+    return study.scan.model_dump(mode="json", exclude=set(_FILES))
 
 
-def check_inputs(study: Study) -> None:
-    """Find what can be found wrong before the long work on the scan begins.
+def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
+    """Write mass.json, surfaces and labels."""
+    from ct_inertia.exports.mass_json import mass_json, write_outputs
+    from ct_inertia.exports.output_files import labels_name
+    from ct_inertia.report.sections import report_sections
+    from ct_inertia.results import mass_of
 
-    Raises
-    ------
-    PipelineError
-        Every fault of the options and of the vibrometer's files.
-    """
-    faults: list[Fault] = []
-    checks: tuple[tuple[str, Callable[[], object]], ...] = (
-        ("scan", lambda: mass_options(study.scan)),
-        ("ldv", lambda: motion_options(study.ldv)),
-        ("ldv", lambda: input_options(study.ldv)),
-        ("fit", lambda: fit_options(study.fit)),
-        ("ldv", lambda: _check_measurement(study)),
-        ("ldv", lambda: _clouds(study.ldv)),
+    options = mass_options(study.scan)
+    result = mass_of(options)
+    content = mass_json(result, hashes=work.hashes, labels_file=labels_name(work.out, options.labels))
+    sections, content, notices = report_sections(result, content)
+    names = write_outputs(result, work.fresh, content)
+    work.keep("mass", result.measured_mass(content))
+    return names, Told(tuple(sections), (*result.notices, *notices))
+
+
+def _motion_inputs(study: Study) -> Mapping[str, Path | None]:
+    from kinematics.measure_motion import files_by_role
+
+    names = ("fiducials", "plate_points", "bone_points", "mapping", "channels", "steps")
+    return files_by_role(
+        study.ldv.files, study.ldv.points, {name: getattr(study.ldv, name) for name in names}
     )
-    for table, check in checks:
-        try:
-            check()
-        except StapeskitError as fault:
-            faults += faults_in_study_words(fault.faults, table)
-    raise_all(PipelineError, dict.fromkeys(faults))
 
 
-def _check_measurement(study: Study) -> None:
-    measurement, _ = read_measurement(study)
-    bodies = [body.body for body in measurement.bodies]
-    file = ", ".join(path.name for path in study.ldv.files)
-    faults = [
-        Fault(
-            f"the body {name}",
-            f"among those of the vibrometer table, {', '.join(bodies)}",
-            "no row of it",
-            file,
-            f"Name the bodies with {key}",
-        )
-        for key, name in (("fit.structure", study.fit.structure), ("fit.base", study.fit.base))
-        if name not in bodies
-    ]
-    wanted = [name for name in study.fit.dof if name not in study.ldv.dof]
-    if wanted:
-        faults.append(
-            Fault("fit.dof", f"among ldv.dof, {', '.join(study.ldv.dof)}", ", ".join(wanted), "study")
-        )
-    raise_all(PipelineError, faults)
+def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
+    """Return what the motion depends on; of the scan only its frames, shape and mass distribution.
+
+    The motion of the points does not depend on the density, so that another density reuses it.
+    """
+    mass = work.mass.record.raw
+    values = mass["inertial_parameters"]["values_si"]
+    names = ("scan_from_footplate", "scan_from_plate", "z_is", "anterior_from")
+    labels = mass.get("labels_file") or "labels.nrrd"
+    frames = {key: mass["frames"].get(key) for key in names}
+    surfaces = ("stapes.ply", "plate.ply", labels)
+    return {
+        **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
+        "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
+        "mass distribution": [f"{value / values[0]:.7g}" for value in values],
+        "surfaces": [work.hash_of(name) if work.find(name).exists() else None for name in surfaces],
+    }
 
 
-def _scenery(work: Workspace, mass: MassRecord) -> Scenery:
-    """Return the stapes in footplate axes, to be drawn behind the points."""
-    from ct_inertia.surface.surface import read_surface
-    from kinematics.report.stapes_surface import scenery_of
+def _run_motion(study: Study, work: Workspace) -> tuple[list[str], Told]:
+    """Write dof.csv, dof.h5 and dof.channels.csv."""
+    from kinematics.measure_motion import motion_of
+    from kinematics.motion_outputs import write_outputs
+    from kinematics.report.sections import sections
+    from stapeskit.provenance import record
 
-    surface = read_surface(work.find("stapes.ply"))
-    return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), surface.vertices_mm, surface.faces)
+    inputs = motion_inputs(study.ldv)
+    parameters = study.ldv.model_dump(mode="json", exclude=set(_FILES))
+    provenance = record(inputs.by_role, {**parameters, "frames": "of the scan"}, hashes=work.hashes)
+    read = measurement_of(study, work)
+    result = motion_of(inputs, read, motion_options(study.ldv), work.mass, provenance)
+    scenery = result.scenery
+    names = write_outputs(work.fresh, "dof", result, scenery, False, hash_of=work.hashes.of)
+    work.keep("motion", result.motion)
+    return names, Told(tuple(sections(result, scenery)), result.notices)
 
 
-def results(work: Workspace) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the content of mass.json and kd.json."""
-    mass, kd = (json.loads(work.find(name).read_text(encoding="utf-8")) for name in ("mass.json", "kd.json"))
-    return mass, kd
+def _no_inputs(_study: Study) -> dict[str, Path | None]:
+    return {}
+
+
+def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
+    """Return what the fit depends on: the results of the stages before, without their dates."""
+    keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
+    return {
+        **study.fit.model_dump(mode="json"),
+        "mass.json": {key: work.mass.record.raw.get(key) for key in keys},
+        "dof.h5": work.hash_of("dof.h5"),
+    }
+
+
+def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
+    """Write kd.json."""
+    from fitting.measure_kd import kd_of
+    from stapeskit.provenance import record
+
+    options = fit_options(study.fit)
+    files = {"motion": work.find("dof.h5"), "mass": work.find("mass.json")}
+    mass = work.mass.record
+    provenance = record(files, options.parameters(), hashes=work.hashes)
+    fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance)
+    text = json.dumps(fit.content(), indent=1) + "\n"
+    (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
+    work.keep("kd", json.loads(text))
+    return [KD_FILE], Told(tuple(fit.sections()), fit.notices)
+
+
+STAGES = (
+    Stage(
+        "scan",
+        "scan: bodies, frames, mass matrix",
+        "scan",
+        ("stapeskit", "ct_inertia", *_OWN_CODE),
+        _scan_inputs,
+        _scan_parameters,
+        _run_scan,
+    ),
+    Stage(
+        "motion",
+        "motion: points to degrees of freedom",
+        "ldv",
+        ("stapeskit", "kinematics", *_OWN_CODE),
+        _motion_inputs,
+        _motion_parameters,
+        _run_motion,
+    ),
+    Stage(
+        "fit",
+        "fit: stiffness and damping",
+        "fit",
+        ("stapeskit", "fitting", *_OWN_CODE),
+        _no_inputs,
+        _fit_parameters,
+        _run_fit,
+    ),
+)

@@ -49,6 +49,8 @@ class OutputSet:
         Content hashes by name that the command recorded elsewhere.
     hints : mapping of str to str
         What to do first about a file of this name that was edited.
+    hash_of : callable
+        Returns the content hash of a file; that of a run hashes each file once.
     """
 
     command: str
@@ -59,6 +61,7 @@ class OutputSet:
     leftovers: tuple[str, ...] = ()
     known: Mapping[str, str] = field(default_factory=dict)
     hints: Mapping[str, str] = field(default_factory=dict)
+    hash_of: Callable[[Path], str] = field(default=content_hash, repr=False, compare=False)
 
     def check(self) -> None:
         """Look before the work begins whether every output may be written.
@@ -164,14 +167,14 @@ class OutputSet:
             return (
                 name in recorded
                 and stat.S_ISREG(path.lstat().st_mode)
-                and content_hash(path) in recorded[name]
+                and self.hash_of(path) in recorded[name]
             )
         return False
 
     def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None]:
         """Check and record what is about to appear; return what remains to be done when it has appeared."""
         made = {
-            path.relative_to(stage).as_posix(): content_hash(path)
+            path.relative_to(stage).as_posix(): self.hash_of(path)
             for path in sorted(stage.rglob("*"))
             if path.is_file()
         }

@@ -43,24 +43,31 @@ def content_hash(path: Path, sha256: bool = False) -> str:
 
 
 class Hashes:
-    """Content hashes of files, made in the background while other work goes on.
+    """Content hashes of the files of a run: each file is hashed once.
 
     Parameters
     ----------
     paths : iterable of Path or None
-        None is left out.
+        Files to hash in the background while other work goes on; None is left out. Others are hashed when
+        they are asked for.
     sha256 : bool
         Use SHA-256 instead of the faster default.
+
+    Notes
+    -----
+    A file whose size, modification time or inode has changed since is hashed again.
     """
 
-    def __init__(self, paths: Iterable[Path | None], sha256: bool = False) -> None:
+    def __init__(self, paths: Iterable[Path | None] = (), sha256: bool = False) -> None:
         self._sha256 = sha256
         self._wanted = [Path(path) for path in paths if path is not None]
         self._done: dict[Path, str | OSError] = {}
+        self._later: dict[Path, tuple[tuple[int, ...], str]] = {}
         self._versions: dict[str, str] = {}
         # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for large files.
         self._thread = threading.Thread(target=self._work, name="hashes", daemon=True)
-        self._thread.start()
+        if self._wanted:
+            self._thread.start()
 
     def _work(self) -> None:
         _give_way()
@@ -73,8 +80,14 @@ class Hashes:
 
     def versions(self) -> dict[str, str]:
         """Return the versions of what computes, looked up after the files were hashed."""
-        self._thread.join()
-        return self._versions or versions()
+        self._join()
+        self._versions = self._versions or versions()
+        return self._versions
+
+    def _join(self) -> None:
+        """Wait for the files that are hashed in the background."""
+        if self._wanted:
+            self._thread.join()
 
     def of(self, path: Path) -> str:
         """Return the hash of a file, waiting for it when it is not ready yet.
@@ -84,13 +97,23 @@ class Hashes:
         OSError
             The file could not be read.
         """
-        if Path(path) not in self._wanted:
-            return content_hash(path, self._sha256)
-        self._thread.join()
-        found = self._done[Path(path)]
+        path = Path(path)
+        if path not in self._wanted:
+            return self._hash_once(path)
+        self._join()
+        found = self._done[path]
         if isinstance(found, OSError):
             raise found
         return found
+
+    def _hash_once(self, path: Path) -> str:
+        stat = path.stat()
+        state = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        known = self._later.get(path)
+        if known is None or known[0] != state:
+            known = (state, content_hash(path, self._sha256))
+            self._later[path] = known
+        return known[1]
 
 
 def _give_way() -> None:
@@ -125,7 +148,7 @@ def versions() -> dict[str, str]:
 
 
 def record(
-    inputs: Mapping[str, Path | None],
+    inputs: Mapping[str, Path | Mapping[str, Any] | None],
     parameters: Mapping[str, Any],
     command: Sequence[str] | None = None,
     sha256: bool = False,
@@ -135,8 +158,8 @@ def record(
 
     Parameters
     ----------
-    inputs : mapping of str to Path or None
-        Files by their role; None is left out.
+    inputs : mapping of str to Path, mapping or None
+        Files by their role, or for what is in memory the entry itself; None is left out.
     parameters : mapping
         What the user chose and what was chosen for them, JSON-able.
     command : sequence of str, optional
@@ -149,7 +172,9 @@ def record(
     line = [Path(sys.argv[0]).name, *sys.argv[1:]] if command is None else list(command)
     return {
         "inputs": {
-            role: input_record(path, sha256, hashes) for role, path in inputs.items() if path is not None
+            role: dict(given) if isinstance(given, Mapping) else input_record(given, sha256, hashes)
+            for role, given in inputs.items()
+            if given is not None
         },
         "versions": versions() if hashes is None else hashes.versions(),
         "parameters": dict(parameters),

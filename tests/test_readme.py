@@ -76,16 +76,18 @@ def test_a_cut_is_corrected_as_it_is_printed(lab):
     assert json.loads((labels.parent / "mass.json").read_text(encoding="utf-8"))["labels_file"] != labels.name
 
 
-def test_the_notebook_example_gives_a_mass_matrix(lab, monkeypatch, capsys):
+def test_the_notebook_example_goes_from_scan_to_stiffness(lab, monkeypatch, capsys):
     folder, truth = lab
     monkeypatch.chdir(folder)
     names: dict[str, object] = {}
     exec(compile(blocks("python")[0], "README.md", "exec"), names)
-    matrix = names["result"].matrix.matrix
+    matrix = names["mass"].matrix.matrix
     assert matrix.shape == (6, 6)
     assert matrix[0, 0] == pytest.approx(truth["volume_m3"] * 1900.0, rel=5e-3)
     assert np.all(np.linalg.eigvalsh(matrix) > 0.0)
-    assert "e-06" in capsys.readouterr().out
+    stiffness = names["result"].stiffness
+    assert str(stiffness) in capsys.readouterr().out
+    assert stiffness.shape == (3, 3)
 
 
 def test_every_file_that_the_page_names_exists():

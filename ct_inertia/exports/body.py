@@ -15,7 +15,7 @@ from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import central_tensor
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.ct2mass import MassMeasurement
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class ExportBody:
         return moments, axes
 
 
-def body_of(result: MassResult, stapes: Surface | None = None) -> ExportBody:
+def body_of(result: MassMeasurement, stapes: Surface | None = None) -> ExportBody:
     """Return what the exports need of a result; ``stapes`` replaces the surface by a lighter one."""
     source = result.options.scan or result.options.labels
     return ExportBody(

@@ -13,7 +13,7 @@ from ct_inertia.exports.body import body_of
 from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.ct2mass import MassMeasurement
     from ct_inertia.surface.surface import Surface
 
 
@@ -42,7 +42,7 @@ def parse_formats(text: str) -> tuple[str, ...]:
 
 
 def export(
-    result: MassResult,
+    result: MassMeasurement,
     folder: Path | str,
     formats: str | Iterable[str] = "all",
     stapes: Surface | None = None,
@@ -53,7 +53,7 @@ def export(
 
     Parameters
     ----------
-    result : MassResult
+    result : MassMeasurement
     folder : Path or str
         Made when missing.
     formats : str or iterable of str

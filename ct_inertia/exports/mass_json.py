@@ -25,7 +25,7 @@ from stapeskit.records.mass_record import SCHEMA, MassMatrix
 from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, dof_indices
 
 if TYPE_CHECKING:
-    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.ct2mass import MassMeasurement
     from ct_inertia.options import MassOptions
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ _OUTLINE_POINTS = 160
 
 
 def mass_json(
-    result: MassResult,
+    result: MassMeasurement,
     sha256: bool = False,
     hashes: Hashes | None = None,
     second: bool = True,
@@ -49,7 +49,7 @@ def mass_json(
 
     Parameters
     ----------
-    result : MassResult
+    result : MassMeasurement
     sha256 : bool
         Hash the inputs with SHA-256 instead of the faster default.
     hashes : Hashes, optional
@@ -112,7 +112,7 @@ def mass_json(
     return plain
 
 
-def write_outputs(result: MassResult, folder: Path, content: Mapping[str, Any]) -> list[str]:
+def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, Any]) -> list[str]:
     """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names."""
     folder = Path(folder)
     (folder / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -124,7 +124,7 @@ def write_outputs(result: MassResult, folder: Path, content: Mapping[str, Any]) 
     return names_of(result, content)
 
 
-def names_of(result: MassResult, content: Mapping[str, Any]) -> list[str]:
+def names_of(result: MassMeasurement, content: Mapping[str, Any]) -> list[str]:
     """Return the names of the files that `write_outputs` writes."""
     names = ["mass.json", "stapes.ply"]
     names += [] if result.plate is None else ["plate.ply"]
@@ -141,7 +141,7 @@ def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:
     }
 
 
-def _frames(result: MassResult) -> dict[str, Any]:
+def _frames(result: MassMeasurement) -> dict[str, Any]:
     footplate = result.footplate.scan_from_footplate
     plate: RigidTransform | None = None
     covariance: dict[str, Any] = {
@@ -172,7 +172,7 @@ def _pose(covariance: Array, frame: str) -> dict[str, Any]:
     }
 
 
-def _found(result: MassResult) -> dict[str, Any]:
+def _found(result: MassMeasurement) -> dict[str, Any]:
     """Return what an anatomist compares: dimensions, and the outline of the footplate."""
     footplate = result.footplate
     outline = footplate.outline_mm
@@ -200,7 +200,7 @@ def _holes(surface: Surface) -> int:
     return (2 - surface.euler_characteristic) // 2
 
 
-def _cross_check(result: MassResult, second: bool) -> dict[str, Any]:
+def _cross_check(result: MassMeasurement, second: bool) -> dict[str, Any]:
     """Compare the moments used with those of the closed surface."""
     used, mesh = result.moments, result.mesh_moments
     opinion = None
@@ -222,7 +222,7 @@ def _cross_check(result: MassResult, second: bool) -> dict[str, Any]:
     }
 
 
-def _segmentation(result: MassResult) -> dict[str, Any] | None:
+def _segmentation(result: MassMeasurement) -> dict[str, Any] | None:
     bodies = result.bodies
     if bodies is None:
         return None

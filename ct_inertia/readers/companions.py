@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.formats import format_of
+from ct_inertia.surface.surface import SURFACE_SUFFIXES
 
 
 def with_data_files(inputs: Mapping[str, Path | None]) -> dict[str, Path | None]:
@@ -39,6 +40,8 @@ def data_files(path: Path | None) -> list[Path]:
     if path is None or not Path(path).is_file():
         return []
     path = Path(path)
+    if path.suffix.lower() in SURFACE_SUFFIXES:
+        return []
     try:
         files = format_of(path).companion_files(path)
         return [file for file in files if file != path and file.is_file()]

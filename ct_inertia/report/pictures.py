@@ -18,6 +18,7 @@ from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -164,7 +165,22 @@ def _framing(scene: Scene) -> tuple[list[Array], float]:
     return [view.matrix[:2] @ middle for view in VIEWS], half
 
 
+def drawn_by_matplotlib(scene: Scene) -> Figure:
+    """Return a scene from three sides as a figure."""
+    centres, half = _framing(scene)
+    return _composed(scene, centres, half, None)
+
+
 def _compose(scene: Scene, centres: list[Array], half: float, rasters: Sequence[Array] | None) -> bytes:
+    """Return the three views as PNG bytes."""
+    drawing = _composed(scene, centres, half, rasters)
+    stream = io.BytesIO()
+    drawing.savefig(stream, format="png", dpi=150)
+    drawing.clear()
+    return stream.getvalue()
+
+
+def _composed(scene: Scene, centres: list[Array], half: float, rasters: Sequence[Array] | None) -> Figure:
     """Lay the three views side by side with axes, scale, anatomical names and a legend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
@@ -200,10 +216,7 @@ def _compose(scene: Scene, centres: list[Array], half: float, rasters: Sequence[
             Line2D([], [], color="#444444", linewidth=1.3, linestyle="--", label="plate frame xp, yp, zp")
         )
     drawing.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
-    stream = io.BytesIO()
-    drawing.savefig(stream, format="png", dpi=150)
-    drawing.clear()
-    return stream.getvalue()
+    return drawing
 
 
 def _end(direction: Array) -> str:

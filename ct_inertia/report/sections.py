@@ -26,7 +26,7 @@ from stapeskit.warnings import Notice, from_json
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
-    from ct_inertia.ct2mass import MassResult
+    from ct_inertia.ct2mass import MassMeasurement
 
 Array = NDArray[np.float64]
 
@@ -87,24 +87,43 @@ def mass_sections(
     return sections, notices
 
 
+def report_sections(
+    result: MassMeasurement, content: Mapping[str, Any], shown: Surface | None = None
+) -> tuple[list[page.Section], dict[str, Any], tuple[Notice, ...]]:
+    """Return the sections of a result, and the content of mass.json with the notices that drawing added.
+
+    Parameters
+    ----------
+    result : MassMeasurement
+    content : mapping
+        Of mass.json.
+    shown : Surface, optional
+        A lighter surface for the pictures.
+
+    Returns
+    -------
+    sections : list of page.Section
+    content : dict
+    notices : tuple of Notice
+        Those that drawing added.
+    """
+    labelled = None if result.bodies is None else result.bodies.labels
+    sections, notices = mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
+    warnings = [*content["warnings"], *(notice.as_json() for notice in notices)]
+    return sections, {**content, "warnings": warnings}, notices
+
+
 def write_report(
-    path: Path, result: MassResult, content: Mapping[str, Any], shown: Surface | None = None
+    path: Path, result: MassMeasurement, content: Mapping[str, Any], shown: Surface | None = None
 ) -> dict[str, Any]:
     """Write report.html; return ``content`` with the notices that drawing added.
 
     Parameters
     ----------
-    path : Path
-    result : MassResult
-    content : mapping
-        Of mass.json.
-    shown : Surface, optional
-        A lighter surface for the pictures.
+    path, result, content, shown
+        See `report_sections`.
     """
-    labelled = None if result.bodies is None else result.bodies.labels
-    sections, notices = mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
-    full = dict(content)
-    full["warnings"] = [*content["warnings"], *(notice.as_json() for notice in notices)]
+    sections, full, _ = report_sections(result, content, shown)
     source = result.options.scan or result.options.labels
     document = page.Page(
         f"Mass matrix of {Path(str(source)).name}",

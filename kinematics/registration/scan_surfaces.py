@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.faults import Fault, StapeskitError
+from stapeskit.records.measured_mass import LabelVolume
 
 if TYPE_CHECKING:
     from stapeskit.records.mass_record import MassRecord
+    from stapeskit.records.measured_mass import MeasuredMass
 
 Array = NDArray[np.float64]
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
@@ -33,7 +35,7 @@ _SIGNS = {"left-posterior-superior": (1.0, 1.0, 1.0), "lps": (1.0, 1.0, 1.0),
 
 @dataclass(frozen=True)
 class ScanSurfaces:
-    """Where the surfaces of a scan stand, all in scan coordinates, mm; read when asked for.
+    """The surfaces of a scan, all in scan coordinates, mm; each is read once, when it is asked for.
 
     Attributes
     ----------
@@ -41,12 +43,15 @@ class ScanSurfaces:
         From a file's name to its path, which need not exist.
     labels_file : str or None
         Name of the label volume.
+    memory : MeasuredMass or None
+        A mass whose surfaces are in memory; no file is read then.
     """
 
     find: Callable[[str], Path]
     labels_file: str | None = "labels.nrrd"
+    memory: MeasuredMass | None = None
     _read: dict[str, TriangleSurface | None] = field(default_factory=dict, repr=False, compare=False)
-    _labels: dict[str, Labels] = field(default_factory=dict, repr=False, compare=False)
+    _labels: dict[str, LabelVolume | None] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def beside(cls, mass_file: Path, mass: MassRecord | None = None) -> ScanSurfaces:
@@ -54,6 +59,13 @@ class ScanSurfaces:
         labels = "labels.nrrd" if mass is None else mass.raw.get("labels_file", "labels.nrrd")
         named = labels if isinstance(labels, str) and Path(labels).name == labels else None
         return cls(lambda name: Path(mass_file).parent / name, named)
+
+    @classmethod
+    def of(cls, mass: MeasuredMass) -> ScanSurfaces:
+        """Return the surfaces of a mass, from its folder or from memory."""
+        if mass.file is not None:
+            return cls.beside(mass.file, mass.record)
+        return cls(Path, None, mass)
 
     def mesh(self, name: str) -> TriangleSurface | None:
         """Return ``stapes`` or ``plate``, or None when there is no such file.
@@ -64,18 +76,28 @@ class ScanSurfaces:
             The file holds no triangles.
         """
         if name not in self._read:
-            path = self.find(f"{name}.ply")
-            self._read[name] = read_mesh(path, name) if path.is_file() else None
+            self._read[name] = self._load_mesh(name)
         return self._read[name]
+
+    def _load_mesh(self, name: str) -> TriangleSurface | None:
+        if self.memory is not None:
+            mesh = self.memory.meshes.get(name)
+            return None if mesh is None else TriangleSurface(*mesh, f"surface of the {name}")
+        path = self.find(f"{name}.ply")
+        return read_mesh(path, name) if path.is_file() else None
 
     def bone_near(self, points_mm: Array) -> TriangleSurface | None:
         """Return the boundary of the other bone around points (n, 3), or None when there is none there."""
-        path = None if self.labels_file is None else self.find(self.labels_file)
-        if path is None or not path.is_file():
-            return None
         if "labels" not in self._labels:
-            self._labels["labels"] = read_labels(path)
-        return label_surface(self._labels["labels"], OTHER_BONE, points_mm)
+            self._labels["labels"] = self._load_labels()
+        labels = self._labels["labels"]
+        return None if labels is None else label_surface(labels, OTHER_BONE, points_mm)
+
+    def _load_labels(self) -> LabelVolume | None:
+        if self.memory is not None:
+            return self.memory.labels()
+        path = None if self.labels_file is None else self.find(self.labels_file)
+        return read_labels(path) if path is not None and path.is_file() else None
 
 
 def read_mesh(path: Path, name: str) -> TriangleSurface:
@@ -110,27 +132,7 @@ def read_mesh(path: Path, name: str) -> TriangleSurface:
         ) from fault
 
 
-@dataclass(frozen=True)
-class Labels:
-    """A label volume.
-
-    Attributes
-    ----------
-    array : ndarray, [z, y, x], int
-    scan_from_index : ndarray, (3, 4)
-        Maps index (x, y, z) to scan coordinates, mm.
-    """
-
-    array: NDArray[np.integer]
-    scan_from_index: Array
-
-    @property
-    def spacing_mm(self) -> Array:
-        """Voxel size (3,), x, y, z."""
-        return np.asarray(np.linalg.norm(self.scan_from_index[:, :3], axis=0))
-
-
-def read_labels(path: Path) -> Labels:
+def read_labels(path: Path) -> LabelVolume:
     """Read an attached NRRD label volume as ct2mass and 3D Slicer write it.
 
     Raises
@@ -170,14 +172,14 @@ def read_labels(path: Path) -> Labels:
                 "the label volume", "an NRRD as ct2mass writes it", got, Path(path).name, "Run ct2mass anew"
             )
         ) from fault
-    return Labels(array, matrix)
+    return LabelVolume(array, matrix)
 
 
 def _vector(text: str) -> Array:
     return np.array([float(part) for part in text.strip("() ").split(",")])
 
 
-def label_surface(labels: Labels, label: int, points_mm: Array) -> TriangleSurface | None:
+def label_surface(labels: LabelVolume, label: int, points_mm: Array) -> TriangleSurface | None:
     """Return the boundary of one label around points (n, 3), scan mm; None when there is none nearby.
 
     Notes
@@ -211,7 +213,7 @@ def label_surface(labels: Labels, label: int, points_mm: Array) -> TriangleSurfa
     return TriangleSurface(places, surface, "surface of the bone")
 
 
-def _points_inward(blurred: Array, vertices: Array, faces: NDArray[np.int64], labels: Labels) -> bool:
+def _points_inward(blurred: Array, vertices: Array, faces: NDArray[np.int64], labels: LabelVolume) -> bool:
     """Tell whether most triangles point towards larger values, in index space seen in scan axes."""
     some = faces[:: max(1, len(faces) // 500)]
     corners = vertices[some][:, :, ::-1] @ labels.scan_from_index[:, :3].T

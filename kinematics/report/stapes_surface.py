@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stapeskit.records.mass_record import read_mass_record
+if TYPE_CHECKING:
+    from kinematics.registration.scan_surfaces import ScanSurfaces
+    from stapeskit.records.mass_record import MassRecord
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -86,23 +87,19 @@ def scenery_of(
     )
 
 
-def read_scenery(mass_file: Path) -> Scenery:
-    """Read the scenery from mass.json and the ``stapes.ply`` beside it, when there is one.
+def scenery_of_scan(mass: MassRecord, surfaces: ScanSurfaces | None) -> Scenery:
+    """Build the scenery from a mass record and the surfaces of its scan, when there are any.
 
     Raises
     ------
     KinematicsError
-        mass.json is not what ct2mass writes.
+        The surface of the stapes cannot be read.
     """
-    raw = read_mass_record(mass_file).raw
-    surface = Path(mass_file).parent / "stapes.ply"
+    stapes = None if surfaces is None else surfaces.mesh("stapes")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    if surface.is_file():
-        import trimesh
-
-        mesh = trimesh.load_mesh(surface, process=False)
-        vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-    return scenery_of(raw["frames"], raw.get("found", {}), vertices, faces)
+    if stapes is not None:
+        vertices, faces = stapes.vertices_mm, stapes.faces
+    return scenery_of(mass.raw["frames"], mass.raw.get("found", {}), vertices, faces)
 
 
 def coarse(vertices_mm: Array, faces: Faces, most: int) -> tuple[Array, Faces]:

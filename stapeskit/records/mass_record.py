@@ -176,11 +176,27 @@ def read_mass_record(path: Path) -> MassRecord:
         matrix that no rigid body can have. Every fault found is listed.
     """
     path = Path(path)
-    raw = _load(path)
+    return mass_record(_load(path), path.name)
+
+
+def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
+    """Check the content of a ``mass.json``, read from a file or just computed.
+
+    Parameters
+    ----------
+    raw : mapping
+    name : str
+        What it is called in messages.
+
+    Raises
+    ------
+    StapeskitError
+        As in `read_mass_record`.
+    """
     schema = raw.get("schema")
     if schema != SCHEMA:
-        raise StapeskitError(Fault("schema", f'"{SCHEMA}"', schema, path.name, MADE_BY))
-    return _record(raw, path.name)
+        raise StapeskitError(Fault("schema", f'"{SCHEMA}"', schema, name, MADE_BY))
+    return _record(dict(raw), name)
 
 
 def _load(path: Path) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,9 @@ def standard_deviation(motion: RigidMotion) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0) / 2.0))
 
 
-def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Path]:
+def write_motion(
+    folder: Path, stem: str, motion: RigidMotion, hash_of: Callable[[Path], str] = content_hash
+) -> tuple[Path, Path]:
     """Write ``<stem>.csv`` and ``<stem>.h5`` into a folder and return their paths.
 
     A line at which a body's motion is not determined has no row. The HDF5 file holds the hash of the
@@ -58,7 +60,7 @@ def write_motion(folder: Path, stem: str, motion: RigidMotion) -> tuple[Path, Pa
     """
     csv_path, h5_path = Path(folder) / f"{stem}.csv", Path(folder) / f"{stem}.h5"
     _write_csv(csv_path, motion)
-    _write_h5(h5_path, motion, content_hash(csv_path))
+    _write_h5(h5_path, motion, hash_of(csv_path))
     return csv_path, h5_path
 
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from fitting.cli import _work
-from fitting.dof2kd import dof2kd, footplate_outline
+from fitting.dof2kd import dof2kd
 from fitting.errors import FittingError
 from fitting.kd import fit_kd
+from fitting.measure_kd import footplate_outline
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
 from fitting.report.kd_json import kd_json

@@ -3,6 +3,7 @@
 import pytest
 
 from pipeline import records
+from stapeskit.provenance import Hashes
 
 CODE = records._code
 
@@ -18,7 +19,9 @@ def package(tmp_path, monkeypatch):
 
 
 def mark(tmp_path, parameters=None, name="scan.tif"):
-    return records.fingerprint(["room"], {"scan": tmp_path / name, "labels": None}, parameters or {}, {})
+    return records.fingerprint(
+        ["room"], {"scan": tmp_path / name, "labels": None}, parameters or {}, Hashes()
+    )
 
 
 def test_input_parameters_and_code_each_change_it(package):
@@ -54,7 +57,7 @@ def test_a_record_that_points_outside_its_folder_is_not_believed(tmp_path):
     good = records.StageRecord("fit", {"a": "1"}, {"kd.json": "xxh3_128:0"}, 1.0)
     records.write_record(tmp_path, good)
     assert records.read_record(tmp_path, "fit") == good
-    assert good.spoiled(tmp_path) == ["kd.json"]
+    assert good.spoiled(tmp_path, Hashes()) == ["kd.json"]
     for name in ("../kd.json", "/etc/passwd"):
         records.write_record(tmp_path, records.StageRecord("fit", {}, {name: "0"}, 1.0))
         assert records.read_record(tmp_path, "fit") is None

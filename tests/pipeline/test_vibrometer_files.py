@@ -9,9 +9,8 @@ import pytest
 
 from kinematics.tidy.ldv_csv import read_ldv
 from pipeline.errors import PipelineError
-from pipeline.options import input_options, motion_options
+from pipeline.options import input_options, motion_inputs, motion_options
 from pipeline.scan2kd import run_study
-from pipeline.stages import Motion
 from pipeline.study import parse_study
 from stapeskit.faults import StapeskitError
 from tests.kinematics.rewritten import write_three_ways
@@ -38,7 +37,7 @@ def test_keys_of_the_study_are_the_options_of_the_command(tmp_path):
     assert said.run == ("push=s.uff",)
     np.testing.assert_allclose(said.direction, [0.0, -0.6, 0.8])
     assert (said.amplitude, said.length_unit) == ("rms", "mm")
-    assert list(Motion.inputs(study))[:2] == ["ldv", "ldv 2"]
+    assert list(motion_inputs(study.ldv).by_role)[:2] == ["ldv", "ldv 2"]
     one = parsed('file = "s.uff"\nbeam = "-z"\nbody = ["stapes=1-3"]\n', tmp_path)
     assert [path.name for path in one.ldv.files] == ["s.uff"]
     np.testing.assert_allclose(input_options(one.ldv).direction, [0.0, 0.0, -1.0])
@@ -68,9 +67,11 @@ def test_keys_of_time_series_go_together(tmp_path):
     said = input_options(parsed('file = "t.uff"\nwindow = "hann"\n', tmp_path).ldv)
     assert (said.series.window, said.series.channels) == ("hann", None)
     study = parsed('file = "t.csv"\nmapping = "m.toml"\n' + series, tmp_path)
-    assert {"ldv", "mapping", "channels"} <= {name for name, path in Motion.inputs(study).items() if path}
+    assert {"ldv", "mapping", "channels"} <= {
+        name for name, path in motion_inputs(study.ldv).by_role.items() if path
+    }
     (tmp_path / "t.csv.toml").write_text("")
-    assert "t.csv.toml" in Motion.inputs(study)
+    assert "t.csv.toml" in motion_inputs(study.ldv).by_role
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,80 @@
+"""The result of a measurement of mass in a few rows, for terminal and notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ct_inertia.ct2mass import MassMeasurement
+from stapeskit.page.quantities import MASS
+
+
+def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
+    """Return mass, centre, entries of the mass matrix, footplate and frames with their uncertainty."""
+    body, footplate, matrix = result.body, result.footplate, result.matrix
+    deviation = matrix.standard_deviation
+    pose = np.sqrt(np.diag(footplate.covariance))
+
+    def entry(row: int, column: int, factor: float, unit: str) -> str:
+        return f"{matrix.matrix[row, column] * factor:.4f} ± {deviation[row, column] * factor:.4f} {unit}"
+
+    rows: list[tuple[str, str]] = [
+        ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
+        ("mass", entry(0, 0, MASS.per_si, MASS.symbol)),
+        ("centre of mass (footplate)", _vector(matrix.parameters[1:4] / matrix.parameters[0] * 1e3, "mm")),
+        ("M(alpha, alpha)", entry(3, 3, 1e12, "e-12 kg m2")),
+        ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
+        ("M(y, alpha)", entry(1, 3, 1e12, "e-12 kg m")),
+        ("M(y, gamma)", entry(1, 5, 1e12, "e-12 kg m")),
+        (
+            "footplate",
+            f"{footplate.length_mm:.2f} x {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
+        ),
+        ("footplate centre (scan)", _vector(footplate.scan_from_footplate.translation_mm, "mm")),
+        (
+            "frame sd",
+            f"{1e6 * np.max(pose[:3]):.1f} um, {np.degrees(np.max(pose[3:])):.2f} degrees; "
+            f"x by {footplate.anterior_from}",
+        ),
+    ]
+    if result.plate_frame is not None:
+        rows.append(("plate frame (scan)", _vector(result.plate_frame.scan_from_plate.translation_mm, "mm")))
+    return rows
+
+
+def summary_rows(result: MassMeasurement, content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the measured values, the other ways to the mass, and what a surface for show would change.
+
+    Parameters
+    ----------
+    result : MassMeasurement
+    content : mapping
+        Of mass.json.
+    """
+    rows = measured_rows(result)
+    for way in content["mass_alternatives"]:
+        worst = max(abs(value) for row in way["matrix_change_percent"] for value in row)
+        shift = float(np.linalg.norm(way["center_of_mass_change_m"])) * 1e6
+        rows.append(
+            (
+                f"by {way['by']} instead",
+                f"{MASS.of(way['mass_kg']):.4f} {MASS.symbol} ({way['mass_change_percent']:+.2f} %) at "
+                f"{way['density_kg_m3']:.0f} kg/m3; centre {shift:.1f} um off; M within {worst:.2f} %",
+            )
+        )
+    for step in content.get("display_mesh", {}).get("steps", []):
+        shift = float(np.linalg.norm(step["center_of_mass_change_mm"])) * 1e3
+        rows.append(
+            (
+                f"display: {step['step']} {step['asked']}",
+                f"{step['faces']} faces; would change the mass by {step['mass_change_percent']:+.3f} %, "
+                f"its centre by {shift:.2f} um, M by {step['mass_matrix_change_percent']:.3f} %",
+            )
+        )
+    return rows
+
+
+def _vector(values: Any, unit: str) -> str:
+    return ", ".join(f"{value:.4f}" for value in values) + f" {unit}"

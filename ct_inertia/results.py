@@ -1,0 +1,107 @@
+"""The result of `stapeskit.ct2mass`: measured mass properties that print, draw and write themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ct_inertia.ct2mass import MassMeasurement, ct2mass
+from ct_inertia.volume.progress import Tell, untold
+from stapeskit.results import Result, extended
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from ct_inertia.options import MassOptions
+    from stapeskit.records.measured_mass import MeasuredMass
+
+
+@dataclass(frozen=True, repr=False)
+class MassResult(Result, MassMeasurement):
+    """Mass matrix, frames and surfaces of a stapes.
+
+    ``matrix`` holds the mass matrix about the footplate centre in footplate axes with its uncertainty,
+    ``footplate`` and ``plate_frame`` the frames, ``stapes`` and ``plate`` the surfaces.
+    """
+
+    @property
+    def title(self) -> str:
+        """What this is."""
+        source = self.options.scan or self.options.labels
+        return f"Mass matrix of {Path(str(source)).name}"
+
+    def summary(self) -> Sequence[tuple[str, str]]:
+        """Return mass, centre, entries of the mass matrix, footplate and frames with their uncertainty."""
+        from ct_inertia.report.summary import measured_rows
+
+        return measured_rows(self)
+
+    def measured_mass(self, content: Mapping[str, Any] | None = None) -> MeasuredMass:
+        """Return mass, frames and surfaces for the steps after this one, without a file.
+
+        Parameters
+        ----------
+        content : mapping, optional
+            Of mass.json, when it was made before.
+        """
+        from ct_inertia.exports.measured_mass import measured_mass
+
+        return measured_mass(self, content)
+
+    def to_frame(self) -> DataFrame:
+        """Return the entries of the mass matrix, one a row: row, column, value_si, standard_deviation_si."""
+        import pandas as pd
+
+        from stapeskit.spatial import DOF_NAMES
+
+        deviation = self.matrix.standard_deviation
+        return pd.DataFrame(
+            [
+                {
+                    "row": first,
+                    "column": second,
+                    "value_si": self.matrix.matrix[i, j],
+                    "standard_deviation_si": deviation[i, j],
+                }
+                for i, first in enumerate(DOF_NAMES)
+                for j, second in enumerate(DOF_NAMES)
+                if i <= j
+            ]
+        )
+
+    def plot(self) -> Figure:
+        """Draw the stapes from three sides along the footplate axes."""
+        from ct_inertia.report.drawn_body import Body
+        from ct_inertia.report.pictures import Scene, drawn_by_matplotlib
+
+        frame = self.footplate.scan_from_footplate
+        body = Body(self.stapes.vertices_mm, self.stapes.faces)
+        anterior_known = bool(self.footplate.anterior_from)
+        return drawn_by_matplotlib(Scene([body], frame, None, self.options.side, anterior_known))
+
+    def write(self, folder: Path | str, *, force: bool = False, report: bool = True) -> tuple[Path, ...]:
+        """Write mass.json, surfaces, labels and, unless ``report`` is off, report.html."""
+        from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
+        from ct_inertia.exports.output_files import REPORT, labels_name, output_set
+        from ct_inertia.report.sections import write_report
+
+        target = Path(folder)
+        outputs = output_set(self.options, target, report=report, force=force)
+        outputs.check()
+        labels = labels_name(target, self.options.labels)
+        content = mass_json(self, second=report, labels_file=labels)
+        with outputs.staged() as stage:
+            names = [*names_of(self, content), *([REPORT] if report else [])]
+            content["warnings"] += [notice.as_json() for notice in outputs.kept_notices(names)]
+            if report:
+                content = write_report(stage / REPORT, self, content)
+            write_outputs(self, stage, content)
+        return tuple(target / name for name in names)
+
+
+def mass_of(options: MassOptions, progress: Tell = untold) -> MassResult:
+    """Measure the mass properties of a stapes; see `ct_inertia.ct2mass.ct2mass`."""
+    return extended(MassResult, ct2mass(options, progress))

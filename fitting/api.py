@@ -1,0 +1,91 @@
+"""`stapeskit.dof2kd`: the command dof2kd as a function."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fitting.errors import FittingError
+from stapeskit.faults import Fault
+from stapeskit.records.mass_record import MassRecord
+from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
+from stapeskit.records.motion import RigidMotion
+
+if TYPE_CHECKING:
+    from fitting.results import KDResult
+
+
+class HasMotion(Protocol):
+    """A result that holds a motion, as that of points2dof."""
+
+    @property
+    def motion(self) -> RigidMotion:
+        """The motion of the bodies."""
+
+
+def dof2kd(
+    motion: str | os.PathLike[str] | RigidMotion | HasMotion,
+    *,
+    mass: MassInput | ArrayLike,
+    **options: Any,
+) -> KDResult:
+    """Estimate stiffness and damping from motion and mass.
+
+    Parameters
+    ----------
+    motion : path or result of points2dof
+    mass : path or result of ct2mass, or ndarray, (n, n)
+        An array is in the order of ``dof``, SI, about the footplate centre in footplate axes.
+    **options
+        The options of the command dof2kd by their names: ``dof``, ``estimator``, ``damping``, ``band``,
+        ``exclude``, ``monte_carlo`` ...
+
+    Raises
+    ------
+    StapeskitError
+        An option is unknown (the nearest is named), or options or files are at fault; all of it together.
+
+    Examples
+    --------
+    >>> fit = dof2kd(motion, mass=mass, band=(400, 5000))  # doctest: +SKIP
+    """
+    from fitting.measure_kd import kd_of
+    from fitting.model.mass_file import read_mass
+    from fitting.options import KDOptions
+    from stapeskit.provenance import record
+    from stapeskit.records.motion_files import read_motion
+
+    chosen = KDOptions.of(**options)
+    if chosen.dof_reordered and _is_plain(mass):
+        step = "Order rows and columns of the matrix so, too"
+        wanted = "in the order x,y,z,alpha,beta,gamma where a plain mass matrix counts by it"
+        raise FittingError(Fault("{dof}", wanted, "another order", "", step))
+    files: dict[str, Any] = {}
+    if isinstance(mass, str | os.PathLike):
+        files["mass"] = Path(mass)
+        matrix, known = read_mass(Path(mass), chosen.dof)
+    elif isinstance(mass, HasMass | MassRecord | MeasuredMass):
+        measured = measured_mass(mass)
+        matrix, known = measured.record.mass_matrix, measured.record
+        files["mass"] = measured.provenance_input
+    else:
+        matrix, known = np.asarray(mass, dtype=float), None
+    if isinstance(motion, str | os.PathLike):
+        files["motion"] = Path(motion)
+        moved = read_motion(Path(motion))
+    else:
+        moved = motion if isinstance(motion, RigidMotion) else motion.motion
+    provenance = record(files, chosen.parameters(), ["stapeskit.dof2kd"])
+    read = tuple(path for path in files.values() if isinstance(path, Path))
+    return kd_of(moved, matrix, chosen, known, provenance, read)
+
+
+def _is_plain(mass: Any) -> bool:
+    """Return whether a mass is a matrix in the order of the degrees of freedom, in memory or in a table."""
+    if isinstance(mass, str | os.PathLike):
+        return Path(mass).suffix.lower() != ".json"
+    return not isinstance(mass, HasMass | MassRecord | MeasuredMass)

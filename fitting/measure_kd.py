@@ -1,0 +1,72 @@
+"""From motion and mass to a fit with its record: the one way of command, study and notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.kd import fit_kd
+from fitting.montecarlo import monte_carlo
+from fitting.options import KDOptions
+from fitting.results import KDResult
+from stapeskit.results import extended
+
+if TYPE_CHECKING:
+    from stapeskit.records.mass_record import MassMatrix, MassRecord
+    from stapeskit.records.motion import RigidMotion
+
+Array = NDArray[np.float64]
+
+
+def kd_of(
+    motion: RigidMotion,
+    mass: MassMatrix | Array,
+    options: KDOptions,
+    record: MassRecord | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    files: tuple[Path, ...] = (),
+) -> KDResult:
+    """Fit stiffness and damping, and keep with the fit what its record and its page need.
+
+    Parameters
+    ----------
+    motion : RigidMotion
+    mass : MassMatrix or ndarray, (n, n)
+        An array is in the order of ``options.dof``, SI.
+    options : KDOptions
+        With ``monte_carlo``, the scatter of so many refits is kept with the fit.
+    record : MassRecord, optional
+        Of the same stapes, for the outline of its footplate.
+    provenance : mapping, optional
+    files : tuple of Path
+        Every file that was read.
+
+    Raises
+    ------
+    FittingError
+        What `fitting.kd.fit_kd` refuses.
+    """
+    fit = fit_kd(motion, mass, options)
+    return extended(
+        KDResult,
+        fit,
+        provenance=dict(provenance or {}),
+        footplate_outline_mm=footplate_outline(record),
+        scatter=monte_carlo(fit, options.monte_carlo) if options.monte_carlo else None,
+        files=files,
+    )
+
+
+def footplate_outline(record: MassRecord | None) -> Array | None:
+    """Return the footplate's outline in footplate axes (points, 2 or 3), mm, when mass.json holds one."""
+    found = {} if record is None else record.raw.get("found") or {}
+    raw = found.get("footplate_outline_in_footplate_mm")
+    if raw is None:
+        return None
+    outline = np.asarray(raw, dtype=float)
+    good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
+    return outline if good and np.all(np.isfinite(outline)) else None

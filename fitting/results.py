@@ -1,0 +1,123 @@
+"""The result of `stapeskit.dof2kd`: stiffness and damping that print, draw and write themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.kd_fit import KDFit
+from fitting.montecarlo import MonteCarlo, monte_carlo_json, monte_carlo_section
+from stapeskit.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from stapeskit.page.page import Section
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class KDResult(Result, KDFit):
+    """Stiffness and damping with their uncertainty, record and page.
+
+    Attributes
+    ----------
+    provenance : mapping
+        Inputs, choices and versions.
+    footplate_outline_mm : ndarray, (points, 2 or 3), or None
+        Outline of the footplate in footplate axes, for pictures.
+    scatter : MonteCarlo or None
+        Refits of simulated repetitions, when they were asked for.
+    files : tuple of Path
+        Every file that was read; `write` never replaces one of them.
+    """
+
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    footplate_outline_mm: Array | None = None
+    scatter: MonteCarlo | None = None
+    files: tuple[Path, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What this is."""
+        return f"Stiffness and damping for {', '.join(self.dof)}"
+
+    def summary(self) -> Sequence[tuple[str, str]]:
+        """Return K, D, modes and fit with their uncertainty."""
+        from fitting.report.sections import summary_rows
+
+        return summary_rows(self)
+
+    def content(self) -> dict[str, Any]:
+        """Return the content of kd.json."""
+        from fitting.report.kd_json import kd_json
+
+        content = kd_json(self, self.provenance)
+        if self.scatter is not None:
+            content["monte_carlo"] = monte_carlo_json(self, self.scatter)
+        return content
+
+    def sections(self) -> list[Section]:
+        """Return the sections of the page, without warnings and inputs."""
+        from fitting.report.sections import kd_sections
+
+        scatter = [] if self.scatter is None else [monte_carlo_section(self, self.scatter)]
+        return [*kd_sections(self, self.footplate_outline_mm), *scatter]
+
+    def to_frame(self) -> DataFrame:
+        """Return one row a parameter: value, standard deviations and 95 % interval, SI."""
+        import pandas as pd
+
+        from fitting.model.symmetric import join
+
+        intervals = self.intervals
+        return pd.DataFrame(
+            {
+                "parameter": list(self.parameters),
+                "value_si": join(self.stiffness, self.damping),
+                "standard_deviation_si": np.sqrt(np.diag(self.covariance)),
+                "noise_only_sd_si": np.sqrt(np.diag(self.noise_covariance)),
+                "low_95_si": intervals[:, 0],
+                "high_95_si": intervals[:, 1],
+            }
+        )
+
+    def plot(self) -> Figure:
+        """Draw measured and simulated responses of the first run."""
+        from fitting.report.figures import response_figure
+        from fitting.report.responses import responses
+
+        drawn = responses(self)
+        return response_figure(drawn, int(np.min(drawn.run)))
+
+    def write_into(self, folder: Path, name: str) -> list[str]:
+        """Write ``name``, X.json, and the page X.html into an empty folder; return their names."""
+        from fitting.report.sections import kd_page
+
+        html = Path(name).with_suffix(".html").name
+        text = json.dumps(self.content(), indent=1) + "\n"
+        (Path(folder) / name).write_text(text, encoding="utf-8")
+        made = kd_page(self, self.provenance, self.footplate_outline_mm)
+        if self.scatter is not None:
+            made.sections.insert(-1, monte_carlo_section(self, self.scatter))
+        made.write(Path(folder) / html)
+        return [name, html]
+
+    def write(self, folder: Path | str, *, force: bool = False, name: str = "kd.json") -> tuple[Path, ...]:
+        """Write kd.json and kd.html."""
+        from stapeskit.own_files import OutputSet
+
+        html = Path(name).with_suffix(".html").name
+        outputs = OutputSet("dof2kd", Path(folder), (name, html), self.files, force)
+        outputs.check()
+        with outputs.staged() as stage:
+            names = self.write_into(stage, name)
+        return tuple(outputs.folder / name for name in names)

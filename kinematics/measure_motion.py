@@ -1,0 +1,179 @@
+"""Read a measurement and tie it to the footplate: the one way of command, study and notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.input_options import InputOptions
+
+if TYPE_CHECKING:
+    from kinematics.measurement import Measurement
+    from kinematics.points2dof import Options
+    from kinematics.registration.fiducials import Fiducials
+    from kinematics.registration.icp_refine import Cloud
+    from kinematics.results import MotionResult
+    from stapeskit.records.measured_mass import MeasuredMass
+
+
+def files_by_role(
+    files: Sequence[Path], points: Path | None, named: Mapping[str, Path | None]
+) -> dict[str, Path | None]:
+    """Return every file that is read, by its role, mapping files found next to a vibrometer file included."""
+    from kinematics.readers import inputs_of
+
+    sidecars = (path.with_name(path.name + ".toml") for path in files)
+    found = {path.name: path for path in sidecars if path.is_file()}
+    return {**inputs_of(files, points), **named, **found}
+
+
+@dataclass(frozen=True)
+class MotionInputs:
+    """The files of a measurement and the coordinates that they are in.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Vibrometer files and folders.
+    points, fiducials, plate_points, bone_points : Path or None
+    frame : str or None
+        ``footplate`` (default), ``plate`` or ``scan``: of coordinates that nothing ties to the footplate.
+    mirror, mirror_points : str or None
+        Axis ``x``, ``y`` or ``z`` of left-handed coordinates to reverse: of positions and beams, or of
+        positions alone.
+    reading : InputOptions
+        What the vibrometer files do not say themselves.
+    """
+
+    files: tuple[Path, ...]
+    points: Path | None = None
+    fiducials: Path | None = None
+    plate_points: Path | None = None
+    bone_points: Path | None = None
+    frame: str | None = None
+    mirror: str | None = None
+    mirror_points: str | None = None
+    reading: InputOptions = field(default_factory=InputOptions)
+
+    @property
+    def by_role(self) -> dict[str, Path | None]:
+        """Every file that is read, by its role; see `files_by_role`."""
+        series = self.reading.series
+        named = {
+            "fiducials": self.fiducials,
+            "plate_points": self.plate_points,
+            "bone_points": self.bone_points,
+            "mapping": self.reading.mapping,
+            "channels": None if series is None else series.channels,
+            "steps": None if series is None else series.steps,
+        }
+        return files_by_role(self.files, self.points, named)
+
+    @property
+    def source_frame(self) -> str:
+        """The frame that positions and directions are given in."""
+        tied = self.fiducials is not None or self.plate_points is not None
+        return "vibrometer" if tied else self.frame or "footplate"
+
+
+@dataclass(frozen=True)
+class MeasurementInputs:
+    """What was read: readings, fiducials, and points on surfaces by kind (``plate``, ``bone``)."""
+
+    measurement: Measurement
+    fiducials: Fiducials | None = None
+    clouds: Mapping[str, Cloud] = field(default_factory=dict)
+
+    def mirrored(self, axis: str, points_only: bool = False) -> MeasurementInputs:
+        """Return all of it with one axis of left-handed coordinates reversed."""
+        from kinematics.registration.surface_points import mirrored
+
+        return MeasurementInputs(
+            self.measurement.mirrored(axis, points_only),
+            None if self.fiducials is None else self.fiducials.mirrored(axis),
+            {kind: mirrored(cloud, axis) for kind, cloud in self.clouds.items()},
+        )
+
+
+def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
+    """Read every file of a measurement, each once.
+
+    Raises
+    ------
+    KinematicsError
+        What is wrong with the files, row by row.
+    """
+    from kinematics.readers import read_measurement
+    from kinematics.registration.fiducials import read_fiducials
+    from kinematics.registration.surface_points import read_surface_points
+    from stapeskit.faults import Fault, collecting, raise_all
+
+    faults: list[Fault] = []
+    fiducials: Fiducials | None = None
+    clouds: dict[str, Cloud] = {}
+    if inputs.fiducials is not None:
+        with collecting(faults):
+            fiducials = read_fiducials(inputs.fiducials)
+    for kind, path in (("plate", inputs.plate_points), ("bone", inputs.bone_points)):
+        if path is not None:
+            with collecting(faults):
+                clouds[kind] = read_surface_points(path, kind)
+    with collecting(faults):
+        measurement = read_measurement(inputs.files, inputs.points, inputs.source_frame, inputs.reading)
+    raise_all(KinematicsError, dict.fromkeys(faults))
+    read = MeasurementInputs(measurement, fiducials, clouds)
+    for axis, points_only in ((inputs.mirror, False), (inputs.mirror_points, True)):
+        if axis is not None:
+            read = read.mirrored(axis, points_only)
+    return read
+
+
+def motion_of(
+    inputs: MotionInputs,
+    read: MeasurementInputs,
+    options: Options,
+    mass: MeasuredMass | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> MotionResult:
+    """Tie a measurement to the footplate and fit the motion of its bodies.
+
+    Parameters
+    ----------
+    inputs : MotionInputs
+    read : MeasurementInputs
+        From `read_inputs`.
+    options : Options
+    mass : MeasuredMass, optional
+        Frames and surfaces of the scan.
+    provenance : mapping, optional
+        Carried along in the result.
+
+    Raises
+    ------
+    KinematicsError
+        What `kinematics.registration.align.tie` and `kinematics.points2dof.points2dof` refuse.
+    """
+    from kinematics.points2dof import points2dof
+    from kinematics.registration.align import tie
+    from kinematics.registration.scan_surfaces import ScanSurfaces
+    from kinematics.results import MotionResult
+    from stapeskit.results import extended
+
+    record = None if mass is None else mass.record
+    surfaces = None if mass is None else ScanSurfaces.of(mass)
+    placement = tie(
+        read.measurement,
+        read.fiducials,
+        inputs.frame or "footplate",
+        record,
+        surfaces,
+        read.clouds.get("plate"),
+        read.clouds.get("bone"),
+    )
+    result = points2dof(read.measurement, placement, options, record, provenance)
+    read_files = (*inputs.by_role.values(), None if mass is None else mass.file)
+    files = tuple(path for path in read_files if path is not None)
+    return extended(MotionResult, result, mass=record, surfaces=surfaces, files=files)

@@ -1,0 +1,64 @@
+"""What can be found wrong with a study before the long work on its scan begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pipeline.errors import PipelineError
+from pipeline.options import (
+    faults_in_study_words,
+    fit_options,
+    mass_options,
+    motion_inputs,
+    motion_options,
+)
+from pipeline.stages import measurement_of
+from pipeline.study import Study
+from pipeline.workspace import Workspace
+from stapeskit.faults import Fault, StapeskitError, raise_all
+
+
+def check_inputs(study: Study, work: Workspace) -> None:
+    """Check the options of a study, and read the vibrometer's files, which the motion then uses.
+
+    Raises
+    ------
+    PipelineError
+        Every fault of the options and of the vibrometer's files.
+    """
+    faults: list[Fault] = []
+    checks: tuple[tuple[str, Callable[[], object]], ...] = (
+        ("scan", lambda: mass_options(study.scan)),
+        ("ldv", lambda: motion_options(study.ldv)),
+        ("ldv", lambda: motion_inputs(study.ldv)),
+        ("fit", lambda: fit_options(study.fit)),
+        ("ldv", lambda: _check_measurement(study, work)),
+    )
+    for table, check in checks:
+        try:
+            check()
+        except StapeskitError as fault:
+            faults += faults_in_study_words(fault.faults, table)
+    raise_all(PipelineError, dict.fromkeys(faults))
+
+
+def _check_measurement(study: Study, work: Workspace) -> None:
+    bodies = [body.body for body in measurement_of(study, work).measurement.bodies]
+    file = ", ".join(path.name for path in study.ldv.files)
+    faults = [
+        Fault(
+            f"the body {name}",
+            f"among those of the vibrometer table, {', '.join(bodies)}",
+            "no row of it",
+            file,
+            f"Name the bodies with {key}",
+        )
+        for key, name in (("fit.structure", study.fit.structure), ("fit.base", study.fit.base))
+        if name not in bodies
+    ]
+    wanted = [name for name in study.fit.dof if name not in study.ldv.dof]
+    if wanted:
+        faults.append(
+            Fault("fit.dof", f"among ldv.dof, {', '.join(study.ldv.dof)}", ", ".join(wanted), "study")
+        )
+    raise_all(PipelineError, faults)
