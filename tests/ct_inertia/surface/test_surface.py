@@ -13,6 +13,7 @@ from tests.ct_inertia.solids import (
     random_rotation,
     stapes_surface,
 )
+from tests.oracles import box_moments, ellipsoid_moments
 
 
 def ellipsoid(axes, step):
@@ -22,18 +23,18 @@ def ellipsoid(axes, step):
 
 
 def test_moments_of_a_box_are_exact():
-    a, b, c = 1.0, 2.0, 3.0
-    m = box_surface((a, b, c), (10.0, -20.0, 30.0)).moments()
-    assert m.volume_mm3 == pytest.approx(6.0, rel=1e-14)
+    exact = box_moments((1.0, 2.0, 3.0))
+    m = box_surface((1.0, 2.0, 3.0), (10.0, -20.0, 30.0)).moments()
+    assert m.volume_mm3 == pytest.approx(exact.volume, rel=1e-14)
     assert m.centroid_mm == pytest.approx([10.0, -20.0, 30.0], rel=1e-13)
-    assert m.second_mm5 == pytest.approx(6.0 / 12.0 * np.diag([a * a, b * b, c * c]), abs=1e-12)
-    assert m.inertia_mm5 == pytest.approx(6.0 / 12.0 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b]))
+    assert m.second_mm5 == pytest.approx(exact.second, abs=1e-12)
+    assert m.inertia_mm5 == pytest.approx(exact.inertia)
 
 
 def test_moments_of_an_ellipsoid_converge_with_the_square_of_the_mesh():
     axes = np.array([0.7, 0.5, 0.4])
-    volume = 4.0 / 3.0 * np.pi * axes.prod()
-    second = volume * axes**2 / 5.0
+    exact = ellipsoid_moments(axes)
+    volume, second = exact.volume, np.diag(exact.second)
     errors = []
     for step in (0.08, 0.04, 0.02):
         m = ellipsoid(axes, step).moments()
