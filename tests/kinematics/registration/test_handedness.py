@@ -59,7 +59,8 @@ def test_when_both_are_mirrored_no_residual_shows_it():
 @pytest.mark.parametrize("fault", ["", *FAULTS])
 def test_other_faults_are_not_taken_for_mirrored_axes(fault):
     for seed in range(3):
-        points2dof(measured(seed, fault), Placement(POSE))
+        result = points2dof(measured(seed, fault), Placement(POSE))
+        assert "mirrored_axes" not in {notice.code for notice in result.notices}
 
 
 @pytest.mark.parametrize("fault", ["sign", "label swap", "position 200 um", "point sign"])
@@ -84,4 +85,5 @@ def test_flat_sets_of_points_and_parallel_beams_are_left_alone():
     data = measured(6)
     one = data.bodies[0]
     flat = replace(one, positions_mm=one.positions_mm * [1.0, 1.0, 0.0])
-    points2dof(replace(data, bodies=(flat,)), Placement(POSE))
+    result = points2dof(replace(data, bodies=(flat,)), Placement(POSE))
+    assert "mirrored_axes" not in {notice.code for notice in result.notices}
