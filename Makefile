@@ -58,6 +58,7 @@ check: lint types imports kernels
 
 docs: $(READY)
 	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
+	$(BIN)/python -m pipeline.options_page > docs/options.md
 
 sample: $(READY)
 	$(BIN)/python -m sample_volumes.make_sample

@@ -27,8 +27,8 @@ def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
     from ct_inertia.ct2mass import ct2mass
     from fitting.kd import fit_kd
-    from kinematics.measure_motion import motion_of, read_inputs
-    from pipeline.options import fit_options, mass_options, motion_inputs, motion_options
+    from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
+    from kinematics.points2dof import fit_options
     from pipeline.study import read_study
     from sample_volumes.make_sample import make_study
     from sample_volumes.phantom import Ear
@@ -39,11 +39,11 @@ def one_study(seed: int) -> dict[str, Any]:
         truth = make_study(folder, Ear(pose_seed=seed, noise_seed=seed), Vibrometry(seed=seed), f"ear {seed}")
         study = read_study(folder / "study.toml")
         started = time.perf_counter()
-        measured = ct2mass(mass_options(study.scan)).measured_mass()
+        measured = ct2mass(study.scan).measured_mass()
         mass, content = measured.record, measured.record.raw
         inputs = motion_inputs(study.ldv)
-        motion = motion_of(inputs, read_inputs(inputs), motion_options(study.ldv), measured).motion
-        fit = fit_kd(motion, mass.mass_matrix, fit_options(study.fit))
+        motion = motion_of(inputs, read_inputs(inputs), fit_options(study.ldv), measured).motion
+        fit = fit_kd(motion, mass.mass_matrix, study.fit)
         seconds = time.perf_counter() - started
     wanted = np.concatenate([np.array(truth[key])[ENTRIES] for key in ("stiffness_si", "damping_si")])
     found = np.concatenate([np.asarray(part)[ENTRIES] for part in (fit.stiffness, fit.damping)])

@@ -32,7 +32,7 @@ from stapeskit.options import OptionTable, Rule, Values, excludes, option
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
 
-_MASS = "mass (at least one; a measured mass leads, then a calibration, then a density)"
+_MASS = "mass (at least one; measured mass leads, then calibration, then density)"
 _READING = "reading"
 _RAW = "raw voxels without a header"
 _FINDING = "finding the stapes"
@@ -255,7 +255,7 @@ class MassOptions(OptionTable):
         """Every input file by its role, the data files of headers among them."""
         from ct_inertia.readers.companions import with_data_files
 
-        return with_data_files(self.files())
+        return with_data_files(self.input_files())
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from fitting.plan.plan_example import PLAN_EXAMPLE
 from stapeskit.command import Outcome, run
 from stapeskit.option_parser import Given, Parser
 
-_EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of --dof.
+_EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of
+--dof.
 Writes kd.json and kd.html (named after --out). Example:
   dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
 

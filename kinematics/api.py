@@ -39,8 +39,9 @@ def points2dof(
     --------
     >>> motion = points2dof("ldv.csv", points="points.csv", mass=mass)  # doctest: +SKIP
     """
-    from kinematics.cli import measure, parser
-    from stapeskit.keywords import words_of
+    from kinematics.measure_motion import measure, motion_inputs
+    from kinematics.options import LdvOptions
 
     files = [ldv] if isinstance(ldv, str | os.PathLike) else list(ldv)
-    return measure(words_of(parser(), files, options), Path(mass) if isinstance(mass, str) else mass)
+    chosen = LdvOptions.of(ldv=[Path(file) for file in files], **options)
+    return measure(chosen, motion_inputs(chosen), Path(mass) if isinstance(mass, str) else mass)

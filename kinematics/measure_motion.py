@@ -12,11 +12,12 @@ from kinematics.readers.input_options import InputOptions
 
 if TYPE_CHECKING:
     from kinematics.measurement import Measurement
+    from kinematics.options import LdvOptions
     from kinematics.points2dof import Options
     from kinematics.registration.fiducials import Fiducials
     from kinematics.registration.icp_refine import Cloud
     from kinematics.results import MotionResult
-    from stapeskit.records.measured_mass import MeasuredMass
+    from stapeskit.records.measured_mass import MassInput, MeasuredMass
 
 
 def files_by_role(
@@ -177,3 +178,56 @@ def motion_of(
     read_files = (*inputs.by_role.values(), None if mass is None else mass.file)
     files = tuple(path for path in read_files if path is not None)
     return extended(MotionResult, result, mass=record, surfaces=surfaces, files=files)
+
+
+def motion_inputs(options: LdvOptions) -> MotionInputs:
+    """Return the files that the options name, and the coordinates that they are in.
+
+    Raises
+    ------
+    KinematicsError
+        What the options say about the files cannot be read.
+    """
+    from kinematics.readers.from_options import input_options
+
+    return MotionInputs(
+        files=options.ldv,
+        points=options.points,
+        fiducials=options.fiducials,
+        plate_points=options.plate_points,
+        bone_points=options.bone_points,
+        frame=options.frame,
+        mirror=options.mirror,
+        mirror_points=options.mirror_points,
+        reading=input_options(options),
+    )
+
+
+def measure(
+    options: LdvOptions,
+    inputs: MotionInputs,
+    given_mass: MassInput | None = None,
+    command: list[str] | None = None,
+) -> MotionResult:
+    """Read, tie and fit what the options describe.
+
+    Parameters
+    ----------
+    options : LdvOptions
+    inputs : MotionInputs
+        From `motion_inputs`.
+    given_mass : path, MeasuredMass, or result of ct2mass, optional
+    command : list of str, optional
+        The words of the command, for the provenance.
+    """
+    from kinematics.points2dof import fit_options
+    from stapeskit.provenance import record
+    from stapeskit.records.measured_mass import measured_mass
+
+    chosen = fit_options(options)
+    mass = None if given_mass is None else measured_mass(given_mass)
+    read = read_inputs(inputs)
+    files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
+    tied = inputs.source_frame == "vibrometer"
+    parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
+    return motion_of(inputs, read, chosen, mass, record(files, parameters, command))

@@ -25,6 +25,7 @@ from kinematics.fit.neglected_motion import neglected_notice
 from kinematics.fit.reference_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from kinematics.options import LdvOptions
 from kinematics.registration.calibrate import Calibration
 from kinematics.registration.calibrated_fit import calibrated, calibration_errors
 from kinematics.registration.geometry_model import GeometryPriors
@@ -91,6 +92,24 @@ class Options:
         if not self.dof or tuple(name for name in DOF_NAMES if name in self.dof) != self.dof:
             faults.append(Fault("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
         raise_all(KinematicsError, faults)
+
+
+def fit_options(options: LdvOptions) -> Options:
+    """Return the choices of the fit out of the options of the command or of a study."""
+    usual = GeometryPriors()
+    priors = GeometryPriors(
+        usual.axes_sd_deg if options.axes_sd_deg is None else options.axes_sd_deg,
+        usual.beam_sd_deg if options.beam_sd_deg is None else options.beam_sd_deg,
+        usual.gain_sd_percent if options.gain_sd_percent is None else options.gain_sd_percent,
+    )
+    return Options(
+        options.dof,
+        options.reference,
+        options.robust,
+        priors if options.calibrate else None,
+        options.repeats,
+        options.reference_noise,
+    )
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from pipeline.errors import PipelineError
-from pipeline.options import (
-    faults_in_study_words,
-    fit_options,
-    mass_options,
-    motion_inputs,
-    motion_options,
-)
+from pipeline.options import faults_in_study_words
 from pipeline.stages import measurement_of
 from pipeline.study import Study
 from pipeline.workspace import Workspace
@@ -26,23 +18,16 @@ def check_inputs(study: Study, work: Workspace) -> None:
     PipelineError
         Every fault of the options and of the vibrometer's files.
     """
-    faults: list[Fault] = []
-    checks: tuple[tuple[str, Callable[[], object]], ...] = (
-        ("scan", lambda: mass_options(study.scan)),
-        ("ldv", lambda: motion_options(study.ldv)),
-        ("ldv", lambda: motion_inputs(study.ldv)),
-        ("fit", lambda: fit_options(study.fit)),
-        ("ldv", lambda: _check_measurement(study, work)),
-    )
-    for table, check in checks:
-        try:
-            check()
-        except StapeskitError as fault:
-            faults += faults_in_study_words(fault.faults, table)
-    raise_all(PipelineError, dict.fromkeys(faults))
+    try:
+        _check_measurement(study, work)
+    except StapeskitError as fault:
+        raise PipelineError(*faults_in_study_words(fault.faults, "ldv")) from fault
 
 
 def _check_measurement(study: Study, work: Workspace) -> None:
+    from kinematics.points2dof import fit_options
+
+    fit_options(study.ldv)
     bodies = [body.body for body in measurement_of(study, work).measurement.bodies]
     file = ", ".join(path.name for path in study.ldv.files)
     faults = [

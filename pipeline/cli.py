@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from stapeskit.command import Outcome, Parser, run
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.command import Outcome, run
+from stapeskit.faults import StapeskitError
+from stapeskit.option_kinds import FLAG, FOLDER, at_least, files
+from stapeskit.option_parser import Given, Parser
+from stapeskit.options import OptionTable, Rule, option
 
 if TYPE_CHECKING:
     from pipeline.results import StudyResult
     from pipeline.several import CohortResult
 
-_DESCRIPTION = """From micro-CT scan and vibrometer table to mass, stiffness and damping of a stapes.
+_DESCRIPTION = """\
+From micro-CT scan and vibrometer table to mass, stiffness and damping of a
+stapes.
 
-A study file names the scan, the vibrometer's table and the choices of the fit of one ear.
-scan2kd --template prints one to start from."""
+A study file names the scan, the vibrometer's table and the choices of the fit
+of one ear. scan2kd --template prints one to start from."""
 
-_EPILOG = """Finished stages are reused when their inputs, settings and code are unchanged.
-Exit code 0: done; 2: the input is at fault, with one sentence that says what to do; 1: a bug.
+_EPILOG = """\
+Finished stages are reused when their inputs, settings and code are unchanged.
+Exit code 0: done; 2: the input is at fault, with what to do; 1: a bug.
 
 examples:
   scan2kd --template > study.toml
@@ -28,30 +34,56 @@ examples:
   scan2kd ears/*.toml --jobs 2 --out cohort"""
 
 
+@dataclass(frozen=True)
+class StudyOptions(OptionTable):
+    """The options of ``scan2kd``."""
+
+    title = "scan2kd"
+    rules = (
+        Rule(
+            lambda v: not v.studies and not v.template,
+            "scan2kd",
+            "given a study file",
+            "none",
+            "scan2kd --template prints one to start from",
+        ),
+        Rule(
+            lambda v: len(set(v.studies)) < len(v.studies),
+            "the study files",
+            "all different",
+            "one of them twice",
+            "Name each once",
+        ),
+    )
+
+    studies: tuple[Path, ...] = option(
+        files("TOML file", "scan2kd --template prints one to start from"),
+        "one study file per ear",
+        (),
+        positional=True,
+        metavar="STUDY.toml",
+    )
+    template: bool = option(FLAG, "print a commented study file and leave", False)
+    out: Path | None = option(
+        FOLDER,
+        "default <study name>_out for one study; cohort_out, with a subfolder each, for several",
+        example="cohort",
+    )
+    jobs: int = option(at_least(1), "studies that run at a time", 1)
+    force: bool = option(
+        FLAG,
+        "make every stage anew; replace files at the names of outputs that scan2kd did not write, or that "
+        "were edited",
+        False,
+    )
+
+
 def parser() -> Parser:
     """Return the parser of the command."""
-    made = Parser("scan2kd", _DESCRIPTION, _EPILOG)
-    made.add_argument("studies", nargs="*", type=Path, metavar="STUDY.toml", help="one study file per ear")
-    made.add_argument("--template", action="store_true", help="print a commented study file and leave")
-    made.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="default <study name>_out for one study; cohort_out, with a subfolder each, for several",
-    )
-    made.add_argument(
-        "--jobs", type=int, default=1, metavar="N", help="studies that run at a time (default 1)"
-    )
-    made.add_argument(
-        "--force",
-        action="store_true",
-        help="make every stage anew; replace files at the names of outputs that scan2kd did not write, "
-        "or that were edited",
-    )
-    return made
+    return Parser("scan2kd", _DESCRIPTION, _EPILOG, StudyOptions)
 
 
-def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome] | None:
+def work(arguments: list[str]) -> tuple[Given, Outcome] | None:
     """Run the command on its arguments."""
     given = parser().parse(arguments)
     if given.template:
@@ -59,32 +91,12 @@ def work(arguments: list[str]) -> tuple[argparse.Namespace, Outcome] | None:
 
         sys.stdout.write(TEMPLATE)
         return None
-    _check(given)
     if len(given.studies) == 1:
         return given, _one(given)
     return given, _several(given)
 
 
-def _check(given: argparse.Namespace) -> None:
-    if not given.studies:
-        raise StapeskitError(
-            Fault(
-                "scan2kd",
-                "given a study file",
-                "none",
-                next_step="scan2kd --template prints one to start from",
-            )
-        )
-    if given.jobs < 1:
-        raise StapeskitError(Fault("--jobs", "1 or more", given.jobs))
-    if given.out is not None and given.out.exists() and not given.out.is_dir():
-        raise StapeskitError(Fault("--out", "a folder", f"the file {given.out}"))
-    twice = sorted({str(path) for path in given.studies if given.studies.count(path) > 1})
-    if twice:
-        raise StapeskitError(Fault("the study files", "all different", f"{', '.join(twice)} twice"))
-
-
-def _one(given: argparse.Namespace) -> Outcome:
+def _one(given: Given) -> Outcome:
     from pipeline.progress import Progress
     from pipeline.report import key_results
     from pipeline.scan2kd import run_study
@@ -118,7 +130,7 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
     }
 
 
-def _several(given: argparse.Namespace) -> Outcome:
+def _several(given: Given) -> Outcome:
     from pipeline.several import run_studies
 
     def tell(line: str) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.options import fit_options, mass_options, motion_inputs, motion_options
 from pipeline.records import Told
 from pipeline.study import Study, read_study
 from pipeline.workspace import Workspace
@@ -18,20 +17,6 @@ if TYPE_CHECKING:
 
 MOTION_FILES, KD_FILE = ("dof.csv", "dof.h5", "dof.channels.csv"), "kd.json"
 _OWN_CODE = ("pipeline/stages.py", "pipeline/workspace.py", "pipeline/options.py")
-_FILES = (
-    "file",
-    "calibration",
-    "labels",
-    "landmarks",
-    "plate_fiducials",
-    "points",
-    "fiducials",
-    "plate_points",
-    "bone_points",
-    "mapping",
-    "channels",
-    "steps",
-)
 
 
 @dataclass(frozen=True)
@@ -107,21 +92,17 @@ def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
     StapeskitError
         What is wrong with the files.
     """
-    from kinematics.measure_motion import read_inputs
+    from kinematics.measure_motion import motion_inputs, read_inputs
 
     return work.once("measurement", lambda: read_inputs(motion_inputs(study.ldv)))
 
 
 def _scan_inputs(study: Study) -> dict[str, Path | None]:
-    from ct_inertia.readers.companions import with_data_files
-
-    scan = study.scan
-    names = ("labels", "calibration", "landmarks", "plate_fiducials")
-    return with_data_files({"scan": scan.file} | {name: getattr(scan, name) for name in names})
+    return study.scan.inputs
 
 
 def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
-    return study.scan.model_dump(mode="json", exclude=set(_FILES))
+    return study.scan.parameters()
 
 
 def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
@@ -131,7 +112,7 @@ def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
     from ct_inertia.report.sections import report_sections
     from ct_inertia.results import mass_of
 
-    options = mass_options(study.scan)
+    options = study.scan
     result = mass_of(options)
     content = mass_json(result, hashes=work.hashes, labels_file=labels_name(work.out, options.labels))
     sections, content, notices = report_sections(result, content)
@@ -161,7 +142,7 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     frames = {key: mass["frames"].get(key) for key in names}
     surfaces = ("stapes.ply", "plate.ply", labels)
     return {
-        **study.ldv.model_dump(mode="json", exclude=set(_FILES)),
+        **study.ldv.parameters(),
         "frames of the scan": [frames, mass["frames"].get("pose_covariance")],
         "mass distribution": [f"{value / values[0]:.7g}" for value in values],
         "surfaces": [work.hash_of(name) if work.find(name).exists() else None for name in surfaces],
@@ -170,16 +151,17 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_motion(study: Study, work: Workspace) -> tuple[list[str], Told]:
     """Write dof.csv, dof.h5 and dof.channels.csv."""
-    from kinematics.measure_motion import motion_of
+    from kinematics.measure_motion import motion_inputs, motion_of
     from kinematics.motion_outputs import write_outputs
+    from kinematics.points2dof import fit_options
     from kinematics.report.sections import sections
     from stapeskit.provenance import record
 
     inputs = motion_inputs(study.ldv)
-    parameters = study.ldv.model_dump(mode="json", exclude=set(_FILES))
+    parameters = study.ldv.parameters()
     provenance = record(inputs.by_role, {**parameters, "frames": "of the scan"}, hashes=work.hashes)
     read = measurement_of(study, work)
-    result = motion_of(inputs, read, motion_options(study.ldv), work.mass, provenance)
+    result = motion_of(inputs, read, fit_options(study.ldv), work.mass, provenance)
     scenery = result.scenery
     names = write_outputs(work.fresh, "dof", result, scenery, False, hash_of=work.hashes.of)
     work.keep("motion", result.motion)
@@ -194,7 +176,7 @@ def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     """Return what the fit depends on: the results of the stages before, without their dates."""
     keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
     return {
-        **study.fit.model_dump(mode="json"),
+        **study.fit.parameters(),
         "mass.json": {key: work.mass.record.raw.get(key) for key in keys},
         "dof.h5": work.hash_of("dof.h5"),
     }
@@ -205,7 +187,7 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     from fitting.measure_kd import kd_of
     from stapeskit.provenance import record
 
-    options = fit_options(study.fit)
+    options = study.fit
     files = {"motion": work.find("dof.h5"), "mass": work.find("mass.json")}
     mass = work.mass.record
     provenance = record(files, options.parameters(), hashes=work.hashes)

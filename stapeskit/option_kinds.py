@@ -16,7 +16,7 @@ from typing import Any
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE][+-]?\d+)?)\s*")
-_AXES = ("x", "y", "z", "-x", "-y", "-z")
+_AXES = ("x", "y", "z", "-x", "-y", "-z", "+x", "+y", "+z")
 _DOF = ("x", "y", "z", "alpha", "beta", "gamma")
 
 
@@ -237,6 +237,8 @@ def _ranges(value: Any) -> tuple[tuple[float, ...], ...]:
 
 
 def _mass(value: Any) -> tuple[float, ...]:
+    if isinstance(value, str) and value.count(",") == 4:
+        value = [float(part) for part in value.split(",")]
     if isinstance(value, str):
         place, _, last = value.rpartition(",")
         mass, sd = _with_sd(last)
@@ -293,6 +295,12 @@ class Dof(tuple[str, ...]):
     """
 
     reordered: bool = False
+
+
+def _covariates(value: Any) -> dict[str, Any]:
+    _require(isinstance(value, Mapping))
+    _require(all(isinstance(entry, str | bool) or _is_number(entry) for entry in value.values()))
+    return {str(name): entry for name, entry in value.items()}
 
 
 def _dof(value: Any) -> Dof:
@@ -359,6 +367,7 @@ BOUNDS = Kind(
     _bounds,
     repeats=True,
 )
+COVARIATES = Kind("a table of numbers and texts, like { storage_days = 3 }", "TABLE", _covariates)
 DOF = Kind(
     f"all, or a list of different names out of {', '.join(_DOF)}",
     "LIST",
@@ -372,9 +381,9 @@ def file(what: str = "file", next_step: str = "Check its name and folder", metav
     return Kind(f"an existing {what}", metavar, _path, is_file=True, advise=lambda _: next_step)
 
 
-def files(what: str, metavar: str = "FILE") -> Kind:
+def files(what: str, next_step: str = "Check its name and folder") -> Kind:
     """Return the kind of one or several files that are read."""
-    one = file(what, metavar=metavar)
+    one = file(what, next_step)
     return replace(one, read=_paths, repeats=True)
 
 

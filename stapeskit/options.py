@@ -18,6 +18,8 @@ from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.option_kinds import Kind
 
 _DECLARED = "option"
+_WRITING = ("out", "force", "no_report", "export", "smooth", "faces", "sha256", "quiet", "json")
+_WRITE = "Write files with .write(folder) of the result"
 _REFERENCE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 Table = TypeVar("Table", bound="OptionTable")
 
@@ -79,12 +81,15 @@ class Option:
         step = self.kind.advise(got) if self.kind.advise else ""
         return Fault(thing or f"{{{self.name}}}", self.kind.expected, shown(got), where, step)
 
-    def missing_files(self, value: Any, thing: str, where: str = "") -> list[Fault]:
-        """Return a fault for each file of the value that does not exist."""
+    def missing_files(
+        self, value: Any, thing: str, where: str = "", folder: Path | None = None
+    ) -> list[Fault]:
+        """Return a fault for each file of the value that does not exist, looked for in a folder."""
         if not self.kind.is_file or value is None:
             return []
         paths = value if isinstance(value, tuple) else (value,)
-        return [self.fault(path, thing, where) for path in paths if not path.exists()]
+        missing = [path for path in paths if not ((folder or Path()) / path).exists()]
+        return [self.fault(path, thing, where) for path in missing]
 
 
 def option(
@@ -239,7 +244,11 @@ class OptionTable:
         names |= {one.field: one.field for one in declared(cls)}
         unknown = [name for name in named if name not in names]
         raise_all(
-            cls.error, [Fault("an option", "a known one", name, "", near(name, names)) for name in unknown]
+            cls.error,
+            [
+                Fault("an option", "a known one", name, "", _WRITE if name in _WRITING else near(name, names))
+                for name in unknown
+            ],
         )
         return cls(**{names[name]: value for name, value in named.items()})
 
@@ -249,7 +258,7 @@ class OptionTable:
             one.key: plain(getattr(self, one.field)) for one in declared(type(self)) if not one.kind.is_file
         }
 
-    def files(self) -> dict[str, Path | None]:
+    def input_files(self) -> dict[str, Path | None]:
         """Return the files that are read, by the name of their option."""
         return {
             one.name: getattr(self, one.field)
@@ -279,7 +288,12 @@ def _declared(table: type[OptionTable]) -> Iterator[Option]:
 
 
 def read_table(
-    kind: type[Table], values: Mapping[str, Any], where: str, folder: Path, check_files: bool = True
+    kind: type[Table],
+    values: Mapping[str, Any],
+    where: str,
+    folder: Path,
+    others: Iterable[type[OptionTable]] = (),
+    check_files: bool = True,
 ) -> tuple[Table | None, list[Fault]]:
     """Read a table of a study file.
 
@@ -292,6 +306,8 @@ def read_table(
         Name of the file, for messages.
     folder : Path
         Where relative paths start.
+    others : iterable of type
+        Tables in which the key of an unknown option is looked for, too.
     check_files : bool
         Whether the files named must exist.
 
@@ -302,7 +318,7 @@ def read_table(
         Unknown keys (with the nearest), missing ones, unfit values, files that do not exist, contradictions.
     """
     options = {one.key: one for one in declared(kind) if one.table}
-    faults = [unknown_key(kind, key, where) for key in values if key not in options]
+    faults = [unknown_key(kind, key, where, others) for key in values if key not in options]
     chosen: dict[str, Any] = {}
     for key, one in options.items():
         if key not in values:
@@ -316,8 +332,8 @@ def read_table(
             faults.append(one.fault(values[key], one.place, where))
             continue
         if one.kind.is_file:
+            faults += one.missing_files(value, one.place, where, folder) if check_files else []
             value = tuple(folder / path for path in value) if isinstance(value, tuple) else folder / value
-            faults += one.missing_files(value, one.place, where) if check_files else []
         chosen[one.field] = value
     try:
         return (None if faults else kind(**chosen)), faults

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.signals.series_options import SeriesOptions
+from kinematics.options import SeriesOptions
 from stapeskit.faults import Fault, raise_all
 
 Array = NDArray[np.float64]

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.options import FRF_ESTIMATORS, LOCAL, WINDOWS
 from kinematics.signals.frf_noise import (
     Frf,
     check_signals,
@@ -29,7 +30,6 @@ from kinematics.signals.frf_noise import (
 )
 from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
-from kinematics.signals.series_options import ESTIMATORS, WINDOWS
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
@@ -41,6 +41,7 @@ _STEADY = 100
 _FEW = 5.0
 _SEEN_BIAS = 3.0
 _LEAST_TOGETHER = 3
+_SEGMENTED = tuple(name for name in FRF_ESTIMATORS if name != LOCAL)
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class Welch:
 
     def __post_init__(self) -> None:
         faults = []
-        if self.estimator not in ESTIMATORS:
-            faults.append(Fault("the estimator", ", ".join(ESTIMATORS), self.estimator))
+        if self.estimator not in _SEGMENTED:
+            faults.append(Fault("the estimator", ", ".join(_SEGMENTED), self.estimator))
         if self.window not in WINDOWS:
             faults.append(Fault("the window", ", ".join(WINDOWS), self.window))
         if not 0.0 <= self.overlap <= 0.95:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from kinematics.points2dof import fit_options
 from pipeline.errors import PipelineError
-from pipeline.options import in_study_words, motion_options
+from pipeline.options import in_study_words
 from pipeline.study import parse_study
 
 STUDY = """
@@ -26,17 +27,17 @@ def test_the_keys_become_options(tmp_path):
     files = ['plate_points = "plate.csv"', 'bone_points = "bone.csv"']
     numbers = ["calibrate = true", "axes_sd_deg = 2", "gain_sd_percent = 0.5"]
     study = parsed(tmp_path, *files, *numbers, 'mirror_points = "z"')
-    priors = motion_options(study.ldv).calibrate
+    priors = fit_options(study.ldv).calibrate
     assert (priors.axes_sd_deg, priors.beam_sd_deg, priors.gain_sd_percent) == (2.0, 0.5, 0.5)
     assert study.ldv.plate_points == tmp_path / "plate.csv"
     assert study.ldv.mirror_points == "z"
-    assert motion_options(parsed(tmp_path).ldv).calibrate is None
+    assert fit_options(parsed(tmp_path).ldv).calibrate is None
 
 
 @pytest.mark.parametrize(
     ("lines", "match"),
     [
-        (["axes_sd_deg = 1"], "ldv.axes_sd_deg must be given with ldv.calibrate = true only; got 1"),
+        (["axes_sd_deg = 1"], "ldv.axes_sd_deg must be given with ldv.calibrate; got it alone"),
         (['plate_points = "p.csv"', 'frame = "scan"'], "ldv.frame must be left out beside ldv.plate_points"),
         (["calibrate = 1"], "calibrate must be true or false"),
         (['mirror_points = "w"'], "mirror_points must be one of x, y, z"),

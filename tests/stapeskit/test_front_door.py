@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import stapeskit as sk
-from kinematics.cli import parser
-from stapeskit.keywords import words_of
+from kinematics.options import LdvOptions
 from stapeskit.provenance import content_hash
 from tests.pipeline.ears import make_ear
 
@@ -148,22 +147,22 @@ def test_options_of_writing_belong_to_write():
     assert all(".write(" in fault.next_step for fault in raised.value.faults)
 
 
-def test_values_are_written_as_the_command_takes_them():
-    keywords = {
-        "body": {"stapes": "1-10", "base": "b.uff:1-3"},
-        "beam": np.array([0.0, -0.6, 0.8]),
-        "dof": ("y", "alpha"),
-        "calibrate": True,
-        "mirror": None,
-        "n_avg": 1e-5,
-    }
-    given = parser().parse(words_of(parser(), ["a.csv", Path("b.csv")], keywords))
-    assert given.ldv == [Path("a.csv"), Path("b.csv")]
-    assert given.body == ["stapes=1-10", "base=b.uff:1-3"]
+def test_keywords_take_values_of_python():
+    given = LdvOptions.of(
+        ldv=["a.csv", Path("b.csv")],
+        body={"stapes": "1-10", "base": "b.uff:1-3"},
+        beam=np.array([0.0, -0.6, 0.8]),
+        dof=("y", "alpha"),
+        calibrate=True,
+        mirror=None,
+        n_avg=np.int64(20),
+    )
+    assert given.ldv == (Path("a.csv"), Path("b.csv"))
+    assert given.body == ("stapes=1-10", "base=b.uff:1-3")
     assert given.beam == "0.0,-0.6,0.8"
-    assert given.dof == "y,alpha"
+    assert given.dof == ("y", "alpha")
     assert given.calibrate
-    assert given.n_avg == 1e-5
+    assert given.n_avg == 20.0
 
 
 def test_a_plain_matrix_counts_by_the_fixed_order(chain):

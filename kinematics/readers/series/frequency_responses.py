@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.options import LOCAL, SeriesOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.series.channel_table import Channel, read_channels
 from kinematics.readers.series.files import Series, read_series
@@ -25,7 +26,6 @@ from kinematics.signals.frf_noise import Frf
 from kinematics.signals.frf_periodic import Periodic, periodic_frf
 from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
-from kinematics.signals.series_options import LOCAL, SeriesOptions
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice, unique
@@ -124,11 +124,13 @@ def _belongs(one: Channel, file: str) -> bool:
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:
     table = "" if options.channels is None else options.channels.name
     found = [one for one in rows if one.role == "reference"]
-    if options.reference:
-        found = [one for one in rows if one.name.lower() == options.reference.lower()]
+    if options.reference_channel:
+        found = [one for one in rows if one.name.lower() == options.reference_channel.lower()]
         if not found:
             known = ", ".join(dict.fromkeys(one.name for one in rows))
-            raise KinematicsError(Fault("--reference-channel", f"one of {known}", options.reference, table))
+            raise KinematicsError(
+                Fault("--reference-channel", f"one of {known}", options.reference_channel, table)
+            )
     names = list(dict.fromkeys(one.name for one in found))
     if len(names) > 1:
         step = "Choose one by --reference-channel, or ignore the others"
@@ -225,24 +227,24 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     if not records:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
         raise KinematicsError(Fault("the channel table", "with a reference", "none", group.where, step))
-    if not np.isnan(options.period_s):
+    if options.period_s is not None:
         how_often = Periodic(options.period_s, options.skip_periods)
         return periodic_frf(records, rate, how_often, group.where), f"periodic, {options.period_s:g} s"
     shortest = min(len(lead) for lead, _ in records)
     segment = segment_for(shortest, max(3, -(-options.averages // len(records))), options.overlap)
-    if not np.isnan(options.resolution_hz):
+    if options.resolution_hz is not None:
         segment = round(rate / options.resolution_hz)
     if segment < 8:
         step = "Ask for fewer --averages or a coarser --resolution"
         got = f"{segment} samples of a record of {shortest}"
         raise KinematicsError(Fault("a segment", "8 samples long at least", got, group.where, step))
-    if options.estimator == LOCAL:
+    if options.frf == LOCAL:
         frf = local_frf(records, rate, Local(rate / segment), group.where)
         return frf, f"local polynomials, resolution {frf.freq_hz[1] - frf.freq_hz[0]:.4g} Hz"
-    welch = Welch(segment, options.window, options.overlap, options.estimator)
+    welch = Welch(segment, options.window, options.overlap, options.frf)
     frf = welch_frf(records, rate, welch, group.where)
     text = (
-        f"{options.estimator.upper()}, window {options.window}, resolution {rate / segment:.4g} Hz, "
+        f"{options.frf.upper()}, window {options.window}, resolution {rate / segment:.4g} Hz, "
         f"{frf.n_avg:.3g} effective averages"
     )
     return frf, text
@@ -316,7 +318,7 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
 def _recordings(
     group: _Group, frf: Frf, reference: Channel | None, series: Series, options: SeriesOptions
 ) -> list[Recording]:
-    low, high = options.band_hz or (0.0, np.inf)
+    low, high = options.frf_band_hz or (0.0, np.inf)
     kept = (frf.freq_hz >= low) & (frf.freq_hz <= high)
     if not np.any(kept):
         return []

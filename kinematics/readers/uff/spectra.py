@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.options import SeriesOptions
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, scaled
 from kinematics.readers.uff.coherence import coherences, reference_of
 from kinematics.readers.uff.cross_spectra import from_cross_spectra
@@ -19,7 +20,6 @@ from kinematics.readers.uff.functions import COHERENCE, KINDS, SPECTRUM, TIME, F
 from kinematics.readers.uff.geometry import Geometry, read_geometry
 from kinematics.readers.uff.motion_functions import Motion, direction_label, point_name, usable_motions
 from kinematics.readers.unit_labels import is_none
-from kinematics.signals.series_options import SeriesOptions
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.warnings import Notice, unique
 

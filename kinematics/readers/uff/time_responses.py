@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.options import SeriesOptions
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.series.channel_table import Channel
 from kinematics.readers.series.files import Series, check_finite, sampling_rate
@@ -24,7 +25,6 @@ from kinematics.readers.uff.motion_functions import (
     point_name,
 )
 from kinematics.readers.unit_labels import is_none, plain
-from kinematics.signals.series_options import SeriesOptions
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice, unique
 
@@ -123,13 +123,13 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
     """Return the name of the signal that all responses refer to; empty when a stepped sine needs none."""
     labels = list(dict.fromkeys(_label(one) for one in times))
     shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
-    if options.reference:
-        said = options.reference.strip().lower()
+    if options.reference_channel:
+        said = options.reference_channel.strip().lower()
         named = [_label(one) for one in times if said in (name.lower() for name in (_label(one), *one.names))]
         named += [_label(one) for one in times if said == str(one.node)] if not named else []
         found = list(dict.fromkeys(named))
         if len(found) != 1:
-            got = options.reference + (f", which is {' and '.join(found)}" if found else "")
+            got = options.reference_channel + (f", which is {' and '.join(found)}" if found else "")
             raise KinematicsError(Fault("--reference-channel", f"one of {shown}", got, file))
         return found[0]
     stated = {

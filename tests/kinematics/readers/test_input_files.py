@@ -16,6 +16,7 @@ from kinematics.points2dof import points2dof
 from kinematics.readers import InputOptions, read_measurement
 from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.faults import StapeskitError
+from stapeskit.option_kinds import BEAM
 from stapeskit.records.motion_files import write_motion
 from tests.kinematics import written_uff as uff
 from tests.kinematics.readers.test_inputs import PLACES, F, codes, value
@@ -169,9 +170,11 @@ def test_runs_in_several_files_said_on_the_line_and_in_a_config_file(tmp_path):
 
 
 @pytest.mark.parametrize("word", ["-z", "-0.6,0,0.8"])
-def test_directions_may_begin_with_a_minus(word):
-    assert parser().parse(["a.uff", "--beam", word]).beam == word
-    assert parser().parse(["a.uff", f"--beam={word}"]).beam == word
+def test_directions_may_begin_with_a_minus(word, tmp_path):
+    file = tmp_path / "a.uff"
+    file.touch()
+    beams = {parser().parse([str(file), *words]).beam for words in (["--beam", word], [f"--beam={word}"])}
+    assert beams == {BEAM.read(word)}
 
 
 def test_refusals_of_the_command(tmp_path):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser, work
+from kinematics.options import LdvOptions
 from kinematics.points2dof import points2dof
-from kinematics.readers import InputOptions, read_measurement
-from kinematics.signals.series_options import series_options
+from kinematics.readers import read_measurement
+from kinematics.readers.from_options import input_options
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import read_motion, standard_deviation
 from tests.kinematics import series
@@ -38,7 +39,7 @@ def run(folder, file, *options, channels=None):
     """Fit what the options of the command make of a file with its channel table."""
     table = channels or series.table(folder / "channels.csv")
     given = parser().parse([str(folder / file), "--channels", str(table), *options])
-    said = InputOptions(series=series_options(given))
+    said = input_options(given.make(LdvOptions))
     return points2dof(read_measurement(given.ldv, given.points, "footplate", said)).motion
 
 
@@ -180,7 +181,7 @@ def test_noise_of_the_reference_is_told_and_left_out(tmp_path):
 
 def test_options_of_time_series_need_a_channel_table(tmp_path):
     (tmp_path / "scan.npz").write_bytes(b"PK\x03\x04")
-    with pytest.raises(StapeskitError, match="--frf must be given with --channels FILE"):
+    with pytest.raises(StapeskitError, match="--frf must be given with --channels"):
         work([str(tmp_path / "scan.npz"), "--frf", "h2"])
     with pytest.raises(StapeskitError, match="read with --channels FILE"):
         work([str(tmp_path / "scan.npz")])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
+from kinematics.options import SeriesOptions
 from kinematics.readers.series.channel_table import read_channels, sensitivity
 from kinematics.readers.series.files import read_series
 from kinematics.readers.series.frequency_responses import read, read_steps
-from kinematics.signals.series_options import SeriesOptions
 from stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 
@@ -172,11 +172,11 @@ def test_references_are_chosen(tmp_path):
     path, options = _with(tmp_path, table, vib=ANSWER, ref=DRIVE, mic=0.5 * DRIVE, fs=RATE)
     with pytest.raises(StapeskitError, match="the reference must be one channel; got ref, mic"):
         read(path, options)
-    one = read(path, SeriesOptions(options.channels, reference="mic")).recordings[0]
+    one = read(path, SeriesOptions(options.channels, reference_channel="mic")).recordings[0]
     assert one.per == "Pa"
     np.testing.assert_allclose(one.value, 4e-3, rtol=1e-9)
     with pytest.raises(StapeskitError, match="--reference-channel must be one of vib, ref, mic; got other"):
-        read(path, SeriesOptions(options.channels, reference="other"))
+        read(path, SeriesOptions(options.channels, reference_channel="other"))
     path, options = _with(tmp_path, TABLE.replace("reference", "ignore"), vib=ANSWER, fs=RATE)
     with pytest.raises(StapeskitError, match="the channel table must be with a reference; got none"):
         read(path, options)
@@ -214,11 +214,11 @@ def test_the_file_column_restricts_rows(tmp_path):
 def test_options_change_the_estimate(tmp_path):
     path, options = _with(tmp_path, vib=ANSWER, ref=DRIVE, fs=RATE)
     found = read(
-        path, SeriesOptions(options.channels, resolution_hz=10.0, band_hz=(100.0, 200.0))
+        path, SeriesOptions(options.channels, resolution_hz=10.0, frf_band_hz=(100.0, 200.0))
     ).recordings[0]
     np.testing.assert_allclose(found.freq_hz, np.arange(100.0, 201.0, 10.0))
     with pytest.raises(StapeskitError, match="the band must be with one line at least"):
-        read(path, SeriesOptions(options.channels, band_hz=(5000.0, 6000.0)))
+        read(path, SeriesOptions(options.channels, frf_band_hz=(5000.0, 6000.0)))
     with pytest.raises(StapeskitError, match="--steps must be left out beside --period"):
         SeriesOptions(options.channels, period_s=1.0, steps=options.channels)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
+from kinematics.options import SeriesOptions
 from kinematics.readers.formats import read_recordings
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.series.frequency_responses import read as read_series
 from kinematics.readers.uff.spectra import read
-from kinematics.signals.series_options import SeriesOptions
 from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 
@@ -62,7 +62,7 @@ def expected(tmp_path):
     return lambda **how: read_series(tmp_path / "t.npz", SeriesOptions(table, **how)).recordings
 
 
-@pytest.mark.parametrize("how", [{}, {"estimator": "h2"}, {"window": "none", "resolution_hz": 20.0}])
+@pytest.mark.parametrize("how", [{}, {"frf": "h2"}, {"window": "none", "resolution_hz": 20.0}])
 @pytest.mark.parametrize("binary", ["", "<", ">"])
 def test_estimates_are_those_of_other_files(how, binary, expected, tmp_path):
     path = written(tmp_path, force(binary=binary), *responses(binary=binary))
@@ -83,13 +83,13 @@ def test_the_reference_is_told_by_what_responses_name_by_its_kind_or_by_the_opti
     made = read(named)
     assert {one.point for one in made.recordings} == {"1", "2"}
     assert {one.per for one in made.recordings} == {"m/s"}
-    other = read(named, SeriesOptions(reference="9+z"))
+    other = read(named, SeriesOptions(reference_channel="9+z"))
     assert {one.point for one in other.recordings} == {"1", "2", "7"}
     assert {one.per for one in other.recordings} == {"N"}
-    assert read(named, SeriesOptions(reference="9")).recordings[0].per == "N"
+    assert read(named, SeriesOptions(reference_channel="9")).recordings[0].per == "N"
     for said in ("33", "Vib  Geschwindigkeit"):
         assert "--reference-channel must be one of 1+z, 2+z, 7+y, 9+z" in fault(
-            named, SeriesOptions(reference=said)
+            named, SeriesOptions(reference_channel=said)
         )
     two = written(tmp_path, *responses(), force(), force(node=10))
     assert "must be one signal; got 9+z and 10+z" in fault(two)
@@ -157,7 +157,7 @@ def test_all_faults_of_time_responses_are_told_together(tmp_path):
     assert "of one number of samples; got 100 and 4096" in fault(short)
     slow = signal(ANSWERS[1], 1).replace(b"  5.00000E-04", b"  6.00000E-04")
     assert "the sampling rate must be one in all records" in fault(written(tmp_path, force(), slow))
-    assert "none (scan.uff)" in fault(written(tmp_path, force()), SeriesOptions(reference="9"))
+    assert "none (scan.uff)" in fault(written(tmp_path, force()), SeriesOptions(reference_channel="9"))
     holed = written(tmp_path, force(), signal(np.where(np.arange(COUNT) == 7, np.nan, 1e3 * ANSWERS[1]), 1))
     assert "the first in sample 8" in fault(holed)
 
@@ -168,7 +168,7 @@ def test_responses_win_unless_time_series_are_asked_for(tmp_path):
     made = read(path)
     assert not made.from_series
     assert "3 time response" in made.notices[0].text
-    assert read(path, SeriesOptions(estimator="h1")).from_series
+    assert read(path, SeriesOptions(frf="h1")).from_series
 
 
 def test_the_command_reads_time_responses(tmp_path, monkeypatch):

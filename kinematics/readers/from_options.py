@@ -1,0 +1,53 @@
+"""From the options of the command, or of a study, to what is known about the files beside their content."""
+
+from __future__ import annotations
+
+from kinematics.errors import KinematicsError
+from kinematics.options import LdvOptions, SeriesOptions
+from kinematics.readers.formats import describes_series
+from kinematics.readers.input_options import InputOptions
+from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.options import declared
+
+
+def input_options(options: LdvOptions) -> InputOptions:
+    """Return what the options say about the files.
+
+    Raises
+    ------
+    KinematicsError
+        A rule cannot be read, or options of time series are given where no file holds any.
+    """
+    faults: list[Fault] = []
+    series: SeriesOptions | None = None
+    result = InputOptions()
+    with collecting(faults):
+        series = _series(options)
+    with collecting(faults):
+        result = InputOptions(
+            options.body,
+            options.run,
+            options.beam or "",
+            options.amplitude or "",
+            options.length_unit or "",
+            options.n_avg,
+            options.mapping,
+            series,
+        )
+    raise_all(KinematicsError, faults)
+    return result
+
+
+def _series(options: LdvOptions) -> SeriesOptions | None:
+    """Return how time series are turned into responses; universal files need no table of their channels."""
+    given = options.series_given
+    if not given:
+        return None
+    if "channels" not in given and not any(describes_series(path) for path in options.ldv):
+        step = "It says how time series become frequency responses"
+        names = [one.name for one in declared(LdvOptions) if one.field in given]
+        raise_all(
+            KinematicsError,
+            [Fault(f"{{{name}}}", "given with {channels}", "alone", "", step) for name in names],
+        )
+    return SeriesOptions(**given)

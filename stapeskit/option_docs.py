@@ -1,0 +1,101 @@
+"""The template of a study file and the page of options, made from the declarations."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+from stapeskit.option_kinds import toml
+from stapeskit.options import Option, OptionTable, declared, referring
+
+_WIDTH = 100
+_INTRODUCTION = """\
+# Options
+
+Made from `<room>/options.py` by `make docs`; edit those.
+
+A command takes `--name VALUE`, or `name = value` in the file of `--config`; a study file takes the key;
+Python takes `name=value` with the same names."""
+
+
+def template(title: str, tables: Mapping[str, type[OptionTable]]) -> str:
+    """Return a commented study file; what is recommended is set, everything else is a comment.
+
+    Parameters
+    ----------
+    title : str
+        The first lines, without their marks.
+    tables : mapping
+        Tables of options by their names in the file.
+    """
+    lines = [f"# {line}" for line in title.splitlines()]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]"]
+        group = ""
+        for one in _of_study(table):
+            if one.group != group:
+                group = one.group
+                lines += ["", f"## {group}"] if group else []
+            lines += [
+                f"# {line}" for line in textwrap.wrap(_study_help(one, table), _WIDTH, break_on_hyphens=False)
+            ]
+            mark = "" if one.recommended or one.required else "# "
+            lines.append(f"{mark}{one.key} = {toml(example_of(one))}")
+    return "\n".join(lines) + "\n"
+
+
+def example_of(one: Option) -> object:
+    """Return a value to show for an option."""
+    if one.example is None and one.default is None:
+        raise ValueError(f"{one.name} has neither a default nor an example")
+    return one.default if one.example is None else one.example
+
+
+def page(commands: Mapping[str, Iterable[type[OptionTable]]], others: Iterable[type[OptionTable]]) -> str:
+    """Return the page of all options in Markdown, a table a command.
+
+    Parameters
+    ----------
+    commands : mapping
+        Tables of options by command.
+    others : iterable of type
+        Tables that only study files have.
+    """
+    lines = [_INTRODUCTION]
+    for command, tables in commands.items():
+        lines += ["", f"## {command}", "", "| option | value | study key | default | what it does |"]
+        lines.append("|---|---|---|---|---|")
+        lines += [_row(one) for table in tables for one in declared(table)]
+    for table in others:
+        lines += ["", f"## [{table.table}] of a study file", "", "| key | example | what it is |"]
+        lines.append("|---|---|---|")
+        lines += [_key_row(one) for one in declared(table)]
+    return "\n".join(lines) + "\n"
+
+
+def _key_row(one: Option) -> str:
+    return f"| `{one.key}` | `{toml(example_of(one))}` | {_cell(one.help)} |"
+
+
+def _row(one: Option) -> str:
+    flag = f"`{one.flag}`"
+    value = "" if one.kind.is_flag or one.positional else f"`{_cell(one.metavar)}`"
+    key = f"`{one.place}`" if one.table else ""
+    usual = one.default in (None, False, "", (), {})
+    default = "" if usual else f"`{', '.join(one.kind.words(one.default))}`"
+    text = referring(one.help, lambda name: "--" + name.replace("_", "-"))
+    return f"| {flag} | {value} | {key} | {default} | {_cell(text)} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _of_study(table: type[OptionTable]) -> list[Option]:
+    return [one for one in declared(table) if one.table]
+
+
+def _study_help(one: Option, table: type[OptionTable]) -> str:
+    """Return the help of a key; other options of the table by their keys."""
+    keys = {other.name: other.key for other in declared(table)}
+    return referring(one.help, lambda name: keys.get(name, name))
