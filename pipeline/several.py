@@ -15,14 +15,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.cohort.ears import Ear, read_ear, write_cohort_csv
-from pipeline.cohort.page import write_cohort_page
+from pipeline.cohort.ears import Ear, read_ear
+from pipeline.cohort.files import cohort_outputs, write_cohort
 from pipeline.cohort.study_of_ears import study_ears_or_say_why
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet
-from stapeskit.provenance import record
 
-COHORT_FILES = ("cohort.csv", "cohort.html", "cohort.json")
 _PATIENCE_S = 20.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -106,14 +104,10 @@ def run_studies(
     ears = tuple(read_ear(out / name, ends[name]["name"]) for name in names if name not in faults)
     files: list[Path] = []
     if ears:
-        cohort = study_ears_or_say_why(ears, faults)
-        folders = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
-        content = cohort.as_json(record(folders, {"ears": [ear.folder for ear in ears]}))
+        records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
         with outputs.staged() as fresh:
-            write_cohort_csv(fresh / COHORT_FILES[0], ears, faults)
-            write_cohort_page(fresh / COHORT_FILES[1], ears, faults, cohort)
-            text = json.dumps(content, indent=1) + "\n"
-            (fresh / COHORT_FILES[2]).write_text(text, encoding="utf-8")
+            cohort = study_ears_or_say_why(ears, faults)
+            write_cohort(fresh, cohort, {"studies": [ear.folder for ear in ears]}, records)
         files = [out / name for name in outputs.names]
     return CohortResult(out, ears, faults, codes, tuple(files))
 
@@ -131,7 +125,7 @@ def _checked_outputs(studies: Mapping[str, Path], out: Path, force: bool) -> Out
         with suppress(StapeskitError):
             sets.append(output_set(Path(path), read_study(path), out / name, force))
     read = tuple(dict.fromkeys(path for one in sets for path in (*studies.values(), *one.inputs)))
-    outputs = OutputSet("scan2kd", out, COHORT_FILES, read, force)
+    outputs = cohort_outputs(out, read, force)
     raise_all(StapeskitError, [fault for one in sets for fault in replace(one, inputs=read).clashes()])
     outputs.check()
     return outputs

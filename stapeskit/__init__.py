@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from kinematics.api import points2dof
     from kinematics.results import MotionResult
     from pipeline.api import scan2kd
+    from pipeline.cohort.api import Cohort, cohort
     from pipeline.results import StudyResult
     from stapeskit.faults import StapeskitError
     from stapeskit.frames import RigidTransform
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Cohort",
     "KDFit",
     "KDResult",
     "MassMatrix",
@@ -49,6 +51,7 @@ __all__ = [
     "StapeskitError",
     "StudyResult",
     "__version__",
+    "cohort",
     "ct2mass",
     "dof2kd",
     "points2dof",
@@ -65,6 +68,8 @@ _PLACES = {
     "points2dof": "kinematics.api",
     "MotionResult": "kinematics.results",
     "scan2kd": "pipeline.api",
+    "cohort": "pipeline.cohort.api",
+    "Cohort": "pipeline.cohort.api",
     "StudyResult": "pipeline.results",
     "StapeskitError": "stapeskit.faults",
     "RigidTransform": "stapeskit.frames",

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
-from pipeline.cohort.study_of_ears import Cohort, CohortLaw
+from pipeline.cohort.study_of_ears import CohortLaw, CohortLaws
 from stapeskit.page import page
 from stapeskit.page.page import Section
 
@@ -28,9 +28,9 @@ _SHOWN = {
 }
 
 
-def law_sections(cohort: Cohort) -> list[Section]:
+def law_sections(cohort: CohortLaws) -> list[Section]:
     """Return the sections on laws; a cohort without laws says why."""
-    said = [page.notices(cohort.warnings)] if cohort.warnings else []
+    said = [page.notices(cohort.notices)] if cohort.notices else []
     if not cohort.laws or cohort.table is None:
         return [Section("Laws", said)] if said else []
     primary = [law for law in cohort.laws if law.family == "primary"]
@@ -45,7 +45,7 @@ def law_sections(cohort: Cohort) -> list[Section]:
         ),
         *said,
         page.figure(
-            _figure(cohort, primary),
+            laws_figure(cohort),
             "Planned laws. Points: ears with ellipses of one standard deviation of their own errors; line: "
             "law; band: 95 % of further ears.",
             "responses over predictors, with laws and bands",
@@ -83,10 +83,11 @@ def _label(predictor: str) -> str:
     return _SHOWN.get(predictor, (predictor, 1.0))[0]
 
 
-def _figure(cohort: Cohort, laws: Sequence[CohortLaw]) -> Any:
-    """Draw one panel for each law."""
+def laws_figure(cohort: CohortLaws) -> Any:
+    """Draw one panel for each planned law."""
+    laws = [law for law in cohort.laws if law.family == "primary"]
     columns = 3
-    lines = -(-len(laws) // columns)
+    lines = max(-(-len(laws) // columns), 1)
     drawing = page.new_figure(10.5, 3.1 * lines)
     panels = drawing.subplots(lines, columns, squeeze=False).ravel()
     for panel, one in zip(panels, laws, strict=False):
@@ -144,7 +145,7 @@ def _forest(laws: Sequence[CohortLaw]) -> Any:
     return drawing
 
 
-def _component_section(cohort: Cohort) -> list[Section]:
+def _component_section(cohort: CohortLaws) -> list[Section]:
     """Return what is known of the number of independent parameters."""
     found, table = cohort.components, cohort.table
     if found is None or table is None:

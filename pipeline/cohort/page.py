@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.cohort.ears import Ear, Quantity, labels, quantities
 from pipeline.cohort.law_page import law_sections
-from pipeline.cohort.study_of_ears import Cohort
+from pipeline.cohort.study_of_ears import CohortLaws
 from stapeskit.page import page
 from stapeskit.page.drawings import plain
 from stapeskit.page.numbers import plus_minus
@@ -21,7 +21,7 @@ _FEW = 5
 
 
 def write_cohort_page(
-    path: Path, ears: Sequence[Ear], faults: Mapping[str, str], cohort: Cohort | None = None
+    path: Path, ears: Sequence[Ear], faults: Mapping[str, str], cohort: CohortLaws | None = None
 ) -> None:
     """Write cohort.html: the ears side by side, and a plain comparison."""
     found = quantities(ears)

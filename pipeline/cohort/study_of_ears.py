@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from pipeline.cohort.logarithms import LogTable, log_table
 from pipeline.cohort.many_tests import false_discovery
 from pipeline.cohort.prediction import Prediction, Predictor, left_out_errors
 from pipeline.errors import PipelineError
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -83,8 +82,8 @@ class CohortLaw:
         }
 
 
-@dataclass(frozen=True)
-class Cohort:
+@dataclass(frozen=True, repr=False)
+class CohortLaws:
     """Laws over many ears.
 
     Attributes
@@ -97,7 +96,7 @@ class Cohort:
         None when there are no ears.
     laws : tuple of CohortLaw
     components : Components or None
-    warnings : tuple of Notice
+    notices : tuple of Notice
     """
 
     ears: tuple[Ear, ...]
@@ -105,23 +104,8 @@ class Cohort:
     table: LogTable | None
     laws: tuple[CohortLaw, ...]
     components: Components | None
-    warnings: tuple[Notice, ...]
+    notices: tuple[Notice, ...]
     _predictors: dict[tuple[str, str], Predictor] = field(default_factory=dict, repr=False, compare=False)
-
-    def __repr__(self) -> str:
-        lines = [f"Cohort of {len(self.ears)} ears, {len(self.laws)} laws"]
-        for one in (law for law in self.laws if law.family == "primary"):
-            low, high = one.law.interval
-            lines.append(
-                f"  {one.response} ~ {one.predictor}: exponent {one.law.exponent:.2f} "
-                f"({low:.2f} to {high:.2f}), p {one.law.p_value:.2g}"
-            )
-        if self.components is not None:
-            low_count, high_count = self.components.interval
-            lines.append(
-                f"  independent parameters: {self.components.estimate} ({low_count} to {high_count})"
-            )
-        return "\n".join(lines)
 
     def law(self, response: str, predictor: str) -> CohortLaw:
         """Return a law, by whole names or their beginnings: ``law("K11", "mass")``.
@@ -179,12 +163,6 @@ class Cohort:
             raise PipelineError(Fault("the cohort", "of at least five ears", "none"))
         return Predictor(self.table.pairs(law.response, law.predictor)[0]).tolerance()
 
-    def to_frame(self) -> Any:
-        """Return the laws as a pandas table."""
-        import pandas as pd
-
-        return pd.DataFrame([one.as_json() for one in self.laws])
-
     def as_json(self, provenance: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of cohort.json."""
         count = self.components
@@ -202,12 +180,12 @@ class Cohort:
                 "loadings_log": count.loadings.tolist(),
             },
             "shared_errors": [] if self.table is None else list(self.table.sources),
-            "warnings": [notice.as_json() for notice in self.warnings],
+            "warnings": [notice.as_json() for notice in self.notices],
             "provenance": dict(provenance),
         }
 
 
-def study_ears(ears: Sequence[Ear], failed: Mapping[str, str] | None = None, mix: bool = False) -> Cohort:
+def study_ears(ears: Sequence[Ear], failed: Mapping[str, str] | None = None, mix: bool = False) -> CohortLaws:
     """Fit every law of response on predictor that the ears allow.
 
     Parameters
@@ -232,7 +210,7 @@ def study_ears(ears: Sequence[Ear], failed: Mapping[str, str] | None = None, mix
         text = (
             f"Laws need at least {LEAST_EARS} ears; there are {len(ears)}. The ears stand side by side only."
         )
-        return Cohort(tuple(ears), excluded, None, (), None, (Notice("cohort_too_small", text),))
+        return CohortLaws(tuple(ears), excluded, None, (), None, (Notice("cohort_too_small", text),))
     table = log_table(ears)
     laws = [
         _law(table, response, predictor) for response in table.responses for predictor in table.predictors
@@ -244,16 +222,18 @@ def study_ears(ears: Sequence[Ear], failed: Mapping[str, str] | None = None, mix
         q_values = false_discovery(np.array([law.law.p_value for law in members]))
         with_q += [replace(law, q_value=float(q)) for law, q in zip(members, q_values, strict=True)]
     components = _components(table)
-    return Cohort(tuple(ears), excluded, table, tuple(with_q), components, (*table.notices, *_doubts(with_q)))
+    return CohortLaws(
+        tuple(ears), excluded, table, tuple(with_q), components, (*table.notices, *_doubts(with_q))
+    )
 
 
-def study_ears_or_say_why(ears: Sequence[Ear], failed: Mapping[str, str]) -> Cohort:
+def study_ears_or_say_why(ears: Sequence[Ear], failed: Mapping[str, str]) -> CohortLaws:
     """Fit every law, or return a cohort without laws and with the reason as its warning."""
     try:
         return study_ears(ears, failed)
     except PipelineError as fault:
         reason = str(fault).replace("\n", " ")
-        return Cohort(
+        return CohortLaws(
             tuple(ears),
             tuple(failed.items()),
             None,
@@ -342,26 +322,3 @@ def _doubts(laws: Sequence[CohortLaw]) -> list[Notice]:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def read_cohort(folders: Sequence[Path], mix: bool = False) -> Cohort:
-    """Read finished studies from their folders and fit the laws over them.
-
-    Raises
-    ------
-    PipelineError
-        A folder holds no finished study, or the ears do not belong together.
-    """
-    from pipeline.cohort.ears import read_ear
-
-    ears: list[Ear] = []
-    faults: list[Fault] = []
-    for folder in map(Path, folders):
-        try:
-            ears.append(read_ear(folder, folder.name))
-        except (OSError, KeyError, ValueError, StapeskitError) as fault:
-            faults.append(
-                Fault(str(folder), "a folder with mass.json and kd.json of a finished study", fault)
-            )
-    raise_all(PipelineError, faults)
-    return study_ears(ears, mix=mix)

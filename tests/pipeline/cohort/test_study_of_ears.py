@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.cohort.api import Cohort
 from pipeline.cohort.ears import Ear
 from pipeline.cohort.logarithms import log_table
 from pipeline.cohort.page import write_cohort_page
 from pipeline.cohort.study_of_ears import study_ears, study_ears_or_say_why
 from pipeline.errors import PipelineError
+from stapeskit.results import extended
 
 
 def ear(number, rng, exponent=2.0, density=1900.0, side="left"):
@@ -78,7 +80,7 @@ def ears():
 
 @pytest.fixture(scope="module")
 def studied(ears):
-    return study_ears(ears)
+    return extended(Cohort, study_ears(ears))
 
 
 def test_the_planted_law_comes_back(studied):
@@ -163,7 +165,7 @@ def test_what_does_not_mix_is_refused(ears, change, thing):
         study_ears(change(ears))
     assert refused.value.faults[0].thing == thing
     told = study_ears_or_say_why(change(ears), {})
-    assert [notice.code for notice in told.warnings] == ["cohort_mixed"]
+    assert [notice.code for notice in told.notices] == ["cohort_mixed"]
     assert not told.laws
 
 
@@ -174,7 +176,7 @@ def test_a_mixture_that_is_asked_for_is_allowed(ears):
 
 def test_few_ears_stand_side_by_side_only(ears):
     few = study_ears(ears[:3], {"ear9": "its scan holds no stapes"})
-    assert [notice.code for notice in few.warnings] == ["cohort_too_small"]
+    assert [notice.code for notice in few.notices] == ["cohort_too_small"]
     assert few.as_json({})["excluded"] == [{"ear": "ear9", "reason": "its scan holds no stapes"}]
 
 
@@ -182,3 +184,21 @@ def test_an_unknown_law_names_those_there_are(studied):
     with pytest.raises(PipelineError) as refused:
         studied.law("K11", "colour")
     assert "K11 ~ mass_kg" in refused.value.faults[0].expected
+
+
+def test_folders_of_studies_become_a_cohort(ears, tmp_path):
+    import stapeskit
+
+    for one in ears:
+        folder = tmp_path / one.folder
+        folder.mkdir()
+        (folder / "mass.json").write_text(json.dumps(one.mass), encoding="utf-8")
+        (folder / "kd.json").write_text(json.dumps(one.kd), encoding="utf-8")
+    found = stapeskit.cohort([tmp_path / one.folder for one in ears], about={"ear1": {"subject": "s"}})
+    assert found.law("K11", "mass").law.n == len(ears)
+    written = found.write(tmp_path / "out")
+    assert sorted(path.name for path in written) == ["cohort.csv", "cohort.html", "cohort.json"]
+    assert json.loads((tmp_path / "out" / "cohort.json").read_text(encoding="utf-8"))["laws"]
+    with pytest.raises(PipelineError) as refused:
+        stapeskit.cohort([tmp_path / "nowhere"])
+    assert refused.value.faults[0].thing.endswith("nowhere")

@@ -1,0 +1,131 @@
+"""`stapeskit.cohort`: laws over finished studies as a function."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.cohort.study_of_ears import CohortLaws
+from stapeskit.results import Result, extended
+
+if TYPE_CHECKING:
+    from pipeline.results import StudyResult
+
+
+@dataclass(frozen=True, repr=False)
+class Cohort(CohortLaws, Result):
+    """Laws over many ears that print, draw and write themselves."""
+
+    @property
+    def title(self) -> str:
+        """What this is."""
+        return f"Cohort of {len(self.ears)} ears, {len(self.laws)} laws"
+
+    def summary(self) -> Sequence[tuple[str, str]]:
+        """Return the exponents of the planned laws and the number of independent parameters."""
+        rows = []
+        for one in (law for law in self.laws if law.family == "primary"):
+            low, high = one.law.interval
+            text = (
+                f"exponent {one.law.exponent:.2f} (95 % {low:.2f} to {high:.2f}), p = {one.law.p_value:.2g}"
+            )
+            rows.append((f"{one.response} ~ {one.predictor}", text))
+        if self.components is not None:
+            low_count, high_count = self.components.interval
+            text = f"{self.components.estimate} (95 % {low_count} to {high_count})"
+            rows.append(("independent parameters", text))
+        return rows
+
+    def plot(self) -> Any:
+        """Draw the planned laws with their bands."""
+        from pipeline.cohort.law_page import laws_figure
+
+        return laws_figure(self)
+
+    def write(self, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
+        """Write cohort.csv, cohort.html and cohort.json into a folder.
+
+        Raises
+        ------
+        StapeskitError
+            A file of another origin stands at a name.
+        """
+        from pipeline.cohort.files import cohort_outputs, write_cohort
+
+        outputs = cohort_outputs(Path(folder), (), force)
+        outputs.check()
+        with outputs.staged() as fresh:
+            write_cohort(fresh, self, {"ears": [ear.folder for ear in self.ears]})
+        return tuple(outputs.folder / name for name in outputs.names)
+
+    def to_frame(self) -> Any:
+        """Return the laws as a pandas table."""
+        import pandas as pd
+
+        return pd.DataFrame([one.as_json() for one in self.laws])
+
+
+def cohort(
+    studies: Sequence[str | os.PathLike[str] | StudyResult],
+    *,
+    about: Mapping[str, Mapping[str, Any]] | None = None,
+    mix: bool = False,
+) -> Cohort:
+    """Fit laws over finished studies: how K and D follow the inertia and the size of the stapes.
+
+    Parameters
+    ----------
+    studies : sequence of path or StudyResult
+        Folders of finished studies (mass.json, kd.json), or results of `scan2kd`.
+    about : mapping, optional
+        What is known of ears, by the names of their folders: subject, side, age, sex, group, scanner,
+        cochlea ... A result of `scan2kd` brings what its study says.
+    mix : bool
+        Put ears together that were fitted or prepared in different ways.
+
+    Raises
+    ------
+    PipelineError
+        A folder holds no finished study, or the ears do not belong together.
+
+    Examples
+    --------
+    >>> ears = cohort(["ear1_out", "ear2_out", "ear3_out", "ear4_out", "ear5_out"])  # doctest: +SKIP
+    >>> ears.law("K11", "mass").law.interval  # doctest: +SKIP
+    """
+    from pipeline.cohort.ears import Ear, read_ear
+    from pipeline.cohort.study_of_ears import study_ears
+    from pipeline.errors import PipelineError
+    from stapeskit.faults import Fault, StapeskitError, raise_all
+
+    ears: list[Ear] = []
+    faults: list[Fault] = []
+    for study in studies:
+        folder, name, known = _place(study)
+        try:
+            ear = read_ear(folder, name)
+        except (OSError, KeyError, ValueError, StapeskitError) as fault:
+            expected = "a folder with mass.json and kd.json of a finished study"
+            faults.append(Fault(str(folder), expected, fault, "", "Run scan2kd on its study first"))
+            continue
+        ears.append(replace(ear, about={**known, **(about or {}).get(folder.name, {})}))
+    raise_all(PipelineError, faults)
+    return extended(Cohort, study_ears(ears, mix=mix))
+
+
+def _place(study: str | os.PathLike[str] | StudyResult) -> tuple[Path, str, dict[str, Any]]:
+    """Return the folder of a study, its name, and what its study file says of the ear."""
+    if isinstance(study, str | os.PathLike):
+        return Path(study), Path(study).name, {}
+    return study.out, study.name, about_of(study.study.study)
+
+
+def about_of(table: Any) -> dict[str, Any]:
+    """Return what ``[study]`` says of an ear, its covariates among the other columns."""
+    names = ("side", "ear", "subject", "age", "sex", "group")
+    stated = {name: getattr(table, name, None) for name in names}
+    known = {name: value for name, value in stated.items() if value not in (None, "")}
+    return {**known, **dict(getattr(table, "covariates", None) or {})}
