@@ -1,4 +1,4 @@
-"""Nearest points of a triangle surface, exactly, with normals averaged over its roughness."""
+"""Exact nearest points of a triangle surface (by VTK), and its normals averaged over its roughness."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-_SMALL = 3.0
-_FIRST = 12
 _REACH = 6.0
 _SAME_SIDE = 0.8
 _EDGE = 0.7
@@ -70,15 +68,13 @@ class TriangleSurface:
         object.__setattr__(self, "vertices_mm", vertices)
         object.__setattr__(self, "faces", faces)
 
-    def _made(self) -> dict[str, Any]:
-        """Return what the searches need, made at the first one."""
+    def _index(self) -> dict[str, Any]:
+        """Return the arrays and trees that searches need, built by the first search."""
         if not self._parts:
             from scipy.spatial import cKDTree
 
             corners = self.vertices_mm[self.faces]
             centre = corners.mean(axis=1)
-            reach = np.sqrt(np.max(np.sum((corners - centre[:, None]) ** 2, axis=2), axis=1))
-            small = reach <= _SMALL * np.median(reach)
             area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             size = np.linalg.norm(area, axis=1)
             self._parts.update(
@@ -86,11 +82,8 @@ class TriangleSurface:
                 centre=centre,
                 normal=area / size[:, None],
                 area=0.5 * size,
-                small=np.flatnonzero(small),
-                large=np.flatnonzero(~small),
-                reach=float(np.max(reach[small])),
-                tree=cKDTree(centre[small]),
-                every=cKDTree(centre),
+                locator=_cell_locator(self.vertices_mm, self.faces),
+                centres=cKDTree(centre),
                 edge=float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))),
             )
         return self._parts
@@ -98,7 +91,7 @@ class TriangleSurface:
     @property
     def edge_mm(self) -> float:
         """Median length of an edge, mm: about one voxel on a surface from a scan."""
-        return float(self._made()["edge"])
+        return float(self._index()["edge"])
 
     @property
     def diagonal_mm(self) -> float:
@@ -108,46 +101,40 @@ class TriangleSurface:
 
     def closest(self, points_mm: Array) -> tuple[Array, Array, Index]:
         """Return the nearest points (n, 3) of the surface, their distances (n,), mm, and their triangles."""
-        parts = self._made()
+        from vtkmodules.vtkCommonCore import reference
+        from vtkmodules.vtkCommonDataModel import vtkGenericCell
+
+        find = self._index()["locator"].FindClosestPoint
         points = np.atleast_2d(np.asarray(points_mm, dtype=float))
-        found = np.zeros_like(points)
-        best = np.full(len(points), np.inf)
-        owner = np.zeros(len(points), dtype=np.int64)
-        if len(parts["large"]):
-            _nearest(
-                points, parts["corners"], parts["large"][None].repeat(len(points), 0), found, best, owner
-            )
-        open_, count = np.arange(len(points)), _FIRST
-        while len(open_):
-            count = min(count, len(parts["small"]))
-            away, near = parts["tree"].query(points[open_], k=np.arange(1, count + 1))
-            some, size, which = found[open_], best[open_], owner[open_]
-            _nearest(points[open_], parts["corners"], parts["small"][near], some, size, which)
-            found[open_], best[open_], owner[open_] = some, size, which
-            if count == len(parts["small"]):
-                break
-            open_ = open_[size > away[:, -1] - parts["reach"]]
-            count *= 4
-        return found, best, owner
+        nearest = np.empty_like(points)
+        triangles = np.empty(len(points), dtype=np.int64)
+        cell, place = vtkGenericCell(), [0.0, 0.0, 0.0]
+        triangle: Any = reference(0)
+        part: Any = reference(0)
+        square: Any = reference(0.0)
+        for row, point in enumerate(points.tolist()):
+            find(point, place, cell, triangle, part, square)
+            nearest[row], triangles[row] = place, int(triangle)
+        return nearest, np.linalg.norm(nearest - points, axis=1), triangles
 
     def normals(self, triangles: Index, reach_mm: float = 0.0) -> Array:
         """Return outward unit normals (n, 3) at triangles, averaged over the roughness of the surface.
 
         Neighbours that lie on another side of an edge are left out.
         """
-        parts = self._made()
+        parts = self._index()
         radius = max(reach_mm, _REACH * parts["edge"])
         own = parts["normal"][triangles]
         if not len(triangles) or parts["edge"] > 0.05 * self.diagonal_mm:
             return np.asarray(own)
         mean = np.empty_like(own)
-        for place, near in enumerate(parts["every"].query_ball_point(parts["centre"][triangles], radius)):
+        for place, near in enumerate(parts["centres"].query_ball_point(parts["centre"][triangles], radius)):
             sides, areas = parts["normal"][near], parts["area"][near]
             mean[place] = _main_side(sides, areas, own[place])
         return mean
 
     def near_edge(self, near_mm: Array, normal: Array, reach_mm: Array) -> NDArray[np.bool_]:
-        """Tell which points (n, 3) have an edge, a turn by 45 degrees, within a reach (n,), mm."""
+        """Return which points (n, 3) have an edge, a turn by 45 degrees, within a reach (n,), mm."""
         first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
         first /= np.linalg.norm(first, axis=1)[:, None]
         second = np.cross(normal, first)
@@ -168,7 +155,7 @@ class TriangleSurface:
 
     def samples(self, count: int, seed: int = 0) -> tuple[Array, Array]:
         """Return points (count, 3), mm, spread evenly over the surface, and their triangles' normals."""
-        parts = self._made()
+        parts = self._index()
         rng = np.random.default_rng(seed)
         steps = (np.arange(count) + rng.random(count)) / count
         triangle = np.searchsorted(np.cumsum(parts["area"]) / np.sum(parts["area"]), steps)
@@ -191,48 +178,17 @@ def _main_side(sides: Array, areas: Array, own: Array) -> Array:
     return np.asarray(mean)
 
 
-def _nearest(points: Array, corners: Array, among: Index, found: Array, best: Array, owner: Index) -> None:
-    """Lower ``best`` (n,), and set ``found`` and ``owner``, by the nearest of the triangles ``among``."""
-    step = max(1, 200_000 // among.shape[1])
-    for start in range(0, len(points), step):
-        part = slice(start, start + step)
-        near = nearest_on_triangles(points[part, None], corners[among[part]])
-        away = np.linalg.norm(near - points[part, None], axis=2)
-        first = np.argmin(away, axis=1)
-        rows = np.arange(len(first))
-        size = away[rows, first]
-        better = size < best[part]
-        best[part] = np.where(better, size, best[part])
-        found[part] = np.where(better[:, None], near[rows, first], found[part])
-        owner[part] = np.where(better, among[part][rows, first], owner[part])
+def _cell_locator(vertices_mm: Array, faces: Index) -> Any:
+    """Return VTK's exact search for the nearest triangle."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkStaticCellLocator
 
-
-def nearest_on_triangles(points: Array, corners: Array) -> Array:
-    """Return the nearest points (..., 3) of triangles (..., 3 corners, 3) to points (..., 3).
-
-    Notes
-    -----
-    Ericson 2005, Real-Time Collision Detection, section 5.1.5, all cases at once.
-    """
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    ab, ac = b - a, c - a
-    d1, d2 = np.sum(ab * (points - a), axis=-1), np.sum(ac * (points - a), axis=-1)
-    d3, d4 = np.sum(ab * (points - b), axis=-1), np.sum(ac * (points - b), axis=-1)
-    d5, d6 = np.sum(ab * (points - c), axis=-1), np.sum(ac * (points - c), axis=-1)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        total = va + vb + vc
-        v, w = vb / total, vc / total
-        along_ab, along_ac = d1 / (d1 - d3), d2 / (d2 - d6)
-        along_bc = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-    cases = (
-        ((d1 <= 0) & (d2 <= 0), 0.0, 0.0),
-        ((d3 >= 0) & (d4 <= d3), 1.0, 0.0),
-        ((d6 >= 0) & (d5 <= d6), 0.0, 1.0),
-        ((vc <= 0) & (d1 >= 0) & (d3 <= 0), along_ab, 0.0),
-        ((vb <= 0) & (d2 >= 0) & (d6 <= 0), 0.0, along_ac),
-        ((va <= 0) & (d4 >= d3) & (d5 >= d6), 1.0 - along_bc, along_bc),
-    )
-    v = np.select([case[0] for case in cases], [case[1] for case in cases], v)
-    w = np.select([case[0] for case in cases], [case[2] for case in cases], w)
-    return np.asarray(a + v[..., None] * ab + w[..., None] * ac)
+    points, cells, mesh, locator = vtkPoints(), vtkCellArray(), vtkPolyData(), vtkStaticCellLocator()
+    points.SetData(numpy_to_vtk(vertices_mm, deep=True))
+    cells.SetData(3, numpy_to_vtkIdTypeArray(np.ascontiguousarray(faces).ravel(), deep=True))
+    mesh.SetPoints(points)
+    mesh.SetPolys(cells)
+    locator.SetDataSet(mesh)
+    locator.BuildLocator()
+    return locator
