@@ -24,6 +24,14 @@ def cross_matrix(vector: ArrayLike) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def axis_vector(name: str) -> Array | None:
+    """Return the unit vector (3,) of ``x``, ``+y``, ``-Z`` and the like; None for other text."""
+    sign, letter = (name[:1], name[1:]) if name[:1] in ("+", "-") else ("+", name)
+    if letter.lower() not in ("x", "y", "z"):
+        return None
+    return np.eye(3)["xyz".index(letter.lower())] * (-1.0 if sign == "-" else 1.0)
+
+
 def rotation_from_vector(rotation_vector: ArrayLike) -> Array:
     """Return the rotation matrix (3, 3) of a rotation vector in rad (Rodrigues' formula).
 

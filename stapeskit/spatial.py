@@ -89,6 +89,12 @@ def point_rows(arms_m: ArrayLike, directions: ArrayLike) -> Array:
     return np.hstack([beams, np.cross(arms, beams)])
 
 
+def shifted_point_rows(directions: ArrayLike, shift_m: ArrayLike) -> Array:
+    """Return the change (n, 6) of `point_rows` when the points move by ``shift_m``, (3,) or (n, 3), m."""
+    beams = np.asarray(directions, dtype=float)
+    return np.hstack([np.zeros_like(beams), np.cross(np.broadcast_to(shift_m, beams.shape), beams)])
+
+
 def matrix_from_parameters(parameters: ArrayLike) -> Array:
     """Return the 6x6 spatial inertia from (m, m c, J about the reference point); linear in its argument.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault
 from stapeskit.records.motion import RigidMotion, SharedErrors
@@ -14,7 +15,7 @@ from stapeskit.records.motion_files import standard_deviation
 from stapeskit.warnings import Notice
 
 ComplexArray = NDArray[np.complex128]
-_CLEAR = 10.0
+_LEAST_SNR: float = calibrated("frf_ratio.least_signal_to_noise")
 _LINES = 2048
 # Up to here the second order in the noise of the reference is added: beyond, no order suffices.
 _MOST_SECOND = 1.0
@@ -142,7 +143,7 @@ def _shared(
 def _noisy(motion: RigidMotion, ref: ComplexArray, body: int, place: int, reference: str) -> list[Notice]:
     sd = standard_deviation(motion)[:, body, :, place]
     with np.errstate(invalid="ignore"):
-        weak = np.abs(ref) < _CLEAR * sd
+        weak = np.abs(ref) < _LEAST_SNR * sd
     count = int(np.sum(weak))
     if count == 0:
         return []
@@ -153,7 +154,7 @@ def _noisy(motion: RigidMotion, ref: ComplexArray, body: int, place: int, refere
         if np.any(weak[run])
     ]
     text = (
-        f"the reference {reference} is less than {_CLEAR:.0f} times its noise at {count} of {ref.size} "
+        f"the reference {reference} is less than {_LEAST_SNR:.0f} times its noise at {count} of {ref.size} "
         f"lines, {'; '.join(where)}; the stated covariance of the ratio is widened there, and good down to "
         "three times. Leave these lines out of a fit, or take a reference that is not near zero there."
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.fit.beams import WEAK, BeamSet, beam_set, observability
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels
@@ -14,8 +15,8 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _PREFERENCE = ("y", "alpha", "gamma", "x", "z", "beta")
-_LEAK = 0.02
-_BIAS = 0.005
+_LEAST_LEAK: float = calibrated("neglected_motion.least_leak")
+_LEAST_BIAS: float = calibrated("neglected_motion.least_bias")
 _FIFTH = 0.2
 
 
@@ -87,7 +88,7 @@ def _entered(leak: Array, dof: tuple[str, ...], name: str, lever: float) -> list
     length = np.array([1.0, 1.0, 1.0, lever, lever, lever])
     column = DOF_NAMES.index(name)
     entries = np.abs(leak[:, column]) * length[dof_indices(dof)] / length[column]
-    return [int(k) for k in np.argsort(-entries, kind="stable") if entries[k] > _LEAK]
+    return [int(k) for k in np.argsort(-entries, kind="stable") if entries[k] > _LEAST_LEAK]
 
 
 def _digits(value: float) -> str:
@@ -136,9 +137,9 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     bias = others @ leak[:, dof_indices(tuple(extra))].T
     size = np.sqrt(np.mean(np.abs(fit.q[good]) ** 2, axis=0))
     share = np.sqrt(np.mean(np.abs(bias) ** 2, axis=0)) / np.maximum(size, 1e-300)
-    if np.max(share) < _BIAS:
+    if np.max(share) < _LEAST_BIAS:
         return []
-    worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= _BIAS]
+    worst = [int(k) for k in np.argsort(-share, kind="stable") if share[k] >= _LEAST_BIAS]
     changes = ", ".join(f"{dof[k]} by {_digits(100.0 * share[k])} %" for k in worst)
     variance = np.real(full.covariance[good][:, places, places]) * left
     parts = []

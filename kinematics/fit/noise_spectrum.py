@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
@@ -12,13 +13,13 @@ ComplexArray = NDArray[np.complex128]
 _LEAST_LINES = 12
 _MOST_LINES, _MOST_VALUES = 2048, 400_000
 _DRIFTING = 8
-_LEFT = 0.1
-_ALIKE = 0.6
-_SURE = 20.0
+_LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
+_FREQUENT_SHARE = 0.6  # of lines in frequent patterns of missing channels: one projection a pattern pays
+_LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
 _ROUNDS = 5
 _PASSES = 6
 _SETTLED = 0.02
-_CLIP = 3.0
+_CLIP_SD: float = calibrated("noise_spectrum.clip_sd")
 
 
 def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
@@ -64,7 +65,7 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
     for _ in range(_PASSES):
         flat = np.exp(-course[lines] - loud)
         energy, left = _unexplained(white * flat, z * flat, used)
-        some = (left > _LEFT) & (energy > 0.0)
+        some = (left > _LEAST_RESIDUAL_SHARE) & (energy > 0.0)
         if np.sum(some) < _LEAST_LINES // 2:
             return None
         half = fit.n_dof[lines][some] / 2.0
@@ -95,7 +96,7 @@ def _unexplained(white: ComplexArray, motion: ComplexArray, used: NDArray[np.boo
         return _projected(white, motion)
     of = np.unique(used, axis=1, return_inverse=True)[1].ravel()
     many = np.flatnonzero(np.bincount(of) >= 2 * len(motion))
-    if np.mean(np.isin(of, many)) > _ALIKE:
+    if np.mean(np.isin(of, many)) > _FREQUENT_SHARE:
         energy, left = np.zeros(len(of)), np.zeros(len(of))
         for pattern in many:
             own = of == pattern
@@ -134,12 +135,12 @@ def _parabola(
     spread = sd
     curve = np.full(len(levels), float(np.median(levels)))
     for _ in range(_ROUNDS):
-        clipped = curve + np.clip(levels - curve, -_CLIP * spread, _CLIP * spread)
+        clipped = curve + np.clip(levels - curve, -_CLIP_SD * spread, _CLIP_SD * spread)
         found = np.linalg.solve(rows.T @ (weight[:, None] * rows), rows.T @ (weight * clipped))
         curve = rows @ found
         wide = float(np.median(np.abs(levels - curve) / sd)) / 0.6745
         spread = sd * max(1.0, wide)
     flat = np.full(len(levels), float(np.average(curve, weights=weight)))
-    sure = float(np.sum(((curve - flat) / spread) ** 2)) >= _SURE
-    loud = np.where(levels - curve > _CLIP * spread, 0.5 * (levels - curve), 0.0)
+    sure = float(np.sum(((curve - flat) / spread) ** 2)) >= _LEAST_EVIDENCE
+    loud = np.where(levels - curve > _CLIP_SD * spread, 0.5 * (levels - curve), 0.0)
     return np.asarray(0.5 * (base @ found - found[0])), loud, sure

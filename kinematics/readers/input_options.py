@@ -13,16 +13,12 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.options import SeriesOptions
 from stapeskit.faults import Fault, raise_all
+from stapeskit.frames import axis_vector
 
 Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")
 LENGTH_UNITS = ("m", "mm", "um")
 SERIES = "the options of time series"
-_AXES = {
-    sign + axis: (-1.0 if sign == "-" else 1.0, "xyz".index(axis))
-    for sign in ("", "+", "-")
-    for axis in "xyz"
-}
 
 
 @dataclass(frozen=True)
@@ -168,9 +164,9 @@ def _run(text: str, faults: list[Fault]) -> tuple[str, str] | None:
 
 def _direction(text: str, faults: list[Fault]) -> Array | None:
     """Read ``-z`` or ``0,0.34,0.94``."""
-    if text.strip().lower() in _AXES:
-        sign, axis = _AXES[text.strip().lower()]
-        return np.eye(3)[axis] * sign
+    axis = axis_vector(text.strip())
+    if axis is not None:
+        return axis
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
@@ -21,7 +22,7 @@ Weights = Mapping[tuple[int, int], Array]
 _ROUNDS = 12
 _SEPARABLE = 1e-6
 _MOST_WORK = 4e10
-_SEEN = 0.9
+_INFORMED_SHARE: float = calibrated("calibration.informed_share")
 _UNLIKELY = 1e-3
 
 
@@ -63,7 +64,7 @@ class Calibration:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Which parameters (k,) the data tell something about: their sd fell below 0.9 of the prior's."""
-        return np.asarray(self.sd < _SEEN * self.model.prior_sd)
+        return np.asarray(self.sd < _INFORMED_SHARE * self.model.prior_sd)
 
     @property
     def names(self) -> tuple[str, ...]:

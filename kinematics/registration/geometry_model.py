@@ -12,7 +12,7 @@ from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
-from stapeskit.spatial import point_rows
+from stapeskit.spatial import point_rows, shifted_point_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -190,7 +190,7 @@ class GeometryModel:
 
         def turned(parameter: int, channels: Index, axis: Array) -> None:
             step = np.cross(axis, directions[channels])
-            made.append(Change(parameter, channels, np.hstack([step, np.cross(arms[channels], step)])))
+            made.append(Change(parameter, channels, point_rows(arms[channels], step)))
 
         whole = np.eye(3)
         place = self._places.get(("axes", 0, ""))
@@ -212,8 +212,7 @@ class GeometryModel:
             if kind == "position" and owner == number:
                 channels = np.array([c for c, name in enumerate(body.points) if name == point])
                 for axis in range(3):
-                    rows = np.zeros((len(channels), 6))
-                    rows[:, 3:] = np.cross(np.eye(3)[axis], directions[channels])
+                    rows = shifted_point_rows(directions[channels], np.eye(3)[axis])
                     made.append(Change(place + axis, channels, rows))
         return made
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import MIRRORS, Measurement
@@ -16,9 +17,9 @@ from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-_MISFIT = 4.0
-_CURED = 0.1
-_CURED_UNKNOWN = 0.02
+_LEAST_MISFIT: float = calibrated("handedness.least_misfit")
+_CURED_SHARE: float = calibrated("handedness.cured_share")
+_CURED_SHARE_UNKNOWN_NOISE: float = calibrated("handedness.cured_share_unknown_noise")
 _MOST_LINES = 60
 
 
@@ -59,7 +60,7 @@ def check_axes(
     shows it: there only fiducials off a plane, or points on the surfaces of the scan, tell.
     """
     whole = float(sum(np.nansum(fit.chi2) for fit in fits.values()))
-    loud = whole > _MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
+    loud = whole > _LEAST_MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
     if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
         return []
     given, freedom = _misfits(placed, fits, np.eye(3))
@@ -74,8 +75,8 @@ def check_axes(
     rival = sum(
         mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
     )
-    share = _CURED if loud else _CURED_UNKNOWN
-    if after > share * sum(given.values()) or after > _MISFIT * freedom:
+    share = _CURED_SHARE if loud else _CURED_SHARE_UNKNOWN_NOISE
+    if after > share * sum(given.values()) or after > _LEAST_MISFIT * freedom:
         return []
     if after > share * rival:
         text = (

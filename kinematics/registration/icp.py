@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.registration.free_motions import undetermined
 from kinematics.registration.icp_refine import (
@@ -31,12 +32,12 @@ from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-_LEAST_SHARE = 0.6
-_APART = 8.0
-_EVIDENCE = 18.0
+_LEAST_SHARE_NEAR: float = calibrated("surface_fit.least_share_near")
+_APART_SD: float = calibrated("surface_fit.distinct_placements_sd")
+_LEAST_EVIDENCE: float = calibrated("surface_fit.least_evidence")
 _SAMPLES = 2_000
-_HIDDEN = -0.2
-_HIDDEN_SHARE = 0.1
+_FACING_AWAY: float = calibrated("surface_fit.facing_away_cosine")
+_MOST_FACING_AWAY: float = calibrated("surface_fit.most_facing_away")
 
 
 @dataclass(frozen=True)
@@ -143,8 +144,8 @@ def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:
     """Leave out placements that put many points on faces which no laser reaches, unless all do."""
     if towards is None:
         return fits
-    hidden = [np.mean(fit.normal @ (fit.pose.rotation @ towards) < _HIDDEN) for fit in fits]
-    seen = [fit for fit, share in zip(fits, hidden, strict=True) if share < _HIDDEN_SHARE]
+    hidden = [np.mean(fit.normal @ (fit.pose.rotation @ towards) < _FACING_AWAY) for fit in fits]
+    seen = [fit for fit, share in zip(fits, hidden, strict=True) if share < _MOST_FACING_AWAY]
     return seen or fits
 
 
@@ -208,7 +209,7 @@ def _chosen(
     """Choose the placement; refuse when others fit alike and no other points tell them apart."""
     fits = sorted(fits, key=lambda fit: fit.energy)
     best = fits[0]
-    apart = max(_APART * max(best.scale, surface_floor(surface)), 0.03 * surface.diagonal_mm)
+    apart = max(_APART_SD * max(best.scale, surface_floor(surface)), 0.03 * surface.diagonal_mm)
     alike = [best]
     freedom = max(len(cloud.points_mm) - 6, 1)
     for fit in fits[1:]:
@@ -216,7 +217,9 @@ def _chosen(
             worse = freedom * float(np.log(max(fit.energy, 1e-18) / max(best.energy, 1e-18)))
         else:
             worse = (fit.energy - best.energy) / max(1.0, best.energy / freedom)
-        if worse < _EVIDENCE and all(separation(fit.pose, o.pose, cloud.points_mm) > apart for o in alike):
+        if worse < _LEAST_EVIDENCE and all(
+            separation(fit.pose, o.pose, cloud.points_mm) > apart for o in alike
+        ):
             alike.append(fit)
     if len(alike) == 1:
         return best, []
@@ -260,7 +263,7 @@ def _finished(
 ) -> SurfaceFit:
     """Judge a refined fit and give it its covariance."""
     used = fit.used
-    if np.mean(fit.near) < _LEAST_SHARE or np.sum(used) < 4 or fit.scale > 0.05 * surface.diagonal_mm:
+    if np.mean(fit.near) < _LEAST_SHARE_NEAR or np.sum(used) < 4 or fit.scale > 0.05 * surface.diagonal_mm:
         _refuse_off(fit, cloud, surface)
     middle = cloud.points_mm.mean(axis=0)
     local = cloud.points_mm - middle

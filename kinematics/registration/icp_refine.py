@@ -7,20 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.registration.icp_search import Candidate
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.registration import displacement
 from stapeskit.frames import RigidTransform, cross_matrix, rotation_from_vector
+from stapeskit.spatial import point_rows
 
 Array = NDArray[np.float64]
 Guess = tuple[RigidTransform, Array]
-OUTLIER = 4.5
+OUTLIER_SD: float = calibrated("surface_fit.outlier_sd")
 _ROUNDS = 40
 _SETTLED = 8
-_HUBER = 2.0
+_HUBER_SD: float = calibrated("surface_fit.huber_sd")
 _FAR = 0.05
-_SURFACE_SHARE = 0.1
-_SURFACE_MM = 0.005
+_SURFACE_SD_EDGES: float = calibrated("surface_fit.surface_sd_edges")
+_MOST_SURFACE_SD_MM: float = calibrated("surface_fit.most_surface_sd_mm")
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def surface_floor(surface: TriangleSurface) -> float:
     """Return how well the surface itself is known, mm."""
     if surface.sd_mm is not None:
         return surface.sd_mm
-    return min(_SURFACE_SHARE * surface.edge_mm, _SURFACE_MM)
+    return min(_SURFACE_SD_EDGES * surface.edge_mm, _MOST_SURFACE_SD_MM)
 
 
 def distance_sd(cloud: Cloud, surface: TriangleSurface, scale: float) -> Array:
@@ -93,10 +95,10 @@ def refined(
         if number >= _SETTLED:
             if number % 4 == 0:
                 edge = _at_edge(surface, cloud, rotation, shift, width)
-            used = (size < OUTLIER) & ~edge
+            used = (size < OUTLIER_SD) & ~edge
         if np.sum(used) < max(6, 0.3 * len(used)):
             used = np.ones(len(local), dtype=bool)
-        weight = used * np.minimum(1.0, _HUBER / np.maximum(size, 1e-9)) / width**2
+        weight = used * np.minimum(1.0, _HUBER_SD / np.maximum(size, 1e-9)) / width**2
         gram, score = normal_equations(local, rotation, distance, normal, weight)
         if guess is not None:
             pulled, toward = pull(guess, rotation, shift, middle)
@@ -115,11 +117,11 @@ def refined(
     scale = float(np.sqrt(np.sum(distance[used] ** 2) / count))
     sd = distance_sd(cloud, surface, scale)
     away = np.hypot(distance, np.maximum(beside - 2.0 * sd, 0.0))
-    energy = float(np.sum(np.minimum(away / np.maximum(sd, 1e-9), OUTLIER) ** 2))
+    energy = float(np.sum(np.minimum(away / np.maximum(sd, 1e-9), OUTLIER_SD) ** 2))
     if cloud.sd_mm is None:
         energy = float(np.sum(np.minimum(away, _FAR * surface.diagonal_mm) ** 2))
     pose = Candidate(rotation, shift, float(np.mean(np.abs(distance[used]))))
-    near = away < OUTLIER * np.maximum(sd, 1e-9)
+    near = away < OUTLIER_SD * np.maximum(sd, 1e-9)
     return Refined(pose, distance, normal, used & near, near, scale, energy)
 
 
@@ -142,8 +144,7 @@ def _at_edge(
 
 def distance_rows(local: Array, rotation: Array, normal: Array) -> Array:
     """Return d(distance)/d(displacement of the source frame about the centroid), (n, 6), mm and rad."""
-    across = normal @ rotation
-    return np.hstack([across, np.cross(local, across)])
+    return point_rows(local, normal @ rotation)
 
 
 def normal_equations(

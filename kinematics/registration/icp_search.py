@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.registration.mesh_distance import TriangleSurface
-from stapeskit.frames import cross_matrix
+from stapeskit.alignment.paired_points import pose_rows
 
 Array = NDArray[np.float64]
 _SAMPLES = 30_000
@@ -149,7 +149,7 @@ def _stepped(
         gram = np.einsum("sp,spi,spj->sij", weight, rows, rows, optimize=True)
         score = -np.einsum("sp,sp,spi->si", weight, miss, rows, optimize=True)
     else:
-        arms = np.stack([np.hstack([np.eye(3), -cross_matrix(p)]) for p in local])
+        arms = pose_rows(local)
         gram = np.einsum("sp,pki,pkj->sij", weight, arms, arms, optimize=True)
         score = -np.einsum("sp,spk,pki->si", weight, inside, arms, optimize=True)
     lever = np.sqrt(np.mean(np.sum(local**2, axis=1)))
@@ -162,12 +162,11 @@ def _stepped(
 
 def _rotations(vectors: Array) -> Array:
     """Return rotation matrices (s, 3, 3) of rotation vectors (s, 3), at most 0.6 rad each."""
+    from scipy.spatial.transform import Rotation
+
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
     vectors = vectors * np.minimum(1.0, 0.6 / np.maximum(size, 1e-12))
-    k = np.stack([cross_matrix(vector) for vector in vectors])
-    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
-    half = np.sinc(angle / (2.0 * np.pi))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * half**2 * (k @ k))
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def _misses(

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-_REACH = 6.0
-_SAME_SIDE = 0.8
+_ROUGHNESS_EDGES: float = calibrated("surface_fit.roughness_edges")
+_SAME_SIDE_COSINE: float = calibrated("surface_fit.same_side_cosine")
 _EDGE = 0.7
 
 
@@ -123,7 +124,7 @@ class TriangleSurface:
         Neighbours that lie on another side of an edge are left out.
         """
         parts = self._index()
-        radius = max(reach_mm, _REACH * parts["edge"])
+        radius = max(reach_mm, _ROUGHNESS_EDGES * parts["edge"])
         own = parts["normal"][triangles]
         if not len(triangles) or parts["edge"] > 0.05 * self.diagonal_mm:
             return np.asarray(own)
@@ -170,7 +171,7 @@ def _main_side(sides: Array, areas: Array, own: Array) -> Array:
     """Average the normals of one side of an edge, the side that the neighbourhood's own normals lie on."""
     mean = own
     for _ in range(3):
-        same = sides @ mean > _SAME_SIDE
+        same = sides @ mean > _SAME_SIDE_COSINE
         if not np.any(same):
             return own
         total = areas[same] @ sides[same]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.free_motions import OPEN, open_motions, undetermined
@@ -20,16 +21,17 @@ from stapeskit.alignment.paired_points import pose_rows
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
+from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 LEAST = 3
-_NEAR_MM = 1.0
+_MOST_DISTANCE_MM: float = calibrated("sample_moved.most_distance_mm")
 _UNLIKELY = 1e-3
 _PLAUSIBLE = 1e-2
-_VOXEL_SHARE = 0.15
+_SURFACE_SD_EDGES: float = calibrated("sample_moved.surface_sd_edges")
 _LEAST_SD_MM = 1e-4
-_SURE_MM = 0.1
+_LEAST_MIRROR_MM: float = calibrated("sample_moved.least_mirror_mm")
 
 
 def check_surfaces(
@@ -103,7 +105,7 @@ def _surface_of(cloud: Cloud, placed: Array, surfaces: ScanSurfaces) -> Triangle
     found = [
         (float(np.median(surface.closest(placed)[1])), surface) for surface in near if surface is not None
     ]
-    found = [(away, surface) for away, surface in found if away < _NEAR_MM]
+    found = [(away, surface) for away, surface in found if away < _MOST_DISTANCE_MM]
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 
@@ -114,7 +116,9 @@ def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface
     raise KinematicsError(
         Fault(
             "--bone-points",
-            "at least 3 points" if few else f"points within {_NEAR_MM:g} mm of other bone in labels.nrrd",
+            "at least 3 points"
+            if few
+            else f"points within {_MOST_DISTANCE_MM:g} mm of other bone in labels.nrrd",
             f"{len(bone.points_mm)}"
             if few
             else "points that lie elsewhere, or no such bone beside mass.json",
@@ -143,7 +147,7 @@ def _check_mirror(
         flipped = placed - 2.0 * np.outer((placed - point) @ normal, normal)
         mirrored.append(surface.closest(flipped)[1])
     proper, other = (float(np.median(np.concatenate(part))) for part in (given, mirrored))
-    if proper > _SURE_MM and other < 0.3 * proper:
+    if proper > _LEAST_MIRROR_MM and other < 0.3 * proper:
         raise KinematicsError(
             Fault(
                 "the coordinates of the vibrometer frame",
@@ -163,7 +167,7 @@ def _checked(
     own = _own_sd(cloud, surface)
     by_pose = _pose_part(cloud, placement, to_scan, normal)
     middle = placed.mean(axis=0)
-    rows = np.hstack([normal, np.cross(placed - middle, normal)])
+    rows = point_rows(placed - middle, normal)
     axes = mass.scan_from_footplate
     lever = max(float(np.sqrt(np.mean(np.sum((placed - middle) ** 2, axis=1)))), 1e-9)
     values, motions = open_motions(rows, lever)
@@ -200,7 +204,7 @@ def _checked(
 
 def _own_sd(cloud: Cloud, surface: TriangleSurface) -> Array:
     """Return the independent sd (n,) of the distances: position, and what a voxel leaves of the surface."""
-    grain = min(_VOXEL_SHARE * surface.edge_mm, 0.01)
+    grain = min(_SURFACE_SD_EDGES * surface.edge_mm, 0.01)
     stated = np.zeros(len(cloud.points_mm)) if cloud.sd_mm is None else cloud.sd_mm
     return np.maximum(np.hypot(stated, grain), _LEAST_SD_MM)
 

@@ -14,7 +14,7 @@ from kinematics.fit.rigid_fit import Channels, LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.registration.placement import Placement
 from stapeskit.frames import cross_matrix
-from stapeskit.spatial import dof_indices
+from stapeskit.spatial import dof_indices, shifted_point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,7 +38,7 @@ def pose_derivatives(fit: LineFit, body: BodyChannels, placement: Placement) -> 
     Notes
     -----
     Measured values and weights stay; positions p and directions d move with the frame:
-    dp = R (u + theta x s), dd = R (theta x d_source). See fit_derivative.
+    dp = R (u + theta x s), dd = R (theta x d_source). See fit_derivatives.
     """
     rotation = placement.transform.rotation
     origin = placement.transform.translation_mm
@@ -59,19 +59,8 @@ def pose_derivatives(fit: LineFit, body: BodyChannels, placement: Placement) -> 
 def position_derivatives(fit: LineFit, body: BodyChannels, point: str) -> ComplexArray:
     """Return d q / d(position of one point), (3, freq, m), per m along the footplate axes."""
     mine = np.array([name == point for name in body.points])
-    changes = [moved_rows(body.directions[mine], axis) for axis in np.eye(3)]
+    changes = [shifted_point_rows(body.directions[mine], axis) for axis in np.eye(3)]
     return fit_derivatives(fit, np.stack(changes)[:, :, dof_indices(fit.beams.dof)], mine)
-
-
-def moved_rows(directions: Array, shift_m: Array) -> Array:
-    """Return the change (channel, 6) of rows whose points move by ``shift_m``, (3,) or (channel, 3)."""
-    shift = np.broadcast_to(shift_m, directions.shape)
-    return np.hstack([np.zeros_like(directions), np.cross(shift, directions)])
-
-
-def fit_derivative(fit: LineFit, change: Array, channels: Channels = _WHOLE) -> ComplexArray:
-    """Return the derivative (freq, m) of the fit by one parameter; see fit_derivatives."""
-    return fit_derivatives(fit, change[None], channels)[0]
 
 
 def fit_derivatives(fit: LineFit, changes: Array, channels: Channels = _WHOLE) -> ComplexArray:
@@ -205,7 +194,7 @@ def position_errors(fits: Mapping[tuple[int, int], LineFit], bodies: Sequence[Bo
     for owner, body in enumerate(bodies):
         mine = [place for place, (_, number, _) in enumerate(made) if number == owner]
         if mine:
-            changes = np.stack([moved_rows(body.directions, made[place][2]) for place in mine])
+            changes = np.stack([shifted_point_rows(body.directions, made[place][2]) for place in mine])
             for run in range(runs):
                 fit = fits[run, owner]
                 derivatives[mine, run, owner] = fit_derivatives(
@@ -253,7 +242,7 @@ def _sampled(
     good = np.isfinite(fit.q[pick, 0].real)
     pick = pick[good]
     residual, _sd, weights = fit.at(pick)
-    changes = np.stack([moved_rows(body.directions, axis)[:, places] for axis in np.eye(3)])
+    changes = np.stack([shifted_point_rows(body.directions, axis)[:, places] for axis in np.eye(3)])
     q = fit.q[pick].T
     made = np.zeros((3, points, len(places), len(pick)), dtype=complex)
     chosen = owner >= 0

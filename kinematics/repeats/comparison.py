@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
 from kinematics.repeats.repeat_tests import (
     SHAPE,
@@ -23,11 +24,11 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ALARM = 0.05
-_WIDER = 1.1
+_NOTABLE_SCATTER: float = calibrated("repeats.notable_scatter")
 _CERTAIN = 1e-3
-_EXPLAINED = 0.3
-_APART = 0.03
-_FURTHER = 10.0
+_SHIFT_SHARE: float = calibrated("repeats.shift_share")
+_LEAST_OUTLIER_GAIN: float = calibrated("repeats.least_outlier_gain")
+_OUTLIER_RATIO: float = calibrated("repeats.outlier_ratio")
 
 
 def _words(take: Take) -> str:
@@ -128,7 +129,7 @@ class RunRepeats:
 
     def _moved(self) -> str:
         """Return how far resonances seem to have moved, when that explains the differences."""
-        if self.shift_share < _EXPLAINED:
+        if self.shift_share < _SHIFT_SHARE:
             return ""
         time, level = regressors(self.takes)
         order = time if time is not None else level
@@ -159,7 +160,11 @@ class RunRepeats:
         far = np.hypot(np.log(size), np.radians(turn))
         worst = int(np.argmax(far))
         others = np.delete(far, worst)
-        if len(others) < 2 or far[worst] < _APART or far[worst] < _FURTHER * np.max(others):
+        if (
+            len(others) < 2
+            or far[worst] < _LEAST_OUTLIER_GAIN
+            or far[worst] < _OUTLIER_RATIO * np.max(others)
+        ):
             return ""
         fate = "the mean of all was taken, and its scatter" if self.were_pooled else "the scatter"
         return (
@@ -257,7 +262,7 @@ def compare(
     if scatter is not None:
         tests.append(scatter)
         shape_found = any(test.name in SHAPE for test in found)
-        if scatter.p_value < _CERTAIN and factor > _WIDER and not shape_found:
+        if scatter.p_value < _CERTAIN and factor > _NOTABLE_SCATTER and not shape_found:
             found.append(scatter)
     spread = shapes.log_gain - (0.0 if level is None else level - level.mean())
     count = len(takes)

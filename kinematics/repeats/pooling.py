@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.measurement import BodyChannels, Measurement, Take
 from kinematics.repeats.comparison import ALARM, RunRepeats, compare
 from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
@@ -19,8 +20,8 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_TOGETHER = 0.7
-_WIDER = 1.1
+_COHERENT_SHARE: float = calibrated("repeats.coherent_share")
+_WIDENED_SCATTER: float = calibrated("repeats.widened_scatter")
 
 
 @dataclass(frozen=True)
@@ -185,10 +186,10 @@ def _pool(
             spread[:, part] = shapes.noise_scale[:, part] * np.abs(mean[part]) / np.sqrt(total)
         common[:, part][total <= 0.0] = np.nan
         spread[:, part][total <= 0.0] = np.nan
-    noise = scatter_noise(shapes) if not stack.known or factor > _WIDER else None
+    noise = scatter_noise(shapes) if not stack.known or factor > _WIDENED_SCATTER else None
     if stack.known:
         spread *= 1.0 if noise is None else np.maximum(noise, 1.0)
-        spread *= factor if noise is None and factor > _WIDER else 1.0
+        spread *= factor if noise is None and factor > _WIDENED_SCATTER else 1.0
         return (common, spread), False
     if noise is None:
         return (common, None), False
@@ -208,7 +209,7 @@ def _mean_gain(shapes: Shapes, takes: Sequence[Take]) -> ComplexArray:
         else:
             amplitude = np.mean(size, axis=1)
     turn = np.sum(own, axis=1)
-    apart = np.abs(turn) < _TOGETHER * np.sum(size, axis=1)
+    apart = np.abs(turn) < _COHERENT_SHARE * np.sum(size, axis=1)
     return np.asarray(amplitude * np.exp(1j * np.angle(np.where(apart, own[:, 0], turn))))
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
 from kinematics.repeats.contrast_sums import ContrastSums, Outliers, contrasts, energy_of
 from kinematics.repeats.take_shapes import Shapes
 
 Array = NDArray[np.float64]
 SHAPE = ("shape_trend", "shape_level", "shape_outlier")
-_COLLINEAR = 0.3
+_COLLINEAR_SHARE: float = calibrated("repeats.collinear_share")
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def _collinear(columns: Sequence[Array], new: Array) -> bool:
     centred = new - new.mean()
     base = np.column_stack(columns)
     left = centred - base @ np.linalg.lstsq(base, centred, rcond=None)[0]
-    return bool(np.linalg.norm(left) < _COLLINEAR * np.linalg.norm(centred))
+    return bool(np.linalg.norm(left) < _COLLINEAR_SHARE * np.linalg.norm(centred))
 
 
 def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated: bool) -> list[RepeatTest]:

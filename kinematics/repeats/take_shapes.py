@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.fit.line_noise import Lines, blocks
 from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_CLEAR = 5.0
+_CLEAR_RATIO: float = calibrated("repeats.clear_ratio")
 _LEAST_CHANNELS = 3
 _VALUES = 200_000
 _STEADY = 31
@@ -215,7 +216,7 @@ def _clear(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bo
     freedom = np.maximum((takes - 1) * (counts - 1), 1)
     noise = left / freedom
     level = (np.sqrt(takes) + np.sqrt(np.maximum(counts, 1))) ** 2
-    return np.asarray((counts >= _LEAST_CHANNELS) & (values[:, -1] > _CLEAR * noise * level))
+    return np.asarray((counts >= _LEAST_CHANNELS) & (values[:, -1] > _CLEAR_RATIO * noise * level))
 
 
 def _overall(gain: ComplexArray, strength: Array, clear: NDArray[np.bool_]) -> tuple[Array, Array]:

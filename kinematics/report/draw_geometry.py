@@ -174,9 +174,8 @@ def _minus(signed: str) -> str:
 
 
 def _draw_axes(view: Axes, sight: View, length: float) -> None:
-    for name in "xyz":
-        unit = np.eye(3)["xyz".index(name)]
-        tip = sight.flat(unit * length)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        tip = sight.flat(axis * length)
         if abs(tip[2]) > 0.5 * length:
             continue
         view.annotate(

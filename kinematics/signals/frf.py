@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.options import FRF_ESTIMATORS, LOCAL, WINDOWS
 from kinematics.signals.frf_noise import (
@@ -38,8 +39,8 @@ ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
 _FEWEST = 3
 _STEADY = 100
-_FEW = 5.0
-_SEEN_BIAS = 3.0
+_FEW_AVERAGES: float = calibrated("frf.few_averages")
+_NOTABLE_BIAS_SD: float = calibrated("frf.notable_bias_sd")
 _LEAST_TOGETHER = 3
 _SEGMENTED = tuple(name for name in FRF_ESTIMATORS if name != LOCAL)
 
@@ -252,7 +253,7 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
             "reference do not contain; Hv reads half of that, H2 none where channels have no own noise."
         )
     notices = common_notice(common_sd, "the reference", more)
-    if averages < _FEW:
+    if averages < _FEW_AVERAGES:
         text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
         notices.append(Notice("few_averages", text))
     if how.window == "flattop":
@@ -285,7 +286,7 @@ def _high_notice(own: Array, value: ComplexArray, variance: Array, how: Welch) -
         return []
     high = own if how.estimator == "h2" else 0.5 * own
     seen = np.sum(high**2 * np.abs(value) ** 2 / np.maximum(variance, np.finfo(float).tiny), axis=1)
-    if np.max(seen) < _SEEN_BIAS**2:
+    if np.max(seen) < _NOTABLE_BIAS_SD**2:
         return []
     worst = float(np.max(np.median(high, axis=1)))
     text = (

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
@@ -15,7 +16,7 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _ROUNDS = 4
-_SEEN = 1.5
+_NOTABLE_EXCESS: float = calibrated("frf.notable_common_noise")
 _TREND_FROM = 16
 
 
@@ -113,7 +114,7 @@ def split_noise(
         own = np.maximum(own / left, 1e-6 * spectrum)
         weight = 1.0 / np.maximum(own, floor)
         excess = (common * information)[information > 0.0]
-        if not excess.size or np.mean(excess) < _SEEN + 4.0 / np.sqrt(max(dof, 1.0) * excess.size):
+        if not excess.size or np.mean(excess) < _NOTABLE_EXCESS + 4.0 / np.sqrt(max(dof, 1.0) * excess.size):
             return spectrum, none
     return own, np.maximum(common - 1.0 / np.maximum(information, floor), 0.0)
 

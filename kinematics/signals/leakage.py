@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 # The end of a segment that is looked at, and what share of its mean power is too much there.
-_EDGE, _LOUD = 0.02, 0.1
+_EDGE = 0.02
+_MOST_EDGE_POWER: float = calibrated("leakage.most_edge_power")
 # Lines to each side over which windows spread: the main lobe of the widest (flat top) has five.
 _WIDEST = 6
 # Excitation is even where its least power around is this share of its largest.
-_SAME = 0.1
+_EVEN_SHARE: float = calibrated("leakage.even_share")
 
 
 def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, power: Array) -> list[Notice]:
@@ -82,7 +84,7 @@ def _even(power: Array) -> NDArray[np.bool_]:
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     least, most = minimum_filter1d(power, 2 * _WIDEST + 1), maximum_filter1d(power, 2 * _WIDEST + 1)
-    return np.asarray((least > _SAME * most) & (power > _SAME * np.median(power)))
+    return np.asarray((least > _EVEN_SHARE * most) & (power > _EVEN_SHARE * np.median(power)))
 
 
 def edge_notice(segments: list[Array]) -> list[Notice]:
@@ -100,7 +102,7 @@ def edge_notice(segments: list[Array]) -> list[Notice]:
         count = max(1, int(_EDGE * level.shape[1]))
         edge += float(np.mean(np.mean(level[:, -count:] ** 2, axis=1) / size))
         whole += 1.0
-    if whole == 0.0 or edge / whole < _LOUD:
+    if whole == 0.0 or edge / whole < _MOST_EDGE_POWER:
         return []
     text = (
         "segments without a window do not end at rest (the last 2 % of a segment hold "

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, raise_all
 
@@ -21,11 +22,11 @@ ComplexArray = NDArray[np.complex128]
 OFFSETS = 32
 _GAP = 3
 _NEAR = 0.35
-_SEEN = 1e-3
+_NOTABLE_CHANGE: float = calibrated("lock_in.notable_change")
 _FEWEST_CYCLES = 4.0
 _LEAST_THIRD = 16
-_LEAST_BEND = 1e-3
-_BENDS = 7.0
+_LEAST_BEND_RAD: float = calibrated("lock_in.least_bend_rad")
+_NOTABLE_BEND_SD: float = calibrated("lock_in.notable_bend_sd")
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,8 @@ def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:
     turn = parts[2] * parts[0] * np.conj(parts[1]) ** 2
     weight = 0.5 * third * np.sqrt(size) / np.maximum(noise, 1e-20 * np.sqrt(size) + np.finfo(float).tiny)
     bend = float(np.angle(np.sum(weight * turn / np.maximum(size, np.finfo(float).tiny))))
-    if abs(bend) < _LEAST_BEND or abs(bend) < _BENDS * np.sqrt(6.0 / max(float(np.sum(weight)), 1e-300)):
+    sd = np.sqrt(6.0 / max(float(np.sum(weight)), 1e-300))
+    if abs(bend) < max(_LEAST_BEND_RAD, _NOTABLE_BEND_SD * sd):
         return 0.0
     return bend * rate / (2.0 * np.pi * third**2) * signals.shape[1]
 
@@ -280,5 +282,5 @@ def _unsteady(left: Array, rate: float, freq: float, amplitude: ComplexArray, sd
     mixed = left * wave
     half = count // 2
     change = 2.0 * np.abs(mixed[:, half:].mean(axis=1) - mixed[:, :half].mean(axis=1))
-    seen = change > _SEEN * np.abs(amplitude)
+    seen = change > _NOTABLE_CHANGE * np.abs(amplitude)
     return float(np.max(np.where(seen, change / np.maximum(np.sqrt(8.0) * sd, np.finfo(float).tiny), 0.0)))

@@ -7,14 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _EXCITED = 0.1
 _LEAST_LINES = 8
-_LEAST_SAMPLES = 0.25
-_CLEAR = 8.0
+_LEAST_DELAY_SAMPLES: float = calibrated("record_delays.least_samples")
+_LEAST_DELAY_SD: float = calibrated("record_delays.least_sd")
 
 
 def delay_notice(
@@ -60,7 +61,7 @@ def delay_notice(
         delays.append(-(slope + further) / (2.0 * np.pi * step))
         doubts.append(np.sqrt(spread / (place @ place)) / (2.0 * np.pi * step))
     apart = np.abs(np.array(delays) - np.median(delays))
-    late = (apart * sample_rate_hz > _LEAST_SAMPLES) & (apart > _CLEAR * np.array(doubts))
+    late = (apart * sample_rate_hz > _LEAST_DELAY_SAMPLES) & (apart > _LEAST_DELAY_SD * np.array(doubts))
     if not np.any(late):
         return []
     most, which = 1e6 * float(np.max(apart[late])), int(np.argmax(apart * late)) + 1

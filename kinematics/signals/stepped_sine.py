@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
@@ -17,7 +18,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_LEAST_SHARE = 0.01
+_LEAST_SINE_SHARE: float = calibrated("lock_in.least_sine_share")
 # N sum w^4 / (sum w^2)^2 of a Hann window: how many lines of its spectra count as one.
 _CORRELATED = 35.0 / 18.0
 
@@ -133,7 +134,7 @@ def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
 
 
 def _check_lead(fit: SineFit, lead: int, place: str) -> None:
-    if not (abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead] and fit.share[lead] > _LEAST_SHARE):
+    if not (abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead] and fit.share[lead] > _LEAST_SINE_SHARE):
         step = "Check the table of steps and that the reference was connected"
         raise KinematicsError(Fault("the reference", "a sine well above its noise", "noise", place, step))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -12,13 +13,13 @@ Mask = NDArray[np.bool_]
 _LEAST_AVERAGES = 3.0
 _MOST_AVERAGES = 200.0
 _LEAST_LINES = 32
-_LEAST_RATIO = 0.6
-_MOST_RATIO = 2.5
+_LEAST_SCATTER: float = calibrated("few_averages.least_scatter")
+_MOST_SCATTER: float = calibrated("few_averages.most_scatter")
 _APART = 1e-6
 _ROUNDING = 1.3
 _NEAR = 8
 _LEAST_CHANNELS = 6
-_SEEN = 2.0
+_NOTABLE_COMMON: float = calibrated("few_averages.notable_common")
 _MEDIAN = 0.455
 _TREND_FROM = 100
 # Degrees of freedom of a rigid body, which the channels of a line spend.
@@ -93,7 +94,7 @@ def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] 
     shift = (np.log(half_freedom) - digamma(half_freedom))[place]
     expected = polygamma(1, half_freedom)[place]
     logs = np.log(variance) + shift
-    if _local_scatter(logs, expected, good) < _LEAST_RATIO:
+    if _local_scatter(logs, expected, good) < _LEAST_SCATTER:
         return None
     trend = _trend(logs, good)
     shared, wider = _common(logs - trend, expected, good)
@@ -111,7 +112,7 @@ def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] 
     mean, number = _around(level, weight, half, True)
     own = expected + 2.0 / np.maximum(number, 1.0)
     scatter = float(np.sum((log_level - np.log(mean))[used] ** 2) / np.sum(own[used]))
-    if not _LEAST_RATIO < scatter < _MOST_RATIO:
+    if not _LEAST_SCATTER < scatter < _MOST_SCATTER:
         return None
     excess = scatter - 1.0 - 3.0 * np.sqrt(3.0 / np.sum(used))
     width = 2 * half + 1
@@ -166,7 +167,7 @@ def _common(logs: Array, expected: Array, good: Mask) -> tuple[Array, Array]:
     near = held[4:] & held[2:-2] & held[:-4]
     steps = (mean[2:-2] - 0.5 * (mean[4:] + mean[:-4]))[near]
     seen = float(np.median(steps**2)) / _MEDIAN / 1.5 if steps.size >= _LEAST_LINES // 2 else 0.0
-    if seen < _SEEN * float(np.mean(own[held])):
+    if seen < _NOTABLE_COMMON * float(np.mean(own[held])):
         return none, even
     kept = 1.0 - np.minimum(own / seen, 1.0)
     return np.where(held, mean * kept, 0.0), np.where(held, _spread(own * kept, count), 1.0)

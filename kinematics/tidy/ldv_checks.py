@@ -9,16 +9,12 @@ from numpy.typing import NDArray
 
 from kinematics.tidy.ldv_columns import DIRECTION, Columns
 from stapeskit.faults import Fault
+from stapeskit.frames import axis_vector
 from stapeskit.tables.csv_table import Table
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_SHORT = {
-    sign + axis: (-1.0 if sign == "-" else 1.0, "xyz".index(axis))
-    for sign in ("", "+", "-")
-    for axis in "xyz"
-}
 _MOST = 1_000_000
 
 
@@ -119,9 +115,8 @@ def check_directions(table: Table, columns: Columns, faults: list[Fault]) -> tup
         column = table.texts["dir"]
         vectors = np.full((len(column.names) + 1, 3), np.nan)
         for place, name in enumerate(column.names):
-            if name.lower() in _SHORT:
-                sign, axis = _SHORT[name.lower()]
-                vectors[place] = np.eye(3)[axis] * sign
+            axis = axis_vector(name)
+            vectors[place] = np.nan if axis is None else axis
         rows = vectors[column.codes]
         names = (*column.names, "an empty cell")
         unknown = np.isnan(rows[:, 0])

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.frames import axis_vector
+
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _BONE = np.array([0.93, 0.89, 0.80])
@@ -34,17 +36,11 @@ class View:
     @property
     def axes(self) -> Array:
         """Rows right, up, eye, (3, 3): ``points @ view.axes.T`` are picture coordinates and nearness."""
-        return np.array([_unit(self.right), _unit(self.up), _unit(self.eye)])
+        return np.array([axis_vector(name) for name in (self.right, self.up, self.eye)], dtype=float)
 
     def flat(self, points_mm: Array) -> Array:
         """Return points (..., 3) as (right, up, nearness)."""
         return np.asarray(points_mm @ self.axes.T)
-
-
-def _unit(axis: str) -> Array:
-    vector = np.zeros(3)
-    vector["xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
-    return vector
 
 
 def views() -> tuple[View, View, View]:

@@ -11,6 +11,7 @@ from stapeskit.faults import StapeskitError
 from stapeskit.frames import (
     RigidTransform,
     axes_matrix,
+    axis_vector,
     cross_matrix,
     rotation_between,
     rotation_from_vector,
@@ -143,3 +144,13 @@ def test_axes_matrix_keeps_y_and_squares_x():
 @given(vectors, vectors)
 def test_cross_matrix(a, b):
     assert np.allclose(cross_matrix(a) @ b, np.cross(a, b), atol=1e-15)
+
+
+@pytest.mark.parametrize(("name", "vector"), [("x", (1, 0, 0)), ("+Y", (0, 1, 0)), ("-z", (0, 0, -1))])
+def test_axes_are_read_by_their_letters(name, vector):
+    assert np.array_equal(axis_vector(name), vector)
+
+
+@pytest.mark.parametrize("name", ["", "-", "xy", "--x", "w", "1"])
+def test_what_is_no_axis_has_no_vector(name):
+    assert axis_vector(name) is None

@@ -19,6 +19,7 @@ from stapeskit.spatial import (
     parameters_from_matrix,
     parse_dof,
     point_rows,
+    shifted_point_rows,
     twist_transfer,
 )
 
@@ -106,6 +107,12 @@ def test_point_rows_are_the_velocity_along_the_beam(arm, direction, velocity, om
     row = point_rows([arm], [direction])[0]
     expected = (velocity + np.cross(omega, arm)) @ direction
     assert row @ np.concatenate([velocity, omega]) == pytest.approx(expected, abs=1e-14)
+
+
+def test_rows_of_shifted_points_differ_by_the_shifted_rows():
+    arms, beams, shift = np.random.default_rng(3).normal(size=(3, 5, 3))
+    change = point_rows(arms + shift, beams) - point_rows(arms, beams)
+    assert np.allclose(shifted_point_rows(beams, shift), change, atol=1e-14)
 
 
 def test_dof_lists():

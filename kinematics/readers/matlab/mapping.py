@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, raise_all
+from stapeskit.frames import axis_vector
 
 FREQUENCIES = (
     "freq_hz",
@@ -73,7 +74,6 @@ _POINTS = (
     "point_index",
     "pointindex",
 )
-_UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _COHERENCES = ("coh", "coherence", "gamma2")
 _COUNTS = ("n_avg", "navg", "averages", "n_averages")
 _BEAM = re.compile(r"^(?P<stem>.+?)_?(?P<axis>[xyzXYZ])$")
@@ -306,8 +306,8 @@ def usd_direction(usd: Any) -> NDArray[np.float64] | None:
         match = re.fullmatch(r"ptc(Plus|Minus)([XYZ])Translation", code)
         if match is None:
             return None
-        return np.array(_UNIT[match[2].lower()]) * (1.0 if match[1] == "Plus" else -1.0)
+        return axis_vector(("+" if match[1] == "Plus" else "-") + match[2])
     number = np.asarray(code).reshape(-1) if code is not None else np.empty(0)
     if number.size == 1 and number.dtype.kind in "fiu" and abs(float(number[0])) in (1.0, 2.0, 3.0):
-        return np.sign(float(number[0])) * np.array(_UNIT["xyz"[int(abs(number[0])) - 1]])
+        return np.sign(float(number[0])) * np.eye(3)[int(abs(number[0])) - 1]
     return None

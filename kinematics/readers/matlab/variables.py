@@ -17,10 +17,10 @@ from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import in_mm
 from stapeskit.faults import Fault
+from stapeskit.frames import axis_vector
 
 Array = NDArray[np.float64]
 LENGTH_END = r"_(mm|um|m)$"
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def variable(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, Any]) -> Any:
@@ -261,11 +261,11 @@ def directions_of(
     """
     count = len(values)
     if values.shape[2] == 3:
-        return [np.array(_AXES["xyz"[beam]])] * count
+        return [np.eye(3)[beam]] * count
     given = signal.direction
-    if isinstance(given, str) and given.lower().lstrip("+-") in _AXES:
-        sign = -1.0 if given.startswith("-") else 1.0
-        return [sign * np.array(_AXES[given.lower().lstrip("+-")])] * count
+    axis = axis_vector(given) if isinstance(given, str) else None
+    if axis is not None:
+        return [axis] * count
     if isinstance(given, str) and given:
         found = reals(space, given, where, tree)
         if found.shape not in ((count, 3), (1, 3)):

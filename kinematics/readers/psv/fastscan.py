@@ -21,6 +21,7 @@ from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
 from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -227,7 +228,7 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple
             order,
             f"{name}, point {point}",
             position_mm=positions[point],
-            direction=axis_vector(axis),
+            direction=beam_of(axis),
             per=min(pers),
         )
         for (point, axis), value in sorted(values.items(), key=lambda entry: rank[entry[0][0]])
@@ -244,8 +245,7 @@ def axes_notice(name: str) -> Notice:
     return Notice("axes_from_beams", text)
 
 
-def axis_vector(axis: str) -> Array:
+def beam_of(axis: str) -> Array:
     """Return the unit vector of ``x``, ``-y`` ..., NaN for an empty name."""
-    if not axis:
-        return unknown_vector()
-    return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
+    direction = axis_vector(axis)
+    return unknown_vector() if direction is None else direction

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.blocks import Block, fields_of, read_blocks, value_of
-from kinematics.readers.psv.fastscan import axes_notice, axis_vector
+from kinematics.readers.psv.fastscan import axes_notice, beam_of
 from kinematics.readers.psv.signals import signals
 from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
@@ -111,7 +111,7 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
                 signal.unit.order,
                 block.where,
                 position_mm=position,
-                direction=axis_vector(axis),
+                direction=beam_of(axis),
                 per=signal.unit.per,
             )
         )

@@ -26,6 +26,7 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.text import plain_text
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
 from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.frames import axis_vector
 from stapeskit.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
@@ -33,7 +34,6 @@ ROLES = ("response", "reference", "ignore")
 _NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm")
 _TEXTS = ("channel", "role", "body", "point", "dir", "unit", "sensitivity", "run", "file")
 _SI = ("m", "m/s", "m/s2")
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,11 @@ def _direction(
 ) -> Array:
     short = texts.get("dir", "").lower()
     if short:
-        if short.lstrip("+-") not in _AXES or len(short) > 2:
+        axis = axis_vector(short)
+        if axis is None:
             faults.append(Fault("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
             return np.full(3, np.nan)
-        return np.array(_AXES[short.lstrip("+-")]) * (-1.0 if short.startswith("-") else 1.0)
+        return axis
     found = _three(table, row, ("dir_x", "dir_y", "dir_z"))
     length = float(np.linalg.norm(found))
     if np.all(np.isnan(found)):
