@@ -2,8 +2,8 @@
 
 Notes
 -----
-`read_measurement` chooses the reader by what a file holds. A tidy table alone takes the short way through
-`kinematics.tidy.ldv_csv`; beside other files it is turned into recordings like them.
+`read_measurement` chooses the reader by the table `kinematics.readers.formats.FORMATS`. A tidy table alone
+takes the short way through `kinematics.tidy.ldv_csv`; with other files it becomes recordings like them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from kinematics.readers.input_options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
 from stapeskit.faults import Fault, collecting, raise_all
+
+if TYPE_CHECKING:
+    from kinematics.readers.formats import Format
 
 __all__ = ["InputOptions", "Recording", "Recordings", "inputs_of", "read_measurement"]
 
@@ -48,32 +52,30 @@ def read_measurement(
         What is wrong with the files; the faults of all of them together.
     """
     from kinematics.readers.assemble import assemble
-    from kinematics.readers.formats import TIDY, kind_of, read_recordings
+    from kinematics.readers.formats import TIDY, format_of
     from kinematics.tidy.ldv_csv import read_ldv
 
     paths, options = [Path(path) for path in paths], options or InputOptions()
     _check_names(paths)
-    kinds: list[str] = []
+    formats: list[Format] = []
     unknown: list[Fault] = []
     for path in paths:
         with collecting(unknown), openable(path):
-            kinds.append(kind_of(path))
+            formats.append(format_of(path))
     raise_all(KinematicsError, unknown)
-    if kinds == [TIDY]:
+    if [entry.name for entry in formats] == [TIDY]:
         _refuse_options(options, paths[0])
         measurement = read_ldv(paths[0], points, frame)
         return replace(measurement, inputs=inputs_of(paths, points))
-    raise_all(KinematicsError, _unused(options, kinds))
+    raise_all(KinematicsError, _unused(options, formats))
     files: list[Recordings] = []
     faults: list[Fault] = []
-    for path, kind in zip(paths, kinds, strict=True):
+    for path, entry in zip(paths, formats, strict=True):
         with collecting(faults), openable(path):
-            tidy = kind == TIDY
-            files.append(
-                _as_recordings(read_ldv(path, points, frame), path)
-                if tidy
-                else read_recordings(path, options)
-            )
+            if entry.name == TIDY:
+                files.append(_as_recordings(read_ldv(path, points, frame), path))
+            else:
+                files.append(entry.read(path, options))
     listed = None
     if points is not None:
         from kinematics.tidy.points_csv import read_points
@@ -103,17 +105,17 @@ def _check_names(paths: Sequence[Path]) -> None:
         )
 
 
-def _unused(options: InputOptions, kinds: Sequence[str]) -> list[Fault]:
-    """List options on time series and variables that no file is for."""
+def _unused(options: InputOptions, formats: Sequence[Format]) -> list[Fault]:
+    """List options on time series and variables that no file needs."""
     faults = []
     listed = options.series is not None and options.series.channels is not None
     if options.series is not None and options.series.channels is not None:
-        if not {"time", "matlab", "hdf5"} & set(kinds):
+        if not any(entry.series == "channels" for entry in formats):
             want = "left out: no file holds time series that need it"
             faults.append(Fault("--channels", want, options.series.channels.name))
-    elif options.series is not None and "uff" not in kinds:
+    elif options.series is not None and not any(entry.series == "described" for entry in formats):
         faults.append(Fault(SERIES, "given with --channels FILE", "alone"))
-    if options.mapping is not None and (listed or not {"matlab", "hdf5"} & set(kinds)):
+    if options.mapping is not None and (listed or not any("mapping" in entry.options for entry in formats)):
         want = "left out: no MATLAB or HDF5 file with spectra is read"
         faults.append(Fault("--mapping", want, options.mapping.name))
     return faults

@@ -1,7 +1,14 @@
-"""Which reader a file or folder is for: by what it holds first, by its name second."""
+"""The table of vibrometer formats, and which of them a file or folder is.
+
+A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`. What a file holds
+decides first, its name second; earlier entries win.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 
@@ -17,34 +24,148 @@ from kinematics.readers.uff.datasets import looks_like_uff, plain_content
 from stapeskit.faults import Fault
 
 TIDY = "tidy"
-_HEAD = 1 << 16
+_SERIES_READER = "kinematics.readers.series.frequency_responses"
+_HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP = b"PK\x03\x04"
-_MODULES = {
-    "uff": "kinematics.readers.uff.spectra",
-    "fastscan": "kinematics.readers.psv.fastscan",
-    "points": "kinematics.readers.psv.per_point",
-    "vendor": "kinematics.readers.vendor",
-    "matlab": "kinematics.readers.matlab.spectra",
-    "hdf5": "kinematics.readers.hdf5",
-    "time": "kinematics.readers.series.frequency_responses",
-}
-_BY_SUFFIX = {
-    ".uff": "uff",
-    ".unv": "uff",
-    ".bunv": "uff",
-    ".ufb": "uff",
-    ".csv": TIDY,
-    ".tsv": TIDY,
-    ".txt": TIDY,
-}
-READ = (
-    "a tidy table (.csv), a universal file (.uff, .unv), text exports of a scanning vibrometer (a folder, or "
-    ".txt), a MATLAB file (.mat), HDF5 (.h5) or time series (.csv, .npz, .wav)"
+_SOUND = (b"RIFF", b"RIFX")
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+@dataclass(frozen=True)
+class Head:
+    """The first bytes of a file, and the ending of its name in small letters."""
+
+    content: bytes
+    suffix: str
+
+    @cached_property
+    def text(self) -> str:
+        """The first bytes as text; empty for a ZIP archive and for sound."""
+        if self.content.startswith((_ZIP, *_SOUND)):
+            return ""
+        whole = len(self.content) // 2 * 2 if self.content[:2] in _UTF16 else len(self.content)
+        return decoded(self.content[:whole])
+
+
+def _never(_head: Head) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of vibrometer files.
+
+    Attributes
+    ----------
+    name : str
+    module : str
+        Has ``read(path, *options)``; empty for the tidy table, which `kinematics.tidy` reads.
+    words : str
+        What it is, in a message that lists the formats; empty where another entry says it.
+    holds : callable
+        Takes the Head of a file and returns whether it is of this format.
+    suffixes : tuple of str
+        Endings of names that decide where no content does.
+    options : tuple of str
+        Attributes of InputOptions that ``read`` takes.
+    in_folders : bool
+        Whether a folder of such files is one measurement.
+    series : str
+        ``channels``: may hold time series, which need a table of channels. ``described``: which it describes
+        itself.
+    """
+
+    name: str
+    module: str
+    words: str = ""
+    holds: Callable[[Head], bool] = _never
+    suffixes: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    in_folders: bool = False
+    series: str = ""
+
+    def read(self, path: Path, options: InputOptions) -> Recordings:
+        """Read a file or folder, as time series where a table of channels is given."""
+        module, names = self.module, self.options
+        if self.series == "channels" and options.series is not None and options.series.channels is not None:
+            module, names = _SERIES_READER, ("series",)
+        recordings: Recordings = import_module(module).read(path, *(getattr(options, name) for name in names))
+        return replace(recordings, file=path.name)
+
+
+def _is_archive_or_sound(head: Head) -> bool:
+    is_npz = head.content.startswith(_ZIP) and (head.suffix == ".npz" or b".npy" in head.content)
+    return is_npz or head.content.startswith(_SOUND)
+
+
+def _has_time(head: Head) -> bool:
+    """Return whether the header of a table has a column of times."""
+    lines = [line for line in lines_of(head.text)[:20] if line.strip() and not line.startswith("#")]
+    if not lines:
+        return False
+    cells = lines[0].split(max((",", ";", "\t"), key=lines[0].count))
+    return "time_s" in [cell.strip().strip('"').lower() for cell in cells]
+
+
+FORMATS = (
+    Format(
+        "vendor",
+        "kinematics.readers.vendor",
+        holds=lambda head: head.suffix in vendor.SUFFIXES or head.content.startswith(vendor.COMPOUND),
+        in_folders=True,
+    ),
+    Format(
+        "matlab",
+        "kinematics.readers.matlab.spectra",
+        "a MATLAB file (.mat)",
+        lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
+        options=("mapping",),
+        series="channels",
+    ),
+    Format(
+        "hdf5",
+        "kinematics.readers.hdf5",
+        "HDF5 (.h5)",
+        lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"),
+        options=("mapping",),
+        series="channels",
+    ),
+    Format(
+        "uff",
+        "kinematics.readers.uff.spectra",
+        "a universal file (.uff, .unv)",
+        lambda head: looks_like_uff(plain_content(head.content)),
+        (".uff", ".unv", ".bunv", ".ufb"),
+        ("series",),
+        series="described",
+    ),
+    Format(
+        "fastscan",
+        "kinematics.readers.psv.fastscan",
+        "text exports of a scanning vibrometer (a folder, or .txt)",
+        lambda head: looks_like_fastscan(head.text),
+        in_folders=True,
+    ),
+    Format(
+        "points",
+        "kinematics.readers.psv.per_point",
+        holds=lambda head: looks_like_points(head.text),
+        in_folders=True,
+    ),
+    Format(
+        "time",
+        _SERIES_READER,
+        "time series (.csv, .npz, .wav)",
+        lambda head: _is_archive_or_sound(head) or _has_time(head),
+        options=("series",),
+        series="channels",
+    ),
+    Format(TIDY, "", "a tidy table (.csv)", suffixes=(".csv", ".tsv", ".txt")),
 )
 
 
-def kind_of(path: Path) -> str:
-    """Return ``tidy`` or the name of a reader.
+def format_of(path: Path) -> Format:
+    """Return the format of a file or folder.
 
     Raises
     ------
@@ -53,106 +174,80 @@ def kind_of(path: Path) -> str:
     """
     path = Path(path)
     if path.is_dir():
-        return _kind_of_folder(path)
+        return _format_of_folder(path)
     if not path.is_file():
         raise KinematicsError(Fault("the vibrometer file", "an existing file", path, "", "Check its name"))
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD)
-    suffix = path.suffix.lower()
-    if suffix in vendor.SUFFIXES or head.startswith(vendor.COMPOUND):
-        return "vendor"
-    if head.startswith(b"MATLAB") or (suffix == ".mat" and head):
-        return "matlab"
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        return "hdf5"
-    if head.startswith((b"RIFF", b"RIFX")) or (head.startswith(_ZIP) and _is_npz(suffix, head)):
-        return "time"
-    if head.startswith(_ZIP):
+    head = _head_of(path)
+    for entry in FORMATS:
+        if entry.holds(head):
+            return entry
+    *first, last = (entry.words for entry in (FORMATS[-1], *FORMATS[:-1]) if entry.words)
+    known = f"{', '.join(first)} or {last}"
+    by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
+    if head.content.startswith(_ZIP):
         step = "Unpack it, and give the files or folders in it"
-        raise KinematicsError(Fault("the vibrometer file", READ, "a ZIP archive", path.name, step))
-    if not head and _BY_SUFFIX.get(suffix) != TIDY:
+        raise KinematicsError(Fault("the vibrometer file", known, "a ZIP archive", path.name, step))
+    if not head.content and [entry.name for entry in by_name] != [TIDY]:
         step = "Export or copy it again"
         raise KinematicsError(Fault("the vibrometer file", "one with content", "0 bytes", path.name, step))
-    if looks_like_uff(plain_content(head)):
-        return "uff"
-    text = decoded(head if head[:2] not in (b"\xff\xfe", b"\xfe\xff") else head[: len(head) // 2 * 2])
-    if looks_like_fastscan(text):
-        return "fastscan"
-    if looks_like_points(text):
-        return "points"
-    if _has_time(text):
-        return "time"
-    if suffix in _BY_SUFFIX:
-        return _BY_SUFFIX[suffix]
+    if by_name:
+        return by_name[0]
     raise KinematicsError(
-        Fault("the vibrometer file", READ, path.name, next_step="See points2dof --help for the layouts")
+        Fault("the vibrometer file", known, path.name, next_step="See points2dof --help for the layouts")
     )
 
 
-def _is_npz(suffix: str, head: bytes) -> bool:
-    return suffix == ".npz" or b".npy" in head
+def _head_of(path: Path) -> Head:
+    with path.open("rb") as stream:
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower())
 
 
-def _kind_of_folder(path: Path) -> str:
-    """Tell what the text files of a folder are by the first one that is known; hidden files do not count."""
-    is_vendor = False
-    for file in sorted(p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")):
-        with file.open("rb") as stream:
-            text = decoded(stream.read(_HEAD))
-        if looks_like_fastscan(text):
-            return "fastscan"
-        if looks_like_points(text):
-            return "points"
-        is_vendor |= file.suffix.lower() in vendor.SUFFIXES
-    if is_vendor:
-        return "vendor"
+def _format_of_folder(path: Path) -> Format:
+    """Return the format of the first text export in a folder; hidden files do not count."""
+    formats = [entry for entry in FORMATS if entry.in_folders]
+    files = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+    others: list[Format] = []
+    for file in files:
+        head = _head_of(file)
+        for entry in formats:
+            if entry.holds(head):
+                if entry.name != "vendor":
+                    return entry
+                others.append(entry)
+    if others:
+        return others[0]
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
     raise KinematicsError(Fault("a vibrometer folder", expected, path.name, next_step=step))
 
 
-def describes_series(path: Path) -> bool:
-    """Tell whether a file is of a kind whose time series need no table of channels."""
-    if not Path(path).is_file():
-        return False
-    with Path(path).open("rb") as stream:
-        return looks_like_uff(plain_content(stream.read(_HEAD)))
-
-
-def _has_time(text: str) -> bool:
-    """Tell whether the header of a table has a column of times."""
-    lines = [line for line in lines_of(text)[:20] if line.strip() and not line.startswith("#")]
-    names = [] if not lines else [name.strip().strip('"').lower() for name in _split(lines[0])]
-    return "time_s" in names
-
-
-def _split(line: str) -> list[str]:
-    return line.split(max((",", ";", "\t"), key=line.count))
-
-
-def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:
-    """Read any file but a tidy table, and note its name.
+def kind_of(path: Path) -> str:
+    """Return the name of the format of a file or folder: ``tidy``, ``uff``, ...
 
     Raises
     ------
     KinematicsError
-        What its reader says.
+        As of `format_of`.
     """
-    from dataclasses import replace
+    return format_of(path).name
 
-    path, said = Path(path), options or InputOptions()
-    kind = kind_of(path)
-    listed = said.series is not None and said.series.channels is not None
-    if kind == "time" or (listed and kind in ("matlab", "hdf5")):
-        from kinematics.readers.series import frequency_responses as time_series
 
-        made = time_series.read(path, said.series)
-    elif kind == "uff":
-        from kinematics.readers.uff import spectra as uff
+def describes_series(path: Path) -> bool:
+    """Return whether a file is of a format whose time series need no table of channels."""
+    path = Path(path)
+    if not path.is_file():
+        return False
+    head = _head_of(path)
+    return any(entry.holds(head) for entry in FORMATS if entry.series == "described")
 
-        made = uff.read(path, said.series)
-    elif kind in ("matlab", "hdf5"):
-        made = import_module(_MODULES[kind]).read(path, said.mapping)
-    else:
-        made = import_module(_MODULES[kind]).read(path)
-    return replace(made, file=path.name)
+
+def read_recordings(path: Path, options: InputOptions | None = None) -> Recordings:
+    """Read a file of any format but the tidy table.
+
+    Raises
+    ------
+    KinematicsError
+        What its reader reports.
+    """
+    path = Path(path)
+    return format_of(path).read(path, options or InputOptions())

@@ -1,0 +1,63 @@
+"""The table of vibrometer formats: every entry has its reader, and one entry makes a format known."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from importlib import import_module
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from kinematics.readers import formats, read_measurement
+from kinematics.readers.formats import FORMATS, TIDY, Format, format_of, kind_of
+from kinematics.readers.input_options import InputOptions
+from kinematics.readers.recording import Recording, Recordings
+from stapeskit.faults import StapeskitError
+
+
+@pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
+def test_every_entry_has_a_reader_that_takes_its_options(entry):
+    if entry.name == TIDY:
+        return
+    parameters = inspect.signature(import_module(entry.module).read).parameters
+    assert len(parameters) == 1 + len(entry.options)
+    assert all(hasattr(InputOptions(), name) for name in entry.options)
+
+
+def test_names_are_different():
+    assert len({entry.name for entry in FORMATS}) == len(FORMATS)
+
+
+def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
+    def read(path):
+        position, direction = np.zeros(3), np.array([0.0, 1.0, 0.0])
+        recording = Recording(
+            "1", np.array([100.0]), np.array([2.0 + 1.0j]), 0, path.name,
+            body="s", position_mm=position, direction=direction,
+        )  # fmt: skip
+        return Recordings((recording,), amplitude_stated=True)
+
+    module = ModuleType("invented")
+    module.read = read
+    monkeypatch.setitem(sys.modules, "invented", module)
+    entry = Format("new", "invented", "a new format (.new)", lambda head: head.content.startswith(b"NEW"))
+    monkeypatch.setattr(formats, "FORMATS", (entry, *FORMATS))
+    path = tmp_path / "a.new"
+    path.write_bytes(b"NEW")
+    assert kind_of(path) == "new"
+    assert read_measurement([path]).bodies[0].displacement[0, 0, 0] == 2.0 + 1.0j
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "got"),
+    [("a.zip", b"PK\x03\x04....", "a ZIP archive"), ("a.uff", b"", "0 bytes"), ("a.dat", b"1 2 3", "a.dat")],
+)
+def test_unknown_content_is_refused(tmp_path, name, content, got):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(StapeskitError) as caught:
+        format_of(path)
+    (fault,) = caught.value.faults
+    assert fault.got == got
