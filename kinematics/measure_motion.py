@@ -220,6 +220,7 @@ def measure(
     command : list of str, optional
         The words of the command, for the provenance.
     """
+    from kinematics.calibrated import calibrated
     from kinematics.points2dof import fit_options
     from stapeskit.provenance import record
     from stapeskit.records.measured_mass import measured_mass
@@ -230,4 +231,6 @@ def measure(
     files = {**inputs.by_role, "mass": None if mass is None else mass.provenance_input}
     tied = inputs.source_frame == "vibrometer"
     parameters = {**options.parameters(), "frame": None if tied else inputs.source_frame}
-    return motion_of(inputs, read, chosen, mass, record(files, parameters, command))
+    provenance = record(files, parameters, command)
+    provenance["versions"] = {**provenance["versions"], **calibrated.version()}
+    return motion_of(inputs, read, chosen, mass, provenance)
