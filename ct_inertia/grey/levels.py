@@ -92,16 +92,22 @@ class Air:
     slope: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float, guess: float) -> Air:
-    """Measure the air of the box, outside the reach of the stapes' blur and of every other body's.
+def air_shell(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm: float) -> NDArray[np.bool_]:
+    """Return the voxels [z, y, x] outside the reach of the blur of the stapes and of every other body."""
+    shell = distance_mm > reach_mm
+    if np.any(around.foreign):
+        shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
+    return shell
+
+
+def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) -> Air:
+    """Measure the air of the box.
 
     Parameters
     ----------
     around : Surroundings
-    distance_mm : ndarray of float32, [z, y, x]
-        From the stapes.
-    reach_mm : float
-        How far the blur reaches.
+    shell : ndarray of bool, [z, y, x]
+        Voxels of air; see ``air_shell``.
     guess : float
         Level to use when no air can be seen.
 
@@ -111,9 +117,6 @@ def measure_air(around: Surroundings, distance_mm: NDArray[np.float32], reach_mm
     comes from the scatter between the eight octants of the box, so that shading and streaks count, not
     from the noise alone.
     """
-    shell = distance_mm > reach_mm
-    if np.any(around.foreign):
-        shell &= capped_distance(around.foreign, around.spacing_mm, reach_mm) >= reach_mm * 0.999
     seen = int(np.count_nonzero(shell))
     if seen < _LEAST_AIR:
         values = around.grey[shell]

@@ -11,7 +11,7 @@ from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
-from ct_inertia.grey.levels import Air, Guess, Surroundings, measure_air, unclipped
+from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.neighbours import Parted, away_from_others, cut_through_bone, part_from_neighbours
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
 from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plate_share
@@ -19,6 +19,7 @@ from ct_inertia.grey.plate_face_doubt import face_covariance, face_doubt
 from ct_inertia.grey.psf import edge_sigma, edge_widths
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.grey.soft import by_soft, soft_notices, taken_off, without_soft
+from ct_inertia.grey.stored_levels import as_before_storing, stored_levels
 from ct_inertia.grey.thin_bone import thin_bone
 from ct_inertia.grey.voids import by_unseen_voids, closed_voids, void_notices
 from ct_inertia.segment.cutting import Cut
@@ -97,11 +98,24 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     single = None if cut.working is None else cut.working.single
     around = Surroundings(cut.grey, cut.stapes, cut.others | cut.plate, spacing, single)
     distance = capped_distance(cut.stapes, spacing, 2.0 * reach)
-    air = measure_air(around, distance, reach, guess.air)
-    if air.clipped:
+    shell = air_shell(around, distance, reach)
+    air = measure_air(around, shell, guess.air)
+    stored = stored_levels(around, air, shell, sigma)
+    if stored is not None:
+        air = stored.air_known(air)
+        for _ in range(2):
+            now = as_before_storing(cut.grey, around, distance <= reach, stored, sigma)
+            sigma, _, _ = _blur(
+                replace(cut, grey=now), rim, (air.level, stored.bone.level), spacing, air.noise
+            )
+        cut = replace(cut, grey=now)
+        around = replace(around, grey=cut.grey)
+    elif air.clipped:
         cut = replace(cut, grey=_unclipped(cut, around, distance <= reach, air, guess.bone, sigma))
         around = replace(around, grey=cut.grey)
     bone, fit = _bone(around, air, sigma, distance, reach)
+    if stored is not None:
+        bone = replace(bone, sd=stored.bone_sd(bone.sd), notices=(*bone.notices, *stored.notices()))
     blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
         off = 0.5 * abs(blur[0] - fit.sigma_mm)

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from ct_inertia.bodies import PlateFace
 from ct_inertia.grey.bone_level import measure_bone
 from ct_inertia.grey.level_fit import body_share, fit_bodies, spread
-from ct_inertia.grey.levels import Air, Surroundings, measure_air, unclipped
+from ct_inertia.grey.levels import Air, Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.grey.plate_face import displaced_share
 from ct_inertia.grey.psf import edge_sigma
 from ct_inertia.labelling.from_scan import find_bodies
@@ -149,7 +149,7 @@ def test_the_correlation_of_noise_is_that_of_sums_of_it(width):
     noise = white if width == 0.0 else gaussian_filter(white, width, mode="wrap")
     around = surroundings(100.0 + noise)
     distance = capped_distance(around.bone, SPACING, 20 * H)
-    air = measure_air(around, distance, 5 * H, 100.0)
+    air = measure_air(around, air_shell(around, distance, 5 * H), 100.0)
     # The sum over all lags of a Gaussian of width s: (2 sqrt(pi) s)^3 of its own variance.
     exact = 1.0 if width == 0.0 else (2.0 * np.sqrt(np.pi) * width) ** 3
     assert air.correlation == pytest.approx(exact, rel=0.2)
@@ -162,7 +162,8 @@ def test_a_slope_of_the_air_is_told_and_noise_is_not():
     x, _, _ = places(64)
     for change, found in ((0.0, 0.0), (12.0, 12.0)):
         around = surroundings(grey + change * x)
-        air = measure_air(around, capped_distance(around.bone, SPACING, 0.3), 0.2, 1000.0)
+        shell = air_shell(around, capped_distance(around.bone, SPACING, 0.3), 0.2)
+        air = measure_air(around, shell, 1000.0)
         assert air.slope[0] == pytest.approx(found, rel=0.1)
         assert air.slope[1:] == (0.0, 0.0)
 

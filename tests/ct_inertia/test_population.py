@@ -43,3 +43,26 @@ def test_dry_voids_are_not_called_wet(tmp_path):
     found = scores("dry voids", tmp_path, voxel_um=24.0)
     assert not any({"soft_surroundings", "void_filling_unknown"} & set(s.codes) for s in found)
     assert np.abs(errors(found)).max() < 0.003
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "most"),
+    [
+        ("8 bit, begins above air", "air_clipped", 0.01),
+        ("16 bit, begins above air", "air_clipped", 0.01),
+        ("8 bit, ends below bone", "bone_clipped", 0.01),
+        ("16 bit, ends at bone", "bone_clipped", 0.01),
+        ("32 or 64 steps", "grey_steps_coarse", 0.06),
+    ],
+)
+def test_what_storing_did_is_corrected_and_named(name, code, most, tmp_path):
+    found = scores(name, tmp_path)
+    assert not any(s.wrong for s in found)
+    assert all(code in s.codes for s in found if s.error is not None)
+    assert np.abs(errors(found)).max() < most
+
+
+def test_a_wide_window_of_8_bits_needs_no_correction(tmp_path):
+    found = scores("8 bit, wide window", tmp_path, noise=0.02)
+    assert not any({"air_clipped", "bone_clipped"} & set(s.codes) for s in found)
+    assert np.abs(errors(found)).max() < 0.004

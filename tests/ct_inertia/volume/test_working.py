@@ -6,7 +6,7 @@ import pytest
 from ct_inertia.bodies import LabelledVolume
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.grey.border import border_notices
-from ct_inertia.grey.levels import Surroundings, measure_air, unclipped
+from ct_inertia.grey.levels import Surroundings, air_shell, measure_air, unclipped
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.read import read_volume
 from ct_inertia.segment.cutting import Cut
@@ -137,7 +137,7 @@ def test_clipped_air_is_seen_and_corrected_behind_means(air):
     bone = box.grey > 10000
     around = Surroundings(box.grey, bone, np.zeros_like(bone), box.volume.spacing_mm, box.single)
     distance = np.where(bone, 0.0, 1.0).astype(np.float32) * 0.2
-    found = measure_air(around, distance, 0.1, 0.0)
+    found = measure_air(around, air_shell(around, distance, 0.1), 0.0)
     assert found.clipped > 0.01
     assert found.level == pytest.approx(air * noise, abs=0.04 * noise)
     assert found.noise == pytest.approx(noise / np.sqrt(8), rel=0.1)
