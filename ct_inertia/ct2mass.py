@@ -169,7 +169,8 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             raise CtInertiaError(
                 Fault("--labels", "an existing label volume", options.labels, next_step="Check the path")
             )
-        labels = read_labels(options.labels, options.spacing_mm, options.mirror)
+        spacing = options.spacing_mm if volume is None else tuple(float(v) for v in volume.spacing_mm)
+        labels = read_labels(options.labels, spacing, options.mirror)
     search = SearchOptions(
         threshold=options.threshold,
         seed_mm=None if options.seed_mm is None else np.array(options.seed_mm),

@@ -27,7 +27,7 @@ from stapeskit.option_kinds import (
     number,
     several,
 )
-from stapeskit.options import OptionTable, Rule, Values, excludes, option
+from stapeskit.options import OptionTable, Rule, Values, excludes, needs, option
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
@@ -99,6 +99,7 @@ class MassOptions(OptionTable):
             "Bone has 1400 to 2200 kg/m3",
         ),
         *(_half_a_layout(name) for name in ("shape", "dtype")),
+        *(needs(name, "labels", "whose numbers it names") for name in ("stapes_label", "plate_label")),
         *(_unused_with_labels(name) for name in ("seed", "threshold", "box")),
         *(
             _unused_with_mesh(name)
@@ -183,8 +184,18 @@ class MassOptions(OptionTable):
     labels: Path | None = option(
         file("label volume"), "label volume; never written over", group=_FINDING, example="labels.nrrd"
     )
-    stapes_label: int = option(at_least(1), "number of the stapes in it", 1, group=_FINDING)
-    plate_label: int = option(at_least(1), "number of the plate in it", 2, group=_FINDING)
+    stapes_label: int | None = option(
+        at_least(1),
+        "number of the stapes in it (that of the segment named stapes, else 1)",
+        group=_FINDING,
+        example=1,
+    )
+    plate_label: int | None = option(
+        at_least(1),
+        "number of the plate in it (that of the segment named plate, else 2)",
+        group=_FINDING,
+        example=2,
+    )
     threshold: float | None = option(
         NUMBER, "grey value between air and bone", metavar="T", group=_FINDING, example=12000
     )

@@ -78,12 +78,19 @@ def read_labels(
 ) -> Volume:
     """Open a label volume of any format and hold its voxels in memory.
 
+    Its file's own spacing stands; ``spacing_mm``, that of the scan, serves where it has none.
+
     Raises
     ------
     CtInertiaError
         As `read_volume`.
     """
-    volume = read_volume(path, spacing_mm, mirror)
+    try:
+        volume = read_volume(path, None, mirror)
+    except CtInertiaError:
+        if spacing_mm is None:
+            raise
+        volume = read_volume(path, spacing_mm, mirror)
     kept = tuple(notice for notice in volume.notices if notice.code != WHITE_IS_ZERO)
     # Numbers that name bodies are no matter of bright and dark.
     array = volume.array if len(kept) == len(volume.notices) else turned(volume.array)

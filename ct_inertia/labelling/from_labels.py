@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.frames.plate_surface import surface_with_planes
 from ct_inertia.grey.border import CODE, BorderCut, border_notices, cut_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.partial_volume import sensitivity, with_voxel_size
+from ct_inertia.labelling.label_numbers import body_numbers, without_islands
+from ct_inertia.labelling.unlabelled_plate import plate_beside
 from ct_inertia.segment.cutting import Cut, box_around
 from ct_inertia.segment.separate import flooded
 from ct_inertia.segment.sight import SearchOptions
@@ -46,13 +49,25 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
     labels = options.labels
     if labels is None:
         raise CtInertiaError(Fault("the label volume", "given", "none", "", "Give it with --labels"))
-    _check_labels(labels, options)
-    if volume is None:
-        return _labels_alone(labels, options)
-    return _with_grey(volume, labels, options)
+    numbers = body_numbers(labels, options.stapes_label, options.plate_label)
+    _check_labels(labels, numbers[0])
+    stapes, islands = without_islands(labels, numbers[0])
+    labels = _renumbered(labels, stapes, numbers)
+    bodies = _labels_alone(labels, options) if volume is None else _with_grey(volume, labels, options)
+    return replace(bodies, notices=(*bodies.notices, *islands))
 
 
-def _check_labels(labels: Volume, options: SearchOptions) -> None:
+def _renumbered(labels: Volume, stapes: NDArray[np.bool_], numbers: tuple[int, int | None]) -> Volume:
+    """Return labels with the numbers of the results: stapes, plate, other bone; islands are background."""
+    array = np.where(labels.array != 0, np.uint8(OTHER_BONE), np.uint8(0))
+    array[np.asarray(labels.array == numbers[0])] = 0
+    array[stapes] = STAPES
+    if numbers[1] is not None:
+        array[np.asarray(labels.array == numbers[1])] = PLATE
+    return replace(labels, array=array)
+
+
+def _check_labels(labels: Volume, number: int) -> None:
     array = labels.array
     name = "the label volume" if labels.source is None else Path(labels.source).name
     if array.dtype.kind == "f" and any(np.any(piece != np.rint(piece)) for piece in array):
@@ -65,13 +80,13 @@ def _check_labels(labels: Volume, options: SearchOptions) -> None:
                 "Give the scan as the first argument and its segmentation with --labels",
             )
         )
-    count = sum(int(np.count_nonzero(piece == options.stapes_label)) for piece in array)
+    count = sum(int(np.count_nonzero(piece == number)) for piece in array)
     if count < _LEAST_VOXELS:
         present = sorted({int(v) for piece in array[:: max(1, len(array) // 64)] for v in np.unique(piece)})
         raise CtInertiaError(
             Fault(
                 "the label volume",
-                f"one with voxels of the stapes (number {options.stapes_label})",
+                f"one with voxels of the stapes (number {number})",
                 f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
                 name,
                 "Name the stapes' number with --stapes-label",
@@ -81,12 +96,12 @@ def _check_labels(labels: Volume, options: SearchOptions) -> None:
 
 def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
     """Measure the solid that the labelled voxels fill."""
-    stapes = np.asarray(labels.array == options.stapes_label)
+    stapes = np.asarray(labels.array == STAPES)
     moments = voxel_moments(stapes, labels)
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, labels.origin_mm)
     surface = label_surface(stapes, labels, moments.volume_mm3)
-    plate = np.asarray(labels.array == options.plate_label)
+    plate = np.asarray(labels.array == PLATE)
     plate_mesh = label_surface(plate, labels, None) if np.count_nonzero(plate) >= _LEAST_VOXELS else None
     rest = np.asarray(labels.array != 0) & ~stapes & ~plate
     text = (
@@ -182,9 +197,7 @@ def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut
     return BorderCut("xyz"[across], end, float(count * np.prod(np.delete(spacing_mm, across))))
 
 
-def _cut_by_labels(
-    volume: Volume, labels: Volume, offset: NDArray[np.int64], options: SearchOptions, middle: float
-) -> list[Notice]:
+def _cut_by_labels(volume: Volume, labels: Volume, offset: NDArray[np.int64], middle: float) -> list[Notice]:
     """Warn when the label volume ends on the stapes while the scan shows that its bone goes on."""
     from ct_inertia.volume.coarse import finite
 
@@ -194,7 +207,7 @@ def _cut_by_labels(
         for name, layer, beyond in ends:
             if not 0 <= beyond < volume.array.shape[axis]:
                 continue
-            end = np.take(labels.array, layer, axis=axis) == options.stapes_label
+            end = np.take(labels.array, layer, axis=axis) == STAPES
             rest = [
                 slice(int(offset[2 - k]), int(offset[2 - k]) + labels.array.shape[k])
                 for k in range(3)
@@ -248,7 +261,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
     from ct_inertia.volume.coarse import finite
 
     offset = _offset(volume, labels)
-    stapes_low, stapes_high = _reach(labels, options.stapes_label)
+    stapes_low, stapes_high = _reach(labels, STAPES)
     first, box = box_around(volume, stapes_low + offset, stapes_high + offset)
     grey = finite(volume.array[box], volume)
     local = np.zeros(grey.shape, dtype=np.int64)
@@ -261,10 +274,15 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         slice(int(a), int(b)) for a, b in zip((low - first)[::-1], (high - first)[::-1], strict=True)
     )
     local[target] = labels.array[source]
-    stapes, plate = local == options.stapes_label, local == options.plate_label
+    stapes, plate = local == STAPES, local == PLATE
     rest = (local != 0) & ~stapes & ~plate
     guess = _guess(grey, stapes, local, volume.spacing_mm)
-    ends = _cut_by_labels(volume, labels, offset, options, 0.5 * (guess.air + guess.bone))
+    every = np.asarray(labels.array)
+    unlabelled = None if np.any(every == PLATE) else plate_beside(volume, every == STAPES, offset, guess)
+    if unlabelled is not None:
+        guess = replace(guess, plastic=unlabelled.sight.plastic)
+        plate = unlabelled.mask(first, grey) & ~stapes & ~rest
+    ends = _cut_by_labels(volume, labels, offset, 0.5 * (guess.air + guess.bone))
     cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
     measured = measure(volume, cut, guess)
     moments = measured.moments
@@ -272,15 +290,18 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     surface, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
     coarse, blur = frame_surface(measured.share, cut.scan_from_box(volume), measured.sigma_mm)
-    every = np.asarray(labels.array)
-    plate_all = np.asarray(every == options.plate_label)
-    plate_mesh = None
+    plate_all = np.asarray(every == PLATE)
+    plate_mesh: Surface | None = None
     placed = replace(
         labels, spacing_mm=volume.spacing_mm, origin_mm=volume.scan_points(offset), direction=volume.direction
     )
     if np.count_nonzero(plate_all) >= _LEAST_VOXELS:
         plate_mesh = label_surface(plate_all, placed, None)
-    mask = every == options.stapes_label
+    if unlabelled is not None:
+        part = tuple(slice(int(o), int(o) + n) for o, n in zip(offset[::-1], every.shape, strict=True))
+        plate_all = unlabelled.mask(offset, finite(volume.array[part], volume)) & (every == 0)
+        plate_mesh = surface_with_planes(volume, unlabelled.sight, unlabelled.region)
+    mask = every == STAPES
     labelled = _labelled(mask, plate_all, (every != 0) & ~mask & ~plate_all, placed)
     evidence: dict[str, Any] = {
         "separation": cut.method,

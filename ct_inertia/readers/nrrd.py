@@ -6,6 +6,7 @@ The format: https://teem.sourceforge.net/nrrd/format.html
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,10 @@ def read(path: Path, options: ReadOptions) -> Volume:
     sizes = _sizes(fields, path)
     grid = _grid(path, fields, axes, sizes, start)
     layers = [k for k in range(len(sizes)) if k not in axes and sizes[k] > 1]
-    if not layers:
-        return grid_volume(grid, path, options)
     segments = _segments(keys, path)
+    if not layers:
+        names = {value: name for _, value, name in segments}
+        return replace(grid_volume(grid, path, options), segment_names=names)
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
         raise CtInertiaError(
@@ -69,7 +71,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
         )
     labels, notice = _flattened(grid_array(grid, path), segments)
     volume = grid_volume(grid, path, options, labels)
-    return _noted(volume, notice)
+    names = {number: name for number, (_, _, name) in enumerate(segments, start=1)}
+    return replace(volume, notices=(*volume.notices, notice), segment_names=names)
 
 
 def companion_files(path: Path) -> list[Path]:
@@ -320,9 +323,3 @@ def _flattened(layered: NDArray[Any], segments: list[tuple[int, int, str]]) -> t
         f"overlap the later one counts."
     )
     return labels, Notice("segments_numbered", text)
-
-
-def _noted(volume: Volume, notice: Notice) -> Volume:
-    from dataclasses import replace
-
-    return replace(volume, notices=(*volume.notices, notice))

@@ -36,8 +36,8 @@ class SearchOptions:
         Two corners of the part of the scan to look at: x0, y0, z0, x1, y1, z1.
     labels : Volume or None
         A label volume made elsewhere; it says which voxels are stapes and plate.
-    stapes_label, plate_label : int
-        Their numbers in ``labels``.
+    stapes_label, plate_label : int or None
+        Their numbers in ``labels``; None: by the names of its segments, else 1 and 2.
     voxel_size_sd : float or None
         Relative standard uncertainty of the voxel size.
     """
@@ -46,8 +46,8 @@ class SearchOptions:
     seed_mm: Array | None = None
     box_mm: Array | None = None
     labels: Volume | None = None
-    stapes_label: int = 1
-    plate_label: int = 2
+    stapes_label: int | None = None
+    plate_label: int | None = None
     voxel_size_sd: float | None = None
 
 

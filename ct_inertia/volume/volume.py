@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ class Volume:
     nan_as_air : bool
         Voxels that are not finite count as air; otherwise they are refused.
     notices : tuple of Notice
+    segment_names : mapping of int to str
+        Names of the numbers of a label volume, where its file has names.
 
     Raises
     ------
@@ -56,6 +59,7 @@ class Volume:
     source: Path | None = None
     nan_as_air: bool = False
     notices: tuple[Notice, ...] = ()
+    segment_names: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = "" if self.source is None else Path(self.source).name

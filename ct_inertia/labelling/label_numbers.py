@@ -1,0 +1,126 @@
+"""Numbers of the stapes and the plate in a label volume: by option, by the segments' names, or 1 and 2."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.errors import CtInertiaError
+from ct_inertia.volume.grids import boxes_and_sizes, labelled
+from ct_inertia.volume.volume import Volume
+from stapeskit.faults import Fault
+from stapeskit.warnings import Notice
+
+STAPES_NUMBER, PLATE_NUMBER = 1, 2
+# Names that programs give by themselves say nothing.
+_AUTOMATIC = re.compile(r"(segment|label|region|object|mask|class|material)?[\s_-]*\d*", re.IGNORECASE)
+# Islands up to this share of the stapes are slips of the brush; beyond, a body may have been drawn in parts.
+_MOST_ISLANDS = 0.05
+
+
+def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple[int, int | None]:
+    """Return the numbers of the stapes and of the plate (None: there is none).
+
+    Parameters
+    ----------
+    labels : Volume
+        Its ``segment_names`` win over the usual numbers 1 and 2.
+    stapes, plate : int or None
+        Numbers that the user gave; they win over names.
+
+    Raises
+    ------
+    CtInertiaError
+        Several segments have such a name; the stapes' usual number has a name that says something else; both
+        bodies have the same number.
+    """
+    names = labels.segment_names
+    where = "" if labels.source is None else Path(labels.source).name
+    if stapes is None:
+        stapes = _named(names, r"stapes|stapedi", where)
+        if stapes is None and not _silent(names.get(STAPES_NUMBER, "")):
+            listed = ", ".join(f"{number} {name}" for number, name in sorted(names.items()))
+            raise CtInertiaError(
+                Fault(
+                    "the label volume",
+                    "one with a segment named stapes",
+                    listed,
+                    where,
+                    "Rename the segment, or give its number with {stapes_label}",
+                )
+            )
+        stapes = STAPES_NUMBER if stapes is None else stapes
+    if plate is None:
+        plate = _named(names, r"(?<!foot)(?<!foot[ _-])plate", where, stapes)
+        if plate is None and stapes != PLATE_NUMBER and _silent(names.get(PLATE_NUMBER, "")):
+            plate = PLATE_NUMBER
+    if plate == stapes:
+        raise CtInertiaError(
+            Fault("{plate_label}", "another number than the stapes'", plate, where, "Give both numbers")
+        )
+    return stapes, plate
+
+
+def _silent(name: str) -> bool:
+    return _AUTOMATIC.fullmatch(name.strip()) is not None
+
+
+def _named(names: Mapping[int, str], pattern: str, where: str, other: int | None = None) -> int | None:
+    """Return the number of the segment whose name holds a pattern."""
+    found = [n for n, name in names.items() if n != other and re.search(pattern, name, re.IGNORECASE)]
+    exact = [n for n in found if re.fullmatch(pattern, names[n].strip(), re.IGNORECASE)]
+    found = exact if len(exact) == 1 else found
+    if len(found) > 1:
+        raise CtInertiaError(
+            Fault(
+                "the label volume",
+                "one with a single segment of that name",
+                ", ".join(f"{number} {names[number]}" for number in found),
+                where,
+                "Rename the others, or give {stapes_label} and {plate_label}",
+            )
+        )
+    return found[0] if found else None
+
+
+def without_islands(labels: Volume, number: int) -> tuple[NDArray[np.bool_], list[Notice]]:
+    """Return the largest connected part [z, y, x] of a label, and a warning that names what was left out.
+
+    Raises
+    ------
+    CtInertiaError
+        What lies apart is no slip of the brush: more than 5 % of the label.
+    """
+    mask = np.asarray(labels.array == number)
+    parts, count = labelled(mask, corners=True)
+    if count < 2:
+        return mask, []
+    boxes, sizes = boxes_and_sizes(parts, count)
+    sizes = sizes.copy()
+    sizes[0] = 0
+    main = int(np.argmax(sizes))
+    rest = int(sizes.sum() - sizes[main])
+    second = int(np.argsort(-sizes)[1])
+    place = boxes[second - 1] or ()
+    middle = labels.scan_points(np.array([0.5 * (s.start + s.stop - 1) for s in reversed(place)]))
+    where = ", ".join(f"{v:.2f}" for v in middle)
+    if rest > _MOST_ISLANDS * sizes[main]:
+        raise CtInertiaError(
+            Fault(
+                "the stapes of the label volume",
+                "one connected body",
+                f"{count} parts; the second largest, {sizes[second]} voxels, around {where} mm",
+                "" if labels.source is None else Path(labels.source).name,
+                "Remove the islands, or connect the parts",
+            )
+        )
+    text = (
+        f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "
+        f"({rest * labels.voxel_mm3:.4f} mm3), the largest around {where} mm: they were left out. Remove "
+        f"them from the label volume."
+    )
+    return parts == main, [Notice("label_islands_left_out", text)]
