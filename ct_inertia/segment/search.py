@@ -13,7 +13,7 @@ from ct_inertia.segment.doubts import USUAL, doubts, refuse_rivals
 from ct_inertia.segment.not_found import nothing_found
 from ct_inertia.segment.own_level import at_own_level
 from ct_inertia.segment.parting import CoarseGrid, partings
-from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings, with_holes
+from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
 from ct_inertia.volume.grids import dilated
 from ct_inertia.volume.volume import Volume
@@ -70,6 +70,15 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         doubtful = doubtful or (sight, chosen)
     if doubtful is not None:
         return _picked(volume, doubtful[0], options) or doubtful[1]
+    if tried and options.seed_mm is not None:
+        raise CtInertiaError(
+            Fault(
+                "{seed}",
+                "a point inside the stapes, scan coordinates in mm",
+                "a point without bone around it",
+                next_step="Read the coordinates off the viewer (LPS, mm)",
+            )
+        )
     raise CtInertiaError(nothing_found(scan, tried, options.seed_mm is not None))
 
 
@@ -128,8 +137,8 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     large = [judged(sight, piece) for piece in every if piece.volume_mm3 > TYPICAL_MM3[0]]
     large.sort(key=lambda piece: piece.surrounds >= MOST_SURROUNDED)
     if options.seed_mm is not None and large:
-        seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm)).stapes
-        large = [piece for piece in large if piece.label == seeded.label]
+        seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm))
+        large = [piece for piece in large if seeded is not None and piece.label == seeded.stapes.label]
     grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
     found: list[Sight] = []
     for whole in large[:_MOST_WHOLES]:
@@ -196,8 +205,8 @@ def _chosen(volume: Volume, sight: Sight, alone: bool = True) -> Sight | None:
     return replace(sight, stapes=best, others=others, notices=doubts(best))
 
 
-def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
-    """Take the piece at the seed, or the nearest within a few coarse voxels."""
+def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight | None:
+    """Take the piece at the seed, or the nearest within a few coarse voxels; None where there is none."""
     reach = 3
     low = np.maximum(seed - reach, 0)
     box = tuple(slice(int(a), int(b) + reach + 1) for a, b in zip(low[::-1], seed[::-1], strict=True))
@@ -205,18 +214,11 @@ def _seeded(sight: Sight, seed: NDArray[np.int64]) -> Sight:
     known = {p.label: p for p in (sight.stapes, *sight.others)}
     index = np.stack(np.nonzero(np.isin(near, list(known))), axis=1)
     if len(index) == 0:
-        raise CtInertiaError(
-            Fault(
-                "--seed",
-                "a point inside the stapes, scan coordinates in mm",
-                "a point without bone around it",
-                next_step="Read the coordinates off the viewer (LPS, mm)",
-            )
-        )
+        return None
     away = np.linalg.norm(index[:, ::-1] + low - seed, axis=1)
     label = int(near[tuple(index[int(np.argmin(away))])])
-    piece = with_holes(sight, known[label])
     others = tuple(p for p in known.values() if p.label != label)
+    piece = judged(replace(sight, stapes=known[label], others=others), known[label])
     return replace(sight, stapes=piece, others=others, notices=doubts(piece))
 
 
@@ -233,7 +235,7 @@ def _coarse_index(volume: Volume, scan: CoarseScan, point_mm: Array) -> NDArray[
         reach = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
         raise CtInertiaError(
             Fault(
-                "--seed",
+                "{seed}",
                 f"inside the scan ({reach} mm)",
                 ", ".join(f"{v:g}" for v in np.asarray(point_mm)),
                 next_step="Give it in scan coordinates, mm",
