@@ -83,9 +83,20 @@ def check_mesh(surface: Surface, name: str) -> None:
     Raises
     ------
     CtInertiaError
-        More than one piece encloses a positive volume (a cavity does not), or the longest extent is
-        below 1 or above 12 mm.
+        A triangle is there more than once, more than one piece encloses a positive volume (a cavity does
+        not), or the longest extent is below 1 or above 12 mm.
     """
+    twice = repeated_faces(surface)
+    if twice:
+        raise CtInertiaError(
+            Fault(
+                "the mesh",
+                "a surface that holds each triangle once",
+                f"{twice} of {len(surface.faces)} triangles repeated: parts of the surface count twice",
+                name,
+                "Remove doubled shells and faces, and export it again",
+            )
+        )
     volumes = body_volumes(surface)
     bodies = [volume for volume in volumes if volume > _LEAST_BODY * max(volumes)]
     if len(bodies) > 1:
@@ -109,6 +120,13 @@ def check_mesh(surface: Surface, name: str) -> None:
     raise CtInertiaError(
         Fault("the mesh", "in mm: a stapes is 3 to 4 mm long", f"{size:.3g} mm; {probable}", name, step)
     )
+
+
+def repeated_faces(surface: Surface) -> int:
+    """Return how many triangles repeat an earlier one, whatever its sense of rotation."""
+    corners = np.sort(surface.faces, axis=1)
+    order = corners[np.lexsort(corners.T)]
+    return int(np.count_nonzero(np.all(order[1:] == order[:-1], axis=1)))
 
 
 def body_volumes(surface: Surface) -> list[float]:
