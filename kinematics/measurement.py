@@ -42,6 +42,10 @@ class BodyChannels:
         Standard deviation per coordinate of the point's position; NaN when not stated.
     reported_directions : ndarray, (channel, 3)
         Directions as they stood in the file, by which a channel is named; ``directions`` without them.
+    reported_positions_mm : ndarray, (channel, 3)
+        Positions as in the file; ``positions_mm`` without them.
+    file_from_here : ndarray, (3, 3)
+        From the axes of ``positions_mm`` to those of the file; orthogonal, a reflection with --mirror.
 
     Raises
     ------
@@ -58,11 +62,15 @@ class BodyChannels:
     relative: bool = False
     position_sd_mm: Array = field(default_factory=lambda: np.empty(0))
     reported_directions: Array = field(default_factory=lambda: np.empty(0))
+    reported_positions_mm: Array = field(default_factory=lambda: np.empty(0))
+    file_from_here: Array = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
         count = len(self.points)
         if self.reported_directions.size == 0:
             object.__setattr__(self, "reported_directions", self.directions)
+        if self.reported_positions_mm.size == 0:
+            object.__setattr__(self, "reported_positions_mm", self.positions_mm)
         if self.position_sd_mm.size == 0:
             object.__setattr__(self, "position_sd_mm", np.full(count, np.nan))
         shapes = {
@@ -212,6 +220,7 @@ class Measurement:
                 body,
                 positions_mm=to_from_here.points(body.positions_mm),
                 directions=to_from_here.vectors(body.directions),
+                file_from_here=body.file_from_here @ to_from_here.vectors(np.eye(3)),
             )
             for body in self.bodies
         )
@@ -233,6 +242,7 @@ class Measurement:
                 body,
                 positions_mm=body.positions_mm * sign,
                 directions=body.directions * (1.0 if points_only else sign),
+                file_from_here=body.file_from_here * sign,
             )
             for body in self.bodies
         )

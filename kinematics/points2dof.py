@@ -14,9 +14,11 @@ from kinematics.errors import KinematicsError
 from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.across.lines import column_offset, exchanged_lines
 from kinematics.faults.across.phase import phase_notice
+from kinematics.faults.causes.explain import explained
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
+from kinematics.faults.unit_slips import unit_slips
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
 from kinematics.fit.body_noise import with_noise
@@ -188,6 +190,7 @@ def points2dof(
     whole = all(is_whole(body) for body in measurement.bodies)
     if not whole:
         raise_all(KinematicsError, empty_faults(measurement))
+    slips = unit_slips(measurement)
     repeats = pooled(measurement) if options.repeats == "pool" else separate(measurement)
     measurement = repeats.measurement
     placed = measurement.mapped(placement.transform)
@@ -210,7 +213,7 @@ def points2dof(
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
     known: dict[tuple[int, int], bool] = {}
     verdicts: list[ChannelVerdict] = []
-    notices = [*measurement.notices, *placement.notices]
+    notices = [*measurement.notices, *placement.notices, *slips]
     notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
@@ -222,6 +225,8 @@ def points2dof(
             fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
             diagnoses[key], searched[key] = searched_body(placed, run, screen.body, fits[key], known[key])
+            other = explained(placed, run, screen.body, searched[key], known[key], diagnoses[key])
+            diagnoses[key], searched[key] = other or (diagnoses[key], searched[key])
     diagnoses |= told_across(placed, searched, diagnoses, known)
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
@@ -237,7 +242,8 @@ def points2dof(
         provenance=dict(provenance or {}),
     )
     motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
-    notices += exchanged_lines(motion) + phase_notice(motion, mass)
+    if not _spoils_motion(diagnoses):
+        notices += exchanged_lines(motion) + phase_notice(motion, mass)
     if not options.reference and (options.reference_noise > 0.0 or measurement.common_sd is not None):
         measured = 0.0 if measurement.common_sd is None else measurement.common_sd
         motion = motion.with_common_noise(np.hypot(options.reference_noise, measured))
@@ -302,6 +308,12 @@ def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
     """Return the share of each misfit that a single fault, other than of all beams, does not explain."""
     return {key: found.kept for key, found in diagnoses.items()}
+
+
+def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:
+    """Tell whether a cause was found that alters the course of the motion over the lines."""
+    codes = {finding.code for found in diagnoses.values() for finding in found.findings}
+    return bool(codes & {"mains_lines", "conjugated_laser"})
 
 
 def _check_determined(motion: RigidMotion) -> None:

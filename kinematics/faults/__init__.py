@@ -15,6 +15,8 @@ How a diagnosis flows, from a measurement to what is told of it:
         adequate        do the findings account for the misfit, or are all positions off (scattered)?
         masked          two faults that hide each other
         findings        what was found
+    causes/             what many channels share, tried before a body is called flexible (explain): outliers,
+                        mains, scattered gains, drift between points, a conjugated laser
     across/             all bodies and runs together (all_bodies): rows under another label (labels),
                         exchanged lines (lines), what one ligament between two bodies tells (ligament, phase)
     neglected           motion outside the fitted degrees of freedom

@@ -29,6 +29,8 @@ class Finding:
         Other explanations that the data hardly tell from this one.
     text : str
         The estimate in words, where it is not made from ``fit`` or ``size``.
+    code, step : str
+        Code of the warning and what to do, of a cause that many channels share; empty otherwise.
     """
 
     kind: str
@@ -38,6 +40,8 @@ class Finding:
     size: float = 0.0
     rivals: tuple[Finding, ...] = ()
     text: str = ""
+    code: str = ""
+    step: str = ""
 
     @property
     def owner(self) -> str:

@@ -147,6 +147,8 @@ def _fault_row(group: Group, several: bool) -> tuple[str, ...]:
 
 def _step(verdict: ChannelVerdict) -> str:
     """Return what to do about a verdict."""
+    if verdict.step:
+        return f"{verdict.step}."
     if verdict.verdict == "sign" and verdict.estimate.startswith("conjugate"):
         return _CONJUGATE
     if verdict.verdict == "label_swap" and "exchanged" not in verdict.estimate:

@@ -1,0 +1,41 @@
+"""The beams of one laser that hold the conjugates of what they should read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinematics.faults.causes.suspect import Explanation, Suspect
+from kinematics.faults.packed.mixing import axes_of
+from kinematics.fit.rigid_fit import fit_noise
+
+# Share of the misfit that must go.
+_MOST = 0.5
+
+
+def conjugated(suspect: Suspect) -> Iterator[Explanation]:
+    """Yield the laser whose conjugate fits the others best."""
+    value, fit = suspect.value, suspect.plain
+    groups = axes_of(suspect.body.directions, list(range(len(value))))
+    if not 1 < len(groups) <= 8:
+        return
+    before = float(np.nansum(fit.chi2))
+    left = {}
+    for number, own in enumerate(groups):
+        turned = value.copy()
+        turned[own] = turned[own].conj()
+        left[number] = float(np.nansum(fit_noise(fit.beams, turned, fit.noise).chi2))
+    best = min(left, key=lambda number: (left[number], len(groups[number])))
+    if left[best] > _MOST * before:
+        return
+    own = groups[best]
+    turned = value.copy()
+    turned[own] = turned[own].conj()
+    name = suspect.body.channel_name(own[0]).split(" ", 1)[1]
+    text = (
+        f"all {len(own)} beams along that of channel {name} read the conjugate of what the others show "
+        "(amplitudes of e^{-iwt})"
+    )
+    step = "Turn the sign of their im or phase_deg round"
+    yield Explanation("conjugated_laser", "sign", own, text, step, 1.0, suspect.with_value(turned))

@@ -1,0 +1,65 @@
+"""Lines at multiples of the mains frequency that hold more than the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.causes.suspect import Explanation, Suspect
+
+Array = NDArray[np.float64]
+_MAINS_HZ = (50.0, 60.0)
+# How far from a multiple a line may lie: windows and the drift of the mains widen it.
+_WIDTHS_HZ = (0.6, 1.5, 3.0, 6.0)
+# Probability of a loud line by chance, and of so many of them near multiples.
+_LOUD, _CHANCE = 1e-3, 1e-4
+# Of the loud lines so many lie near multiples; the lines near multiples are at most this share of all.
+_NEAR, _OF_ALL = 0.7, 0.6
+_LEAST = 2
+_LISTED = 8
+
+
+def mains(suspect: Suspect) -> Iterator[Explanation]:
+    """Yield lines near multiples of 50 or 60 Hz, when loud lines are mostly these.
+
+    Notes
+    -----
+    chi2 of a line over the median of all lines is tested by its degrees of freedom, the number of loud lines
+    near multiples by the hypergeometric distribution.
+    """
+    from scipy.special import chdtrc
+    from scipy.stats import hypergeom
+
+    fit, freq = suspect.plain, suspect.freq_hz
+    free = fit.n_dof > 0
+    if np.sum(free) < 5:
+        return
+    level = float(np.median(fit.chi2[free] / fit.n_dof[free]))
+    loud = np.zeros(len(freq), dtype=bool)
+    loud[free] = chdtrc(fit.n_dof[free], fit.chi2[free] / max(level, 1e-300)) < _LOUD
+    best: tuple[float, float, NDArray[np.bool_]] | None = None
+    for base in _MAINS_HZ:
+        for width in _WIDTHS_HZ:
+            multiple = np.round(freq / base)
+            near = (np.abs(freq - base * multiple) <= width) & (multiple >= 1.0)
+            both = int(np.sum(near & loud))
+            if both < _LEAST or both < _NEAR * np.sum(loud) or np.mean(near) > _OF_ALL:
+                continue
+            p = float(hypergeom.sf(both - 1, len(freq), int(np.sum(loud)), int(np.sum(near))))
+            if p < _CHANCE and (best is None or p < best[0]):
+                best = p, base, near
+    if best is None:
+        return
+    _p, base, near = best
+    told = freq[near & loud]
+    names = ", ".join(f"{value:.6g}" for value in told[:_LISTED])
+    names += f" and {len(told) - _LISTED} more" if len(told) > _LISTED else ""
+    text = f"the lines at multiples of {base:.0f} Hz hold mains hum beside the motion: {names} Hz"
+    ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in told[:_LISTED])
+    step = f"Leave these lines out (dof2kd --exclude {ranges}), or remove them from the file"
+    value = np.where(near[None], np.nan, suspect.value)
+    channels = list(range(len(suspect.body.points)))
+    size = float(np.mean(near & loud))
+    yield Explanation("mains_lines", "noise", channels, text, step, size, suspect.with_value(value))

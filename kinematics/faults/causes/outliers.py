@@ -1,0 +1,116 @@
+"""Sparse outliers: single values far off the motion that all others show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.causes.suspect import Explanation, Suspect
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.rigid_fit import LineFit
+
+Array = NDArray[np.float64]
+# Probability by which noise alone passes for an outlier: a few values of thousands, which cost nothing.
+_CHANCE = 1e-3
+# Outliers are sparse up to these shares: of all values, of the values of a line that has any, of a channel.
+_OF_ALL, _OF_LINE, _OF_CHANNEL = 0.2, 0.5, 0.6
+_LEAST = 3
+# Probability of values that are surely outliers, and of their number by chance.
+_SURELY, _NUMBER = 1e-5, 1e-4
+# Outliers are single: so many at most have another one at a neighbouring line of their channel.
+_WITH_NEIGHBOUR = 0.5
+# Values that are looked at to see whether there may be any.
+_SAMPLE = 200_000
+# Values below this share of what the motion makes there have dropped out.
+_DROPPED, _MOSTLY = 0.95, 0.8
+
+
+def outliers(suspect: Suspect) -> Iterator[Explanation]:
+    """Yield sparse outliers.
+
+    Notes
+    -----
+    |residual / sd|^2 / 2 of complex noise is exponential with mean 1; its scale is that of the median, which
+    outliers hardly move.
+    """
+    fit = suspect.robust
+    far, size = _far(fit, suspect.course)
+    used = np.isfinite(size)
+    number, most = int(np.sum(far)), max(int(np.sum(used)), 1)
+    lines = np.any(far, axis=0)
+    if number < _LEAST or number > _OF_ALL * most or _in_runs(far):
+        return
+    if float(np.sum(far)) > _OF_LINE * float(np.sum(used[:, lines])):
+        return
+    if np.any(np.sum(far, axis=1) > _OF_CHANNEL * np.sum(used, axis=1)):
+        return
+    channels = np.flatnonzero(np.sum(far, axis=1) > _CHANCE * 10.0 * np.sum(used, axis=1) + 1.0).tolist()
+    channels = channels or np.flatnonzero(np.any(far, axis=1)).tolist()
+    dropped = _dropped(fit, far)
+    what = "pulled towards zero (drop-outs)" if dropped > _MOSTLY else "far off the motion of the others"
+    worst = int(np.argmax(np.sum(far, axis=1)))
+    text = (
+        f"{number} single values ({100.0 * number / most:.2g} %) are {what}, most at "
+        f"channel {suspect.body.channel_name(worst)}"
+    )
+    step = "Fit with --robust huber, or leave the cells of these values empty"
+    remedied = suspect.with_value(np.where(far, np.nan, suspect.value))
+    yield Explanation("sparse_outliers", "noise", channels, text, step, number / most, remedied)
+
+
+def likely_outliers(fit: LineFit, course: Array | None) -> bool:
+    """Tell, from a plain fit and part of its lines, whether single values lie farther off than noise does.
+
+    ``course`` (freq,) is that of noise which is not stated; see ``noise_course``.
+    """
+    from scipy.special import pdtrc
+
+    channels, lines = fit.value.shape
+    if lines < _LEAST:
+        return False
+    step = max(1, channels * lines // _SAMPLE)
+    size = _sizes(fit, np.arange(0, lines, step), course)
+    number = int(np.sum(size > -np.log(_SURELY)))
+    expected = _SURELY * float(np.sum(np.isfinite(size)))
+    return number >= _LEAST and float(pdtrc(number - 1, expected)) < _NUMBER
+
+
+def _in_runs(far: NDArray[np.bool_]) -> bool:
+    """Tell whether outliers follow each other along the lines, as faults that scale with the motion do."""
+    beside = np.zeros_like(far)
+    beside[:, 1:] |= far[:, :-1]
+    beside[:, :-1] |= far[:, 1:]
+    return float(np.sum(far & beside)) > _WITH_NEIGHBOUR * float(np.sum(far))
+
+
+def _far(fit: LineFit, course: Array | None) -> tuple[NDArray[np.bool_], Array]:
+    """Return which values (channel, freq) are outliers, and the squares of all residuals over noise."""
+    size = _sizes(fit, np.arange(fit.value.shape[1]), course)
+    with np.errstate(invalid="ignore"):
+        return size > -np.log(_CHANCE), size
+
+
+def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None) -> Array:
+    """Return |residual / sd|^2 / 2 over its mean for most values of the channel, NaN where missing."""
+    residual, sd, _weights = fit.at(lines)
+    if course is not None:
+        held = np.isfinite(sd)
+        sd = np.where(held, LineNoise(fit.noise.stated, course).at(lines), sd)
+    size = np.where(np.isfinite(sd), 0.5 * np.abs(residual / sd) ** 2, np.nan)
+    used = np.any(np.isfinite(size), axis=1)
+    channel = np.full(len(size), np.nan)
+    channel[used] = np.nanmedian(size[used], axis=1) / np.log(2.0)
+    level = float(np.median(channel[used])) if np.any(used) else 1.0
+    channel = np.maximum(np.where(used, channel, level), level)
+    return np.asarray(size / np.maximum(channel, 1e-300)[:, None])
+
+
+def _dropped(fit: LineFit, far: NDArray[np.bool_]) -> float:
+    """Return the share of the outliers that lie between zero and what the motion makes."""
+    moved = fit.beams.basis @ fit.solution.z
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = (fit.value / moved)[far]
+        near = (ratio.real < _DROPPED) & (ratio.real > -0.1) & (np.abs(ratio.imag) < 0.3)
+    return float(np.mean(near)) if len(ratio) else 0.0

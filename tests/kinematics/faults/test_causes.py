@@ -1,0 +1,122 @@
+"""Causes of a misfit on many channels: each is found by its code, and a body that bends keeps its name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.fault_scenes import measured, scene
+from benchmarks.points_faults import judged
+
+STAPES = "stapes, 10 points 3D"
+CAUSES = {
+    "sparse_outliers",
+    "mains_lines",
+    "gains_scattered",
+    "drift_between_points",
+    "conjugated_laser",
+    "flexible",
+}
+
+
+def spikes(made, value, rng):
+    """Add noise as large as the signal to 3 % of the values."""
+    some = rng.random(value.shape) < 0.03
+    size = np.sqrt(np.mean(np.abs(value) ** 2))
+    value[some] += size * (rng.normal(size=some.sum()) + 1j * rng.normal(size=some.sum()))
+
+
+def dropouts(made, value, rng):
+    """Pull 10 % of the values towards zero."""
+    some = rng.random(value.shape) < 0.1
+    value[some] *= rng.uniform(0.0, 0.7, some.sum())
+
+
+def hum(made, value, rng):
+    """Add another pattern at every odd multiple of 50 Hz, on a grid of 12.5 Hz."""
+    near = np.abs(made.freq_hz % 100.0 - 50.0) < 1.0
+    size = 0.2 * np.sqrt(np.mean(np.abs(value) ** 2))
+    shape = (len(value), near.sum())
+    value[:, near] += size * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+
+
+def gains(made, value, rng):
+    """Scatter the gains of all channels by 1.5 %."""
+    value *= (1.0 + 0.015 * rng.normal(size=len(value)))[:, None]
+
+
+def drying(made, value, rng):
+    """Let the readings fall by 8 % from the first point to the last."""
+    number = np.array([int(point) for point in made.points])
+    value *= (1.0 - 0.08 * (number - 1) / number.max())[:, None]
+
+
+def conjugate(made, value, rng):
+    """Conjugate the readings of one laser."""
+    own = np.abs(made.directions @ made.directions[1]) > 0.9
+    value[own] = value[own].conj()
+
+
+SPOILED = {
+    "sparse_outliers": (spikes, dropouts),
+    "mains_lines": (hum,),
+    "gains_scattered": (gains,),
+    "drift_between_points": (drying,),
+    "conjugated_laser": (conjugate,),
+}
+
+
+def found(seed, spoil=None, *, stated=True, fault=""):
+    """Return the codes of causes, and the finding that has one."""
+    made = scene(830_000 + seed, STAPES, fault)
+    if spoil is hum:
+        made = replace(made, freq_hz=400.0 + 12.5 * np.arange(len(made.freq_hz)))
+    value = measured(made, seed)
+    if spoil is not None:
+        spoil(made, value, np.random.default_rng(seed))
+    result = judged(made, seed, stated, 0.0, value)
+    causes = [finding for finding in result.diagnoses[0, 0].findings if finding.code]
+    return {notice.code for notice in result.notices} & CAUSES, causes, result
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(("code", "spoil"), [(code, one) for code, many in SPOILED.items() for one in many])
+def test_cause_is_found_by_its_code(code, spoil, stated):
+    codes, causes, result = found(1, spoil, stated=stated)
+    assert codes == {code}
+    assert causes[0].step
+    assert {verdict.verdict for verdict in result.channels} <= {"ok", "noise", "gain", "drift", "sign"}
+
+
+def test_outliers_are_counted():
+    _codes, causes, _result = found(2, spikes)
+    assert causes[0].size == pytest.approx(0.03, abs=0.01)
+
+
+def test_scatter_of_the_gains_is_measured():
+    sizes = [found(seed, gains)[1][0].size for seed in range(3)]
+    assert np.mean(sizes) == pytest.approx(0.015, rel=0.35)
+
+
+def test_frequencies_of_the_mains_are_named():
+    text = found(3, hum)[1][0].text
+    assert "50 Hz" in text
+    assert "450, 550, 650" in text
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_body_that_bends_keeps_its_name(stated):
+    for seed in range(2):
+        assert found(seed, fault="flexible 3 %", stated=stated)[0] == {"flexible"}
+
+
+def test_clean_files_have_no_cause():
+    for seed in range(10):
+        assert found(seed, stated=False)[0] == set()
+
+
+def test_faults_of_one_channel_are_not_taken_for_outliers():
+    for fault in ("sign", "noise x4", "label swap"):
+        assert found(5, fault=fault, stated=False)[0] == set()
