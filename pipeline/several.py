@@ -15,9 +15,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.cohort.about import about_of
 from pipeline.cohort.ears import Ear, read_ear
 from pipeline.cohort.files import cohort_outputs, write_cohort
 from pipeline.cohort.study_of_ears import study_ears_or_say_why
+from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet
 
@@ -101,7 +103,11 @@ def run_studies(
     ends = _run_all(dict(zip(names, studies, strict=True)), out, jobs, force, tell or (lambda _line: None))
     faults = {name: end["fault"] for name, end in ends.items() if end["code"]}
     codes = {name: int(end["code"]) for name, end in ends.items() if end["code"]}
-    ears = tuple(read_ear(out / name, ends[name]["name"]) for name in names if name not in faults)
+    ears = tuple(
+        replace(read_ear(out / name, ends[name]["name"]), about=about_of(read_study(path).study))
+        for name, path in zip(names, studies, strict=True)
+        if name not in faults
+    )
     files: list[Path] = []
     if ears:
         records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
@@ -118,7 +124,6 @@ def _checked_outputs(studies: Mapping[str, Path], out: Path, force: bool) -> Out
     What is wrong with a study file itself is told when its turn comes.
     """
     from pipeline.scan2kd import output_set
-    from pipeline.study import read_study
 
     sets: list[OutputSet] = []
     for name, path in studies.items():

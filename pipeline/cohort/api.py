@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.cohort.about import about_of
 from pipeline.cohort.study_of_ears import CohortLaws
 from stapeskit.results import Result, extended
 
@@ -121,11 +122,3 @@ def _place(study: str | os.PathLike[str] | StudyResult) -> tuple[Path, str, dict
     if isinstance(study, str | os.PathLike):
         return Path(study), Path(study).name, {}
     return study.out, study.name, about_of(study.study.study)
-
-
-def about_of(table: Any) -> dict[str, Any]:
-    """Return what ``[study]`` says of an ear, its covariates among the other columns."""
-    names = ("side", "ear", "subject", "age", "sex", "group")
-    stated = {name: getattr(table, name, None) for name in names}
-    known = {name: value for name, value in stated.items() if value not in (None, "")}
-    return {**known, **dict(getattr(table, "covariates", None) or {})}
