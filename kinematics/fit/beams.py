@@ -137,7 +137,8 @@ def observable_subset(arms: Array, directions: Array) -> tuple[str, ...]:
 def _blind(arms: Array, directions: Array, dof: Sequence[str], limit: float) -> list[Array]:
     """Return the motions (6,) about the reference point, SI, that move no beam (or hardly any)."""
     matrix, scale, centre = _scaled(arms, directions, dof)
-    _, s, vt = np.linalg.svd(matrix, full_matrices=True)
+    # The triangle has the same right singular vectors, without a square matrix of the channels.
+    _, s, vt = np.linalg.svd(np.linalg.qr(matrix, mode="r"), full_matrices=True)
     values = np.zeros(vt.shape[0])
     values[: len(s)] = s
     top = values[0] if values[0] > 0.0 else 1.0
