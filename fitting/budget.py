@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.laws import LawFit
+from fitting.ligament.ligament import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
 from fitting.model.model import modes
@@ -101,6 +102,8 @@ class Derived:
 
 def budget_of(problem: Problem, lines: Lines, fit: LawFit) -> Budget:
     """Gather the covariance of an estimate from every source."""
+    if fit.ligament is not None:
+        return _joint_budget(problem, fit.ligament)
     scaled, widened, method = noise_covariance(problem, lines, fit.estimate)
     units = problem.units
     noise = scaled * np.outer(units, units)
@@ -116,6 +119,21 @@ def budget_of(problem: Problem, lines: Lines, fit: LawFit) -> Budget:
     covariance = sum(sources.values(), np.zeros_like(noise))
     covariance = 0.5 * (covariance + covariance.T)
     return Budget(entry_names(problem.n), sources, covariance, noise, tuple(effects), widened, method, bias)
+
+
+def _joint_budget(problem: Problem, ligament: LigamentFit) -> Budget:
+    """Return the budget of a joint fit: its shared errors are known as well as the data leave them."""
+    covariance = sum(ligament.sources.values(), np.zeros_like(ligament.plane_covariance))
+    return Budget(
+        entry_names(problem.n),
+        ligament.sources,
+        0.5 * (covariance + covariance.T),
+        ligament.sources[NOISE],
+        ligament.effects,
+        ligament.widened,
+        "fisher",
+        np.zeros(len(covariance)),
+    )
 
 
 def _by_source(effect: SharedEffect) -> dict[str, Array]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fitting.chain import check_chain
 from fitting.errors import FittingError
 from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
@@ -58,14 +59,15 @@ def dof2kd(
     options : KDOptions
     out : Path
     force : bool
-        Replace files at the names of the outputs that are not known as made here.
+        Replace files at the names of the outputs that are not known as made here, and fit with a mass.json
+        that is not the one that the motion was computed with.
     config : Path, optional
         The file of options, another input.
 
     Raises
     ------
     FittingError, KinematicsError
-        A file or an option is at fault.
+        A file or an option is at fault, or the files do not belong together.
     StapeskitError
         An output is an input, or a file of another origin stands at its name.
     """
@@ -76,8 +78,9 @@ def dof2kd(
     outputs.check()
     mass, mass_record = read_mass(mass_path, options.dof)
     motion = read_motion(motion_path)
+    chain = check_chain(motion, motion_path, mass_path, mass_record, force)
     provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
-    fit = kd_of(motion, mass, options, mass_record, provenance)
+    fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     with outputs.staged() as folder:
         names = fit.write_into(folder, out.name)
     return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))

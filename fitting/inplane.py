@@ -2,7 +2,8 @@
 
 Leaving the load w^2 M_rc q_c out moves the estimate by d; taking it in adds the noise of q_c, which spreads
 the estimate by a covariance V. The load is taken when d is significant against V: d^T V^-1 d over its 99.9 %
-quantile under mere noise, and over 2 p, where removing the bias outweighs the added variance.
+quantile under mere noise, and over 2 p, where removing the bias outweighs the added variance. It is taken as
+well when the fit without it is a misfit and chi2 falls by more than that with it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+AUTO, LOAD = "auto", "load"
 _LEVEL = 0.999
+# Probability of a chi2 below which a fit without the load is a misfit.
+_IMPROBABLE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ class InplaneChoice:
         Largest change of an entry, relative to sqrt(Xii Xjj).
     entry : str
         That entry.
+    chi2_without, chi2_with : float or None
+        Of the maximum likelihood fit without and with the load.
     """
 
     used: bool
@@ -53,6 +59,8 @@ class InplaneChoice:
     threshold: float | None = None
     largest_effect: float | None = None
     entry: str = ""
+    chi2_without: float | None = None
+    chi2_with: float | None = None
 
     def notices(self) -> list[Notice]:
         """Return a warning when significant motion is left out."""
@@ -80,7 +88,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     others = problem.observation.load_dof
     without = replace(problem, observation=problem.observation.without_load())
     if not others:
-        if choice == "load":
+        if choice == LOAD:
             raise FittingError(
                 Fault(
                     "--inplane load",
@@ -91,7 +99,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
             )
         return without, InplaneChoice(False, (), "no motion outside the model was measured")
     if not problem.inertia.complete:
-        if choice == "load":
+        if choice == LOAD:
             raise FittingError(
                 Fault(
                     "--inplane load",
@@ -105,13 +113,30 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         )
     statistic, threshold, effect, entry = significance(problem, without)
     significant = statistic > threshold
-    used = choice == "load" or (choice == "auto" and significant)
+    levels = tuple(_chi2(one) for one in (without, problem))
+    needed = _misfit(without, levels[0]) and levels[0] - levels[1] > threshold
+    used = choice == LOAD or (choice == AUTO and (significant or needed))
     words = "significant" if significant else "not significant"
     reason = f"its effect on K and D is {words} against its noise"
-    if choice != "auto":
+    if needed and not significant:
+        reason += ", but the fit needs it"
+    if choice != AUTO:
         reason = f"asked for with --inplane {choice}; {reason}"
-    made = InplaneChoice(used, others, reason, statistic, threshold, effect, entry)
+    made = InplaneChoice(used, others, reason, statistic, threshold, effect, entry, *levels)
     return (problem if used else without), made
+
+
+def _chi2(problem: Problem) -> float:
+    """Return chi2 of the maximum likelihood fit."""
+    return 2.0 * ml.estimate(problem.lines(), EstimatorOptions(passive=False)).objective
+
+
+def _misfit(problem: Problem, chi2: float) -> bool:
+    """Return whether a chi2 is improbably large."""
+    from scipy.special import chdtrc
+
+    lines = problem.lines()
+    return bool(chdtrc(max(2 * lines.n * lines.count - lines.parameters, 1), chi2) < _IMPROBABLE)
 
 
 def significance(problem: Problem, without: Problem) -> tuple[float, float, float, str]:

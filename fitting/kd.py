@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,32 +13,36 @@ from fitting.errors import FittingError
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.estimators.starts import improve
-from fitting.inplane import InplaneChoice, choose
+from fitting.inplane import AUTO, LOAD, InplaneChoice, choose
 from fitting.kd_fit import KDFit
-from fitting.laws import LawFit, compare_laws, fit_law
+from fitting.laws import LawFit, comparable, compare_laws, fit_law, with_ligament
+from fitting.ligament.ligament import applies
 from fitting.model.damping import DampingLaw
 from fitting.model.inertia import inertia_of
 from fitting.model.lines import Lines, Scale
 from fitting.model.model import modes
-from fitting.model.observation import observe
+from fitting.model.observation import Observation, observe, observe_both
 from fitting.model.ranges import check_motion, check_result, unsolvable
 from fitting.model.symmetric import split
 from fitting.options import COMPARE, KDOptions
 from fitting.uncertainty.bands import fewer_bands, frequency_dependence
-from fitting.uncertainty.covariance import chi2, degrees
+from fitting.uncertainty.covariance import chi2
 from fitting.uncertainty.identifiability import Identifiability, identifiability
 from fitting.uncertainty.profile import profile_intervals
+from fitting.uncertainty.shared_misfit import chi2_with_shared_errors
 from fitting.verdicts import verdicts
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
-from stapeskit.warnings import unique
+from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
 # there is no profile; the Fisher intervals, which are enormous then, stand alone.
 _HOPELESS = 3.0
+WITH_LIGAMENT = "the plane of the ligament is estimated together with K and D"
+NOT_SETTLED = "the fit with the plane of the ligament did not settle on positive semidefinite K and D"
 
 
 def fit_kd(
@@ -103,25 +108,65 @@ def _fitted(
     scale = Scale.of(observation, inertia.rows(observation.dof, ()))
     settings = EstimatorOptions(options.robust, options.constraint)
     problem = Problem(observation, inertia, scale, DampingLaw(), options.estimator, settings, base_mass)
-    problem, choice = choose(problem, options.inplane)
-    laws = _laws(problem, options)
+    laws, choice, undetermined = _laws(problem, options, _both(motion, options, problem))
     best = min(laws, key=lambda one: one.bic)
     problem = best.problem
     lines = problem.lines()
     known = identifiability(best.estimate.parameters, lines, problem.units)
-    if known.weak and problem.method.likelihood:
+    if known.weak and problem.method.likelihood and best.ligament is None:
         estimate = improve(problem, lines, best.estimate)
         best = replace(best, estimate=estimate, chi2=chi2(estimate.parameters, lines))
         laws = tuple(best if one.law.name == best.law.name else one for one in laws)
         known = identifiability(estimate.parameters, lines, problem.units)
-    return _result(motion, options, problem, choice, laws, best, lines, known)
+    fit = _result(motion, options, problem, choice, laws, best, lines, known)
+    return replace(
+        fit, undetermined=undetermined, notices=unique([*fit.notices, *_undetermined(undetermined)])
+    )
 
 
-def _laws(problem: Problem, options: KDOptions) -> tuple[LawFit, ...]:
-    """Fit the damping law that was asked for, or all of them."""
+def _both(motion: RigidMotion, options: KDOptions, problem: Problem) -> Observation | None:
+    """Return the motion of both bodies where the plane of the ligament is to be estimated."""
+    if options.inplane != AUTO:
+        return None
+    both = observe_both(motion, options.structure, options.base, options.band_hz, options.exclude_hz)
+    return both if applies(problem, both) else None
+
+
+def _laws(
+    problem: Problem, options: KDOptions, both: Observation | None
+) -> tuple[tuple[LawFit, ...], InplaneChoice, dict[str, str]]:
+    """Fit the damping law that was asked for, or all of them, with the ligament's plane where it applies."""
+    if both is not None:
+        loaded, choice = choose(problem, LOAD)
+        fits, undetermined = _fits(loaded, options)
+        extended = tuple(with_ligament(fit, both) for fit in fits)
+        settled = tuple(fit for fit in extended if fit.ligament is not None)
+        for fit in extended:
+            if fit.ligament is None and settled:
+                undetermined[fit.law.name] = NOT_SETTLED
+        if settled:
+            return comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
+    chosen, choice = choose(problem, options.inplane)
+    if both is not None:
+        choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
+    fits, undetermined = _fits(chosen, options)
+    return fits, choice, undetermined
+
+
+def _fits(problem: Problem, options: KDOptions) -> tuple[tuple[LawFit, ...], dict[str, str]]:
     if options.damping == COMPARE:
         return compare_laws(problem, options.lower, options.upper)
-    return (fit_law(problem, options.damping, options.lower, options.upper),)
+    return (fit_law(problem, options.damping, options.lower, options.upper),), {}
+
+
+def _undetermined(laws: Mapping[str, str]) -> list[Notice]:
+    """Return a warning about damping laws that could not be fitted."""
+    if not laws:
+        return []
+    listed = "; ".join(f"{name} ({reason})" for name, reason in laws.items())
+    return [
+        Notice("law_undetermined", f"These damping laws could not be fitted and are not compared: {listed}.")
+    ]
 
 
 def _result(
@@ -135,13 +180,14 @@ def _result(
     known: Identifiability,
 ) -> KDFit:
     """Put a result together: matrices, uncertainty, modes, axes, verdicts."""
-    scaled = best.estimate.parameters
+    scaled, ligament = best.estimate.parameters, best.ligament
     stiffness, damping = split(scaled * problem.units, problem.n)
+    if ligament is not None:
+        stiffness, damping = ligament.stiffness, ligament.damping
     budget = budget_of(problem, lines, best)
     check_result(stiffness, damping, budget.covariance, budget.noise)
     found = modes(problem.mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)
-    unknowns = lines.parameters + problem.law.unknowns
     fit = KDFit(
         options,
         options.dof,
@@ -156,15 +202,24 @@ def _result(
         budget,
         derived,
         found,
-        chi2(scaled, lines),
-        degrees(lines) + lines.parameters - unknowns,
+        best.chi2,
+        best.n_dof,
         choice,
         known,
         problem.observation,
         problem,
         (),
+        joint_chi2=best.chi2 if ligament is not None else chi2_with_shared_errors(problem, lines, scaled),
+        ligament=ligament,
+        plain=None if ligament is None else _plain(best, options),
     )
-    if options.profile and known.weak and known.worst < _HOPELESS and budget.method == "fisher":
+    if (
+        options.profile
+        and ligament is None
+        and known.weak
+        and known.worst < _HOPELESS
+        and budget.method == "fisher"
+    ):
         ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)
         fit = replace(fit, profile=ends * problem.units[:, None])
     if options.bands:
@@ -172,6 +227,12 @@ def _result(
         fit = replace(fit, frequency=local)
     told = fewer_bands(lines.count, options.bands)
     return replace(fit, notices=unique([*motion.notices, *verdicts(fit), *told]))
+
+
+def _plain(best: LawFit, options: KDOptions) -> LawFit:
+    """Return what the three degrees of freedom alone give, without in-plane motion, under the same law."""
+    problem = replace(best.problem, coupling=None, observation=best.problem.observation.without_load())
+    return fit_law(problem, best.law.name, options.lower, options.upper)
 
 
 __all__ = ["KDFit", "KDOptions", "fit_kd"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
 from fitting.inplane import InplaneChoice
 from fitting.laws import LawFit
+from fitting.ligament.ligament import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
 from fitting.model.model import Modes, passive
@@ -60,6 +62,15 @@ class KDFit:
         but not hopeless.
     frequency : FrequencyDependence, or None
         Local factors of K and D over the band; None without ``options.bands`` or with too few lines.
+    joint_chi2 : float or None
+        Chi2 that takes the shared errors into account; the misfit is judged by it.
+    ligament : LigamentFit or None
+        The joint fit with the plane of the ligament; ``stiffness`` and ``damping`` are its own, about the
+        footplate centre, while ``estimate`` and ``problem`` belong to the plane of the ligament.
+    plain : LawFit or None
+        With a ligament: what the three degrees of freedom alone give.
+    undetermined : mapping of str to str
+        Why a damping law could not be fitted, by its name.
     """
 
     options: KDOptions
@@ -84,6 +95,10 @@ class KDFit:
     notices: tuple[Notice, ...]
     profile: Array | None = None
     frequency: FrequencyDependence | None = None
+    joint_chi2: float | None = None
+    ligament: LigamentFit | None = None
+    plain: LawFit | None = None
+    undetermined: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def parameters(self) -> tuple[str, ...]:

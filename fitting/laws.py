@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
 from fitting.estimators.problem import Problem
+from fitting.ligament.ligament import LigamentFit, fit_ligament
 from fitting.model.damping import DampingLaw
 from fitting.model.laws import LAWS, law_of
 from fitting.model.lines import forward, real_rows
+from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import chi2, degrees
 
@@ -33,7 +36,9 @@ class LawFit:
     bic : float
         chi2 over the best law's chi2 per degree of freedom (when above 1) + unknowns ln(equations).
     exponent_sd : float or None
-        Standard deviation of a fractional exponent, channel noise only.
+        Standard deviation of an estimated exponent, channel noise only; with a ligament from all sources.
+    ligament : LigamentFit or None
+        The joint fit with the plane of the ligament; chi2 is its then.
     """
 
     law: DampingLaw
@@ -42,6 +47,14 @@ class LawFit:
     chi2: float
     bic: float
     exponent_sd: float | None = None
+    ligament: LigamentFit | None = None
+
+    @property
+    def n_dof(self) -> int:
+        """Degrees of freedom of chi2."""
+        if self.ligament is not None:
+            return self.ligament.n_dof
+        return degrees(self.problem.lines()) - self.law.unknowns
 
 
 def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
@@ -61,12 +74,48 @@ def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapp
 
 def compare_laws(
     problem: Problem, lower: Mapping[str, float], upper: Mapping[str, float]
-) -> tuple[LawFit, ...]:
-    """Estimate under every damping law, with BIC made comparable by the best chi2 per degree of freedom."""
-    found = [fit_law(problem, name, lower, upper) for name in LAWS]
-    lines = problem.lines()
-    spread = max(1.0, min(one.chi2 for one in found) / max(degrees(lines), 1))
-    return tuple(replace(one, bic=_bic(one, spread)) for one in found)
+) -> tuple[tuple[LawFit, ...], dict[str, str]]:
+    """Estimate under every damping law.
+
+    Returns
+    -------
+    fits : tuple of LawFit
+    undetermined : dict of str to str
+        Why a law has no fit, by its name.
+
+    Raises
+    ------
+    FittingError
+        No law has a fit; the fault of the first.
+    """
+    fits, faults = [], {}
+    for name in LAWS:
+        try:
+            fits.append(fit_law(problem, name, lower, upper))
+        except (FittingError, np.linalg.LinAlgError) as fault:
+            faults[name] = fault
+    if not fits:
+        raise next(iter(faults.values()))
+    return comparable(fits), {name: str(fault) for name, fault in faults.items()}
+
+
+def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
+    """Return the fits with BIC made comparable by the best chi2 per degree of freedom."""
+    fits = tuple(fits)
+    spread = max(1.0, min(fit.chi2 / max(fit.n_dof, 1) for fit in fits))
+    return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
+
+
+def with_ligament(fit: LawFit, both: Observation) -> LawFit:
+    """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails."""
+    ligament = fit_ligament(fit.problem, both, fit.estimate.parameters)
+    if ligament is None:
+        return fit
+    problem = replace(fit.problem.with_law(ligament.law), coupling=ligament.coupling)
+    extended = LawFit(
+        ligament.law, problem, ligament.estimate, ligament.chi2, 0.0, ligament.exponent_sd, ligament
+    )
+    return replace(extended, bic=_bic(extended, 1.0))
 
 
 def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:

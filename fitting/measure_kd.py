@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from fitting.results import KDResult
 from stapeskit.results import extended
+from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from stapeskit.records.mass_record import MassMatrix, MassRecord
@@ -29,6 +31,7 @@ def kd_of(
     record: MassRecord | None = None,
     provenance: Mapping[str, Any] | None = None,
     files: tuple[Path, ...] = (),
+    chain: Sequence[Notice] = (),
 ) -> KDResult:
     """Fit stiffness and damping, and keep with the fit what its record and its page need.
 
@@ -44,6 +47,8 @@ def kd_of(
     provenance : mapping, optional
     files : tuple of Path
         Every file that was read.
+    chain : sequence of Notice
+        Warnings that come with the files.
 
     Raises
     ------
@@ -51,6 +56,7 @@ def kd_of(
         What `fitting.kd.fit_kd` refuses.
     """
     fit = fit_kd(motion, mass, options)
+    fit = replace(fit, notices=unique([*chain, *fit.notices]))
     return extended(
         KDResult,
         fit,

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.kd_fit import KDFit
+from fitting.ligament.repetition import Repetitions
 from fitting.model.lines import Lines, motion_rows
 from fitting.model.model import modes
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import ATTENUATION, JOINED_FRAME
 from stapeskit.page import page
 from stapeskit.page.page import Section
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.spatial import DOF_NAMES, dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -73,6 +74,8 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
         Of the random numbers; the same seed gives the same result.
     """
     problem, rng = fit.problem, np.random.default_rng(seed)
+    if fit.ligament is not None:
+        return _joint_monte_carlo(fit, Repetitions(fit.ligament, problem.units), refits, rng)
     centre = replace(problem, observation=problem.observation.shifted(_fitted(fit) - problem.observation.q))
     root = _roots(problem.observation.covariance) * np.sqrt(fit.budget.widened)
     draw_mass, draw_motion = _common(problem)
@@ -97,6 +100,25 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
     return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
 
 
+def _joint_monte_carlo(fit: KDFit, repetitions: Repetitions, refits: int, rng: Generator) -> MonteCarlo:
+    """Repeat the joint fit with the plane of the ligament."""
+    problem = fit.problem
+    places = dof_indices(problem.observation.dof)
+    estimates, frequencies, failed = [], [], 0
+    for _ in range(refits):
+        try:
+            found, mass_change = repetitions.draw(rng)
+        except np.linalg.LinAlgError:
+            failed += 1
+            continue
+        estimates.append(found)
+        mass = problem.mass + mass_change[np.ix_(places, places)]
+        pairs = modes(mass, *split(found, problem.n), problem.law).pairs
+        same = len(pairs) == len(fit.modes.pairs)
+        frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
+    return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
+
+
 def _solve(problem: Problem, lines: Lines, start: Array) -> Array:
     """Return the estimate of one repetition in scaled parameters."""
     begin = start if problem.method.likelihood else None
@@ -106,7 +128,7 @@ def _solve(problem: Problem, lines: Lines, start: Array) -> Array:
 def _fitted(fit: KDFit) -> ComplexArray:
     """Return the motion (lines, m) nearest to the measured one that obeys the fitted equations."""
     problem, lines, observation = fit.problem, fit.lines, fit.observation
-    rows = problem.inertia.rows(observation.dof, observation.load_dof)
+    rows = problem.mass_rows()
     difference, inertia = motion_rows(observation, rows, problem.scale, problem.base_mass)
     stiffness, damping = split(fit.estimate.parameters, problem.n)
     dynamic = stiffness + lines.factor[:, None, None] * damping

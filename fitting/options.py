@@ -30,7 +30,7 @@ from stapeskit.options import OptionTable, Rule, Values, excludes, option
 
 COMPARE = "compare"
 INPLANE = {
-    "auto": "load where it is significant",
+    "auto": "with ml the plane of the ligament is estimated with K and D; else a load where significant",
     "load": "a known inertial load",
     "ignore": "left out",
 }

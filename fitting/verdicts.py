@@ -73,13 +73,20 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
         )
     if fit.n_dof > 0 and fit.options.robust == "none":
         ratio = fit.chi2 / fit.n_dof
-        if chdtrc(fit.n_dof, fit.chi2) < _MISFIT:
+        joint = fit.chi2 if fit.joint_chi2 is None else fit.joint_chi2
+        if chdtrc(fit.n_dof, joint) < _MISFIT:
             found.append(
                 Notice(
                     "misfit",
-                    f"Residuals exceed their noise: chi2 per degree of freedom is {ratio:.3g}. Noise may be "
+                    "Residuals exceed noise and shared errors: chi2 per degree of freedom is "
+                    f"{joint / fit.n_dof:.3g}. Noise may be "
                     "understated, or the model (damping law, neglected motion, mass matrix) is wrong"
-                    + ("; intervals were widened accordingly." if fit.budget.widened > 1.0 else "."),
+                    + (
+                        f"; channel noise was widened by {np.sqrt(fit.budget.widened):.3g}, which does not "
+                        "cover a wrong model."
+                        if fit.budget.widened > 1.0
+                        else "."
+                    ),
                 )
             )
         elif chdtr(fit.n_dof, fit.chi2) < _MISFIT:

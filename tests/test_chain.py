@@ -148,23 +148,31 @@ def test_sample_report_is_one_page_that_needs_no_network(demo):
 
 
 def test_intervals_cover_the_truth_in_reseeded_measurements(tmp_path):
-    """Noise, positions, fiducials and the frames of the scan drawn anew; 40 x 12 entries at 95 %."""
+    """Noise, positions, fiducials and the frames of the scan drawn anew; 40 x 12 entries at 95 %.
+
+    These ligaments lie exactly at the reference plane, without tilt. The model that knows it holds 95 %; the
+    default, for which the plane is unknown, holds at least that.
+    """
     count = 40
     rng = np.random.default_rng(2026)
     frame = np.diag(np.array([5e-6, 5e-6, 5e-6, 2e-3, 1e-3, 1e-3]) ** 2)
     plate = np.diag(np.array([2e-6, 1e-6, 2e-6, 2e-4, 3e-4, 2e-4]) ** 2)
-    z, distances = [], []
+    z, distances, unknown_plane = [], [], []
     for seed in range(count):
         folder = tmp_path / f"{seed}"
         truth = make_study(
             folder, replace(COARSE, pose_seed=seed), Vibrometry(seed=seed, lines=60), "ear", ("ldv",)
         )
         mass = displaced(known_mass(truth, frame, plate), rng)
-        fit = recovered(folder, mass)
+        default = recovered(folder, mass)
+        error = entries(default.stiffness, default.damping) - wanted(truth)
+        unknown_plane.append(error / np.sqrt(np.diag(default.covariance)))
+        fit = recovered(folder, mass, KDOptions(inplane="load"))
         sd = np.sqrt(np.diag(fit.covariance))
         error = (entries(fit.stiffness, fit.damping) - wanted(truth)) / sd
         z.append(error)
         distances.append(error @ np.linalg.solve(fit.covariance / np.outer(sd, sd), error))
+    assert np.mean(np.abs(unknown_plane) < 1.96) > 0.925
     covered = np.abs(z) < 1.96
     assert 0.925 < covered.mean() < 0.975
     assert covered.sum(axis=0).min() >= binom.ppf(1e-4, count, 0.95)

@@ -34,6 +34,8 @@ class Problem:
     options : EstimatorOptions
     base_mass : ndarray, (n, n), optional
         Mass coupled to the base motion, SI.
+    coupling : ndarray, (n, c), optional
+        Y of fitting.ligament: the mass rows become M_r - Y M_c, SI.
     """
 
     observation: Observation
@@ -43,6 +45,7 @@ class Problem:
     name: str
     options: EstimatorOptions
     base_mass: Array | None = None
+    coupling: Array | None = None
 
     @property
     def method(self) -> Method:
@@ -67,8 +70,16 @@ class Problem:
     def lines(self, change: ComplexArray | None = None, mass_change: Array | None = None) -> Lines:
         """Return the scaled equations, with q (lines, m) or the inertial parameters (10,) changed."""
         observation = self.observation if change is None else self.observation.shifted(change)
-        rows = self.inertia.rows(observation.dof, observation.load_dof, mass_change)
-        return assemble(observation, rows, self.scale, self.law, self.base_mass)
+        return assemble(observation, self.mass_rows(mass_change), self.scale, self.law, self.base_mass)
+
+    def mass_rows(self, mass_change: Array | None = None) -> Array:
+        """Return the mass matrix of the equations, [M_rr, M_rc] less the coupling's part, (n, n + c), SI."""
+        dof, load_dof = self.observation.dof, self.observation.load_dof
+        rows = self.inertia.rows(dof, load_dof, mass_change)
+        if self.coupling is None:
+            return rows
+        others = self.inertia.rows((*dof, *load_dof), (), mass_change)[len(dof) :]
+        return np.asarray(rows - self.coupling @ others)
 
     def solve(self, start: Array | None = None) -> Estimate:
         """Estimate the scaled parameters."""
@@ -80,6 +91,10 @@ class Problem:
         if method.gradient is not None:
             return method.gradient(parameters, lines, self.options)
         return np.asarray(method.scores(parameters, lines, self.options).sum(axis=0))
+
+    def with_observation(self, observation: Observation) -> Problem:
+        """Return the same problem of other lines."""
+        return replace(self, observation=observation)
 
     def with_law(self, law: DampingLaw) -> Problem:
         """Return the same problem under another damping law."""

@@ -122,13 +122,39 @@ def observe(
     KinematicsError
         There is no body of that name.
     """
-    first, second = motion.body(structure, "--structure"), motion.body(base, "--base")
     _check_motion(motion, dof, structure, base)
     load_dof = tuple(name for name in motion.dof if name not in dof) if with_load else ()
+    observation = _gather(
+        motion, dof, load_dof, structure, base, _inside(motion.freq_hz, band_hz, exclude_hz)
+    )
+    _check_lines(observation, band_hz, exclude_hz)
+    return observation
+
+
+def observe_both(
+    motion: RigidMotion,
+    structure: str,
+    base: str,
+    band_hz: tuple[float, float] | None = None,
+    exclude_hz: Sequence[tuple[float, float]] = (),
+) -> Observation:
+    """Return the same lines with every measured degree of freedom of both bodies; parameters as `observe`."""
+    return _gather(motion, motion.dof, (), structure, base, _inside(motion.freq_hz, band_hz, exclude_hz))
+
+
+def _gather(
+    motion: RigidMotion,
+    dof: tuple[str, ...],
+    load_dof: tuple[str, ...],
+    structure: str,
+    base: str,
+    inside: NDArray[np.bool_],
+) -> Observation:
+    """Gather the chosen columns of all runs, without lines at which one of them is missing."""
+    first, second = motion.body(structure, "--structure"), motion.body(base, "--base")
     places = [motion.dof.index(name) for name in (*dof, *load_dof)]
     count = len(motion.dof)
     columns = np.array([*places, *(count + motion.dof.index(name) for name in dof)])
-    inside = _inside(motion.freq_hz, band_hz, exclude_hz)
     q, covariance, run, freq, derivatives, dropped = [], [], [], [], [], 0
     for place in range(len(motion.runs)):
         both, joint = motion.pair(place, first, second)
@@ -144,7 +170,7 @@ def observe(
             part = motion.shared.derivatives[:, place][:, [first, second]]
             part = np.concatenate([part[:, 0], part[:, 1]], axis=-1)
             derivatives.append(part[:, keep][:, :, columns])
-    observation = Observation(
+    return Observation(
         dof,
         load_dof,
         np.concatenate(freq),
@@ -157,8 +183,6 @@ def observe(
         np.nan_to_num(np.concatenate(derivatives, axis=1)) if derivatives else None,
         dropped,
     )
-    _check_lines(observation, band_hz, exclude_hz)
-    return observation
 
 
 def _inside(

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.kd_fit import KDFit
+from fitting.ligament.ligament import INPLANE_DOF
 from fitting.model.model import NORMALISATION
+from fitting.model.symmetric import split
 
 SCHEMA = "stapeskit.kd/1"
 
@@ -51,6 +53,7 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "modes": _modes(fit),
         "overdamped_roots_1_s": list(fit.modes.overdamped_roots_1_s),
         "principal_axes": principal_axes_json(fit),
+        "ligament": ligament_json(fit),
         "fit": _fit(fit),
         "frequency_dependence": _frequency(fit),
         "identifiability": _identifiability(fit),
@@ -73,9 +76,7 @@ def _numbers(values: NDArray[np.float64]) -> Any:
 def _model(fit: KDFit) -> dict[str, Any]:
     choice = fit.inplane
     return {
-        "equation": "w^2 (M_rr q_r + M_rc q_c) = Z(w) (q_s - q_b)_r"
-        if choice.used
-        else "w^2 M q_s = Z(w) (q_s - q_b)",
+        "equation": _equation(fit),
         "damping_law": fit.law.name,
         "dynamic_stiffness": fit.law.formula,
         "damping_exponent": fit.law.exponent,
@@ -85,6 +86,7 @@ def _model(fit: KDFit) -> dict[str, Any]:
             {"law": one.law.name, "exponent": one.law.exponent, "chi2": one.chi2, "bic": one.bic}
             for one in fit.laws
         ],
+        "damping_laws_undetermined": dict(fit.undetermined),
         "inplane": {
             "option": fit.options.inplane,
             "used_as_load": choice.used,
@@ -94,6 +96,8 @@ def _model(fit: KDFit) -> dict[str, Any]:
             "threshold": choice.threshold,
             "largest_effect_relative": choice.largest_effect,
             "entry": choice.entry or None,
+            "chi2_without": choice.chi2_without,
+            "chi2_with": choice.chi2_with,
         },
         "robust": fit.options.robust,
         "structure": fit.options.structure,
@@ -103,6 +107,79 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "lines_dropped": fit.observation.dropped,
         "band_hz": [float(fit.observation.freq_hz.min()), float(fit.observation.freq_hz.max())],
         "excluded_hz": [list(one) for one in fit.options.exclude_hz],
+    }
+
+
+def _equation(fit: KDFit) -> str:
+    """Return the equation of motion that was fitted, as text."""
+    if fit.ligament is not None:
+        return "w^2 (M_r - Y M_c) q_s = Z'(w) (q_s - q_b)_r, Z = Z' + Y Z_cc Y^T"
+    if fit.inplane.used:
+        return "w^2 (M_rr q_r + M_rc q_c) = Z(w) (q_s - q_b)_r"
+    return "w^2 M q_s = Z(w) (q_s - q_b)"
+
+
+def ligament_json(fit: KDFit) -> dict[str, Any] | None:
+    """Return the plane of the ligament with K and D about it, or None where it was not estimated."""
+    found = fit.ligament
+    if found is None:
+        return None
+    height, height_sd = found.height
+    (about_x, about_x_sd), (about_z, about_z_sd) = found.tilt_rad
+    stiffness_sd, damping_sd = split(np.sqrt(np.diag(found.plane_covariance)), len(fit.dof))
+    inplane_sd = split(np.sqrt(np.diag(found.inplane.covariance)), len(INPLANE_DOF))
+    return {
+        "height_mm": 1e3 * height,
+        "height_sd_mm": 1e3 * height_sd,
+        "height_interval_95_mm": [1e3 * (height + sign * 1.96 * height_sd) for sign in (-1.0, 1.0)],
+        "height_by_rocking_mm": {
+            name: {"value": 1e3 * value, "sd": 1e3 * sd}
+            for name, value, sd in zip(("alpha", "gamma"), found.heights_m, found.heights_sd_m, strict=True)
+        },
+        "height_of": "the plane of the ligament above the footplate centre, + lateral",
+        "tilt_deg": {
+            "about_x": _number(float(np.degrees(about_x))),
+            "about_x_sd": _number(float(np.degrees(about_x_sd))),
+            "about_z": _number(float(np.degrees(about_z))),
+            "about_z_sd": _number(float(np.degrees(about_z_sd))),
+        },
+        "coupling_si": _numbers(found.coupling),
+        "coupling_sd_si": _numbers(np.sqrt(np.diag(found.coupling_covariance)).reshape(3, 3)),
+        "coupling_rows": list(fit.dof),
+        "coupling_columns": list(INPLANE_DOF),
+        "about_ligament_plane": {
+            "about": "footplate centre, raised by the height along y",
+            "stiffness_si": _numbers(found.plane_stiffness),
+            "stiffness_sd_si": _numbers(stiffness_sd),
+            "damping_si": _numbers(found.plane_damping),
+            "damping_sd_si": _numbers(damping_sd),
+            "covariance_si": _numbers(found.plane_covariance),
+        },
+        "inplane": {
+            "dof": list(INPLANE_DOF),
+            "determined": found.inplane.determined,
+            "stiffness_si": _numbers(found.inplane.stiffness),
+            "stiffness_sd_si": _numbers(inplane_sd[0]),
+            "damping_si": _numbers(found.inplane.damping),
+            "damping_sd_si": _numbers(inplane_sd[1]),
+        },
+        "p_value": _number(found.p_value),
+        "shared_errors": len(found.lines.sources),
+        "without_inplane_motion": _plain(fit),
+    }
+
+
+def _plain(fit: KDFit) -> dict[str, Any] | None:
+    """Return what the three degrees of freedom alone would have given."""
+    plain = fit.plain
+    if plain is None:
+        return None
+    stiffness, damping = split(plain.estimate.parameters * plain.problem.units, len(fit.dof))
+    return {
+        "stiffness_si": _numbers(stiffness),
+        "damping_si": _numbers(damping),
+        "chi2": plain.chi2,
+        "n_dof": plain.n_dof,
     }
 
 
@@ -151,6 +228,7 @@ def _fit(fit: KDFit) -> dict[str, Any]:
     return {
         "chi2": fit.chi2,
         "n_dof": fit.n_dof,
+        "chi2_with_shared_errors": fit.joint_chi2,
         "chi2_per_dof": fit.chi2 / fit.n_dof if fit.n_dof > 0 else None,
         "iterations": fit.estimate.iterations,
         "converged": fit.estimate.converged,

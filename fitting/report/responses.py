@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fitting.estimators import ml
 from fitting.kd_fit import KDFit
 from fitting.model.model import dynamic_stiffness, simulate
-from fitting.model.symmetric import basis
+from fitting.model.symmetric import basis, split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,7 +32,8 @@ class Responses:
     amplitude_sd : ndarray, (lines, n)
         Of the simulated amplitude, from the covariance of K and D.
     normalised : ndarray, (lines, n), complex
-        Residuals of the equations over their noise; real and imaginary parts have unit variance.
+        Residuals of the equations, with the shared errors where they are fitted, over their noise;
+        real and imaginary parts have unit variance.
     """
 
     dof: tuple[str, ...]
@@ -52,23 +53,25 @@ def responses(fit: KDFit) -> Responses:
     n = len(fit.dof)
     omega = 2.0 * np.pi * observation.freq_hz
     force = np.zeros_like(observation.base)
-    rows = fit.problem.inertia.rows(observation.dof, observation.load_dof)
+    rows = fit.problem.mass_rows()
+    covariance = fit.covariance if fit.ligament is None else fit.ligament.plane_covariance
+    stiffness, damping = split(fit.estimate.parameters * fit.problem.units, n)
     if observation.load_dof:
         force = omega[:, None] ** 2 * (observation.load @ rows[:, n:].T)
     if fit.problem.base_mass is not None:
         force = force + omega[:, None] ** 2 * (observation.base @ fit.problem.base_mass.T)
-    simulated = simulate(
-        fit.mass, fit.stiffness, fit.damping, observation.freq_hz, observation.base, force, law
-    )
-    stiffness = dynamic_stiffness(fit.stiffness, fit.damping, omega, law)
-    dynamic = stiffness - omega[:, None, None] ** 2 * fit.mass
+    simulated = simulate(rows[:, :n], stiffness, damping, observation.freq_hz, observation.base, force, law)
+    dynamic = dynamic_stiffness(stiffness, damping, omega, law) - omega[:, None, None] ** 2 * rows[:, :n]
     pull = np.einsum("kij,lj->lik", basis(n), observation.base - simulated)
     slopes = np.linalg.solve(dynamic, np.concatenate([pull, law.factor(omega)[:, None, None] * pull], axis=2))
     unit = simulated / np.maximum(np.abs(simulated), 1e-300)
     along = (slopes * unit.conj()[:, :, None]).real
-    variance = np.einsum("lip,pq,liq->li", along, fit.covariance, along)
+    variance = np.einsum("lip,pq,liq->li", along, covariance, along)
     noise = np.einsum("lii->li", observation.covariance).real[:, :n]
-    residual = ml.whiten(fit.estimate.parameters, fit.lines).residual.T * np.sqrt(2.0)
+    if fit.ligament is not None:
+        residual = fit.ligament.normalised
+    else:
+        residual = ml.whiten(fit.estimate.parameters, fit.lines).residual.T * np.sqrt(2.0)
     return Responses(
         fit.dof,
         observation.freq_hz,

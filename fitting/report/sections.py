@@ -13,6 +13,7 @@ from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import entry_units, join
 from fitting.report.figures import frequency_figure, principal_figure, residual_figure, response_figure
 from fitting.report.kd_json import principal_axes_json
+from fitting.report.ligament_section import ligament_section
 from fitting.report.responses import responses
 from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.covariance import ATTENUATION, NOISE
@@ -31,6 +32,7 @@ SOURCE_WORDS = {
     "plate_frame": "plate frame in the scan",
     "footplate_frame": "footplate frame (motion and mass together)",
     "position": "point positions",
+    "inplane_stiffness": "stiffness in the plane of the ligament",
     "damping_exponent": "exponent of the damping law",
 }
 
@@ -45,6 +47,8 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
         Outline of the footplate in footplate axes, mm.
     """
     sections = [_responses(fit), _matrices(fit), _modal(fit)]
+    if fit.ligament is not None:
+        sections.insert(2, ligament_section(fit, fit.ligament))
     axes = _axes(fit, outline_mm)
     if axes is not None:
         sections.append(axes)
@@ -101,6 +105,11 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     ratio = f"{fit.chi2 / fit.n_dof:.3f}" if fit.n_dof > 0 else "none left"
     rows.append(("chi2 per degree of freedom", f"{ratio} ({fit.n_dof})"))
     rows.append(("in-plane motion", f"{'load' if fit.inplane.used else 'not used'}: {fit.inplane.reason}"))
+    if fit.ligament is not None:
+        height, height_sd = (1e3 * value for value in fit.ligament.height)
+        rows.append(
+            ("plane of the ligament", f"{plus_minus(height, height_sd)} mm above the footplate centre")
+        )
     worst = fit.identifiability
     rows.append(("worst combination", f"{worst.describe(0)}: relative sd {worst.percent(0)}"))
     return rows

@@ -156,7 +156,7 @@ def frequency_dependence(
     else:
         scores = (rows * residual[:, None]).reshape(2 * lines.n, lines.count, -1).sum(axis=0)
         covariance = inverse @ (scores.T @ scores) @ inverse
-    for changes, part in _common_errors(problem, lines, found.parameters):
+    for changes, part in common_errors(problem, lines, found.parameters):
         moved = real_rows(forward(now.factor, changes) * root[:, None])
         effect = inverse @ (rows.T @ moved)
         covariance = covariance + effect @ part @ effect.T
@@ -241,7 +241,7 @@ def _local_columns(
     return forward(now.factor, columns)
 
 
-def _common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tuple[ComplexArray, Array]]:
+def common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tuple[ComplexArray, Array]]:
     """Return changes of the residual (n, lines, k) by common errors, and their covariance (k, k)."""
     found = []
     by_mass = None
@@ -255,7 +255,7 @@ def _common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tu
         return found
     difference, inertia = motion_rows(
         observation,
-        problem.inertia.rows(observation.dof, observation.load_dof),
+        problem.mass_rows(),
         problem.scale,
         problem.base_mass,
     )

@@ -41,7 +41,7 @@ def slope_by_motion(problem: Problem, lines: Lines, parameters: Array) -> Comple
     """
     by_difference, by_force = _slopes(problem, lines, parameters)
     difference, inertia = motion_rows(
-        problem.observation, _mass_rows(problem), problem.scale, problem.base_mass
+        problem.observation, problem.mass_rows(), problem.scale, problem.base_mass
     )
     square = (lines.omega**2)[:, None, None]
     return np.asarray(difference.T @ by_difference + square * (inertia.T @ by_force))
@@ -52,11 +52,6 @@ def contract(slope: ComplexArray, changes: ComplexArray) -> Array:
     flat = slope.reshape(-1, slope.shape[2])
     moved = changes.reshape(len(changes), -1)
     return np.asarray(flat.real.T @ moved.real.T + flat.imag.T @ moved.imag.T)
-
-
-def _mass_rows(problem: Problem) -> Array:
-    observation = problem.observation
-    return problem.inertia.rows(observation.dof, observation.load_dof)
 
 
 def _slopes(problem: Problem, lines: Lines, parameters: Array) -> tuple[ComplexArray, ComplexArray]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fitting.test_uncertainty import with_frame_errors
 
 from fitting.cli import _work
 from fitting.kd import fit_kd
@@ -17,9 +16,11 @@ from stapeskit.faults import StapeskitError
 from stapeskit.records.mass_record import frame_derivative
 from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion, six_dof_parameters
+from tests.fitting.uncertainty.test_uncertainty import with_frame_errors
 
 
-def test_scatter_of_refits_is_the_stated_sd() -> None:
+@pytest.mark.parametrize(("inplane", "refits", "tolerance"), [("load", 800, 0.10), ("auto", 150, 0.25)])
+def test_scatter_of_refits_is_the_stated_sd(inplane: str, refits: int, tolerance: float) -> None:
     """Noise, mass and a frame that moves motion and mass together, in one draw."""
     pose = np.diag([1e-9, 4e-10, 1e-9, 1e-4, 1e-4, 1e-4])
     parameters = six_dof_parameters()
@@ -29,15 +30,15 @@ def test_scatter_of_refits_is_the_stated_sd() -> None:
         "density": 0.02**2 * np.outer(parameters, parameters),
     }
     motion = with_frame_errors(six_dof_motion(0.02, 0, lines=60), pose)
-    fit = fit_kd(motion, six_dof_mass(contributions))
+    fit = fit_kd(motion, six_dof_mass(contributions), KDOptions(inplane=inplane))
     assert {"footplate_frame", "mass.density", "channel_noise"} <= set(fit.budget.sources)
-    found = monte_carlo(fit, 800)
+    found = monte_carlo(fit, refits)
     assert found.failed == 0
     stated = np.sqrt(np.diag(fit.covariance))
-    assert found.standard_deviation == pytest.approx(stated, rel=0.10)
-    assert found.frequencies_hz.std(axis=0) == pytest.approx(fit.derived.frequency_sd_hz, rel=0.10)
+    assert found.standard_deviation == pytest.approx(stated, rel=tolerance)
+    assert found.frequencies_hz.std(axis=0) == pytest.approx(fit.derived.frequency_sd_hz, rel=tolerance)
     width = np.diff(found.intervals)[:, 0]
-    assert width == pytest.approx(2.0 * 1.96 * stated, rel=0.15)
+    assert width == pytest.approx(2.0 * 1.96 * stated, rel=1.5 * tolerance)
 
 
 @pytest.mark.parametrize(("estimator", "tolerance"), [("ml", 0.15), ("irls", 0.4)])

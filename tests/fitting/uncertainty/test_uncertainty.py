@@ -153,7 +153,7 @@ def test_mass_uncertainty_agrees_with_refits() -> None:
     )
     covariance = np.diag(sd**2)
     motion = six_dof_motion(0.01, 0)
-    fit = fit_kd(motion, six_dof_mass({"levels": covariance}))
+    fit = fit_kd(motion, six_dof_mass({"levels": covariance}), KDOptions(inplane="load"))
     assert fit.inplane.used
     observation = observe(motion, DOF)
     refits = [

@@ -1,0 +1,172 @@
+"""Motion of both bodies in all six degrees of freedom, without units, with the errors that all lines share.
+
+A shared error z_k of unit variance moves the motion of a body by a linear map, y -> (1 + z_k T_k) y, and the
+mass matrix by dM_k. The maps are found once from the recorded derivatives, so that they can be applied to the
+fitted motion: at the noisy motion itself they would make an estimate overconfident.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators.problem import Problem
+from fitting.model.observation import Observation
+from fitting.uncertainty.covariance import joined_mass_sources, motion_moves_mass
+from stapeskit.spatial import matrix_from_parameters
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+DOFS = 6
+# Eigenvalues of a correlation matrix below this are combinations without an error.
+_NO_ERROR = 1e-9
+# Part of a recorded derivative that its map may leave over: noise of the readings that the derivative holds.
+_NOISE_LEFT = 0.3
+
+
+@dataclass(frozen=True)
+class JointLines:
+    """Scaled lines of both bodies.
+
+    Attributes
+    ----------
+    omega : ndarray, (lines,)
+        Angular frequency over that of the scale.
+    y : ndarray, (lines, 12), complex
+        Structure, then base.
+    covariance : ndarray, (lines, 12, 12), complex
+    mass : ndarray, (6, 6)
+        Ones on its diagonal.
+    root_mass : ndarray, (6,)
+        Scaled motion is sqrt(M_ii) q_i over the amplitude.
+    maps : ndarray, (2, 6, 6, k), complex
+        T_k of structure and base: [body, to, from, error].
+    rests : ndarray, (lines, 12, k), complex, or None
+        The rest of a recorded derivative that is no linear map of the motion.
+    mass_changes : ndarray, (k, 6, 6)
+    sources : tuple of str, (k,)
+        Name in the budget.
+    mass_slopes : ndarray, (k, 6, 6)
+        The changes of the mass matrix in SI.
+    """
+
+    omega: Array
+    y: ComplexArray
+    covariance: ComplexArray
+    mass: Array
+    root_mass: Array
+    maps: ComplexArray
+    rests: ComplexArray | None
+    mass_changes: Array
+    sources: tuple[str, ...]
+    mass_slopes: Array
+
+    @property
+    def count(self) -> int:
+        """Number of lines."""
+        return len(self.omega)
+
+    @property
+    def errors(self) -> int:
+        """Number of shared errors k."""
+        return len(self.sources)
+
+
+def joint_lines(problem: Problem, both: Observation, shared: bool = True) -> JointLines:
+    """Scale the motion of both bodies and gather the shared errors of motion and mass.
+
+    Parameters
+    ----------
+    problem : Problem
+        Scale, law and inertia.
+    both : Observation
+        All six degrees of freedom of structure and base.
+    shared : bool
+        Whether the shared errors are unknowns of the likelihood.
+    """
+    scale = problem.scale
+    root = np.sqrt(np.diag(problem.inertia.matrix))
+    unit = np.tile(root, 2) / scale.amplitude
+    y = both.q * unit
+    covariance = both.covariance * np.outer(unit, unit)
+    changes, slopes, sources = _shared(problem, both) if shared else _none(len(y))
+    maps, rests = _maps(y, changes * unit)
+    scaled = slopes / np.outer(root, root)
+    omega = 2.0 * np.pi * both.freq_hz / scale.omega
+    mass = problem.inertia.matrix / np.outer(root, root)
+    return JointLines(omega, y, covariance, mass, root, maps, rests, scaled, sources, slopes)
+
+
+def _none(lines: int) -> tuple[ComplexArray, Array, tuple[str, ...]]:
+    return np.zeros((0, lines, 2 * DOFS), dtype=complex), np.zeros((0, DOFS, DOFS)), ()
+
+
+def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, tuple[str, ...]]:
+    """Return changes of q (k, lines, 12) and M (k, 6, 6) by errors of unit variance, with their sources."""
+    changes, slopes, sources = [], [], []
+    covariance, derivatives = both.shared_covariance, both.shared_derivatives
+    joined = problem.with_observation(both)
+    if covariance is not None and derivatives is not None:
+        along = motion_moves_mass(joined)
+        for column, source in _unit_errors(covariance, both.shared_names):
+            changes.append(np.einsum("k,klm->lm", column, derivatives))
+            slopes.append(matrix_from_parameters(along @ column))
+            sources.append(source)
+    if problem.inertia.parameters is not None:
+        for source, part in joined_mass_sources(joined).items():
+            for column, _ in _unit_errors(part, (source,) * len(part)):
+                changes.append(np.zeros_like(both.q))
+                slopes.append(matrix_from_parameters(column))
+                sources.append(f"mass.{source}")
+    if not sources:
+        return _none(len(both.q))
+    return np.array(changes), np.array(slopes), tuple(sources)
+
+
+def _unit_errors(covariance: Array, names: tuple[str, ...]) -> list[tuple[Array, str]]:
+    """Return columns of a root of a covariance, block by block of correlated parameters, with sources."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(size > 0.0, size, 1.0)
+    correlation = covariance / np.outer(safe, safe)
+    left = [place for place in range(len(size)) if size[place] > 0.0]
+    found = []
+    while left:
+        block, waiting = [], [left[0]]
+        while waiting:
+            place = waiting.pop()
+            if place in left:
+                left.remove(place)
+                block.append(place)
+                waiting += [other for other in left if abs(correlation[place, other]) > _NO_ERROR]
+        block.sort()
+        values, vectors = np.linalg.eigh(correlation[np.ix_(block, block)])
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value > _NO_ERROR:
+                column = np.zeros(len(size))
+                column[block] = size[block] * vector * np.sqrt(value)
+                leading = block[int(np.argmax(np.abs(vector)))]
+                found.append((column, names[leading].partition(".")[0]))
+    return found
+
+
+def _maps(y: ComplexArray, changes: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+    """Return the linear maps that make the changes (k, lines, 12) of y, and the rests of others."""
+    count = len(changes)
+    maps = np.zeros((2, DOFS, DOFS, count), dtype=complex)
+    rests = np.moveaxis(changes, 0, 2).copy()
+    for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
+        if not count:
+            continue
+        motion = y[:, place]
+        size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
+        size = np.where(size > 0.0, size, 1.0)
+        wanted = np.moveaxis(changes[:, :, place], 0, 1).reshape(len(y), -1)
+        solved = np.linalg.lstsq(motion / size, wanted, rcond=1e-11)[0]
+        turned = (solved / size[:, None]).reshape(DOFS, count, DOFS)
+        maps[body] = turned.transpose(2, 0, 1)
+        rests[:, place] -= np.einsum("ijk,lj->lik", maps[body], motion)
+    left = np.sqrt(np.mean(np.abs(rests) ** 2, axis=(0, 1)))
+    odd = left > _NOISE_LEFT * np.sqrt(np.mean(np.abs(changes) ** 2, axis=(1, 2)))
+    return maps, np.where(odd, rests, 0.0) if np.any(odd) else None

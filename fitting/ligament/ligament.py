@@ -1,0 +1,443 @@
+"""K and D with the ligament in a plane of its own, beside the reference plane.
+
+A ring at the height h over the footplate centre couples x with gamma and z with alpha: Z_rc = Y Z_cc with
+Y[alpha, z] = h, Y[gamma, x] = -h (r: y, alpha, gamma; c: x, z, beta). Eliminating the in-plane rows leaves
+
+    w^2 (M_r - Y M_c) q_s = Z' (q_s - q_b)_r,    Z' = Z_rr - Y Z_cc Y^T,
+
+where Z' = K' + s D' belongs to the plane of the ligament. No in-plane deflection enters, so that this holds
+for a ligament that is rigid in its plane as well. The in-plane rows alone then give K_cc and D_cc, with which
+K = K' + Y K_cc Y^T about the footplate centre follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.calibrated import calibrated
+from fitting.estimators.base import Estimate
+from fitting.estimators.problem import Problem
+from fitting.ligament.joint_fit import Equations, JointFit, fit_joint, joint_covariance
+from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
+from fitting.model.damping import DampingLaw
+from fitting.model.observation import Observation
+from fitting.model.principal_axes import PRINCIPAL_DOF
+from fitting.model.symmetric import join, pairs, split
+from fitting.uncertainty.covariance import NOISE, SharedEffect
+from stapeskit.spatial import DOF_NAMES, dof_indices
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+INPLANE_DOF: tuple[str, ...] = ("x", "z", "beta")
+INPLANE_STIFFNESS = "inplane_stiffness"
+_ROWS, _COLUMNS = dof_indices(PRINCIPAL_DOF), dof_indices(INPLANE_DOF)
+_N = len(PRINCIPAL_DOF)
+# The stiffness in the plane is needed to a tenth only: a step of a thirtieth of its uncertainty ends the fit.
+_INPLANE_TOLERANCE, _INPLANE_STEPS = 1e-3, 25
+# One over the sd of an exponent that is not to move, since the piston equations determine it.
+_FIXED = 1e6
+
+
+@dataclass(frozen=True)
+class InplaneStiffness:
+    """Stiffness and damping in the plane of the ligament (x, z, beta), about its centre.
+
+    Attributes
+    ----------
+    stiffness, damping : ndarray, (3, 3)
+        SI.
+    covariance : ndarray, (12, 12)
+        Of their entries.
+    determined : bool
+        Whether the in-plane equations fit; otherwise the usual ratio to the piston stiffness is given.
+    """
+
+    stiffness: Array
+    damping: Array
+    covariance: Array
+    determined: bool
+
+
+@dataclass(frozen=True)
+class LigamentFit:
+    """The joint fit of K, D, the plane of the ligament and the shared errors.
+
+    Attributes
+    ----------
+    law : DampingLaw
+    estimate : Estimate
+        Scaled K' and D' about the plane of the ligament.
+    stiffness, damping : ndarray, (3, 3)
+        About the footplate centre, SI.
+    plane_stiffness, plane_damping : ndarray, (3, 3)
+        K', D' about the plane of the ligament, SI.
+    plane_covariance : ndarray, (12, 12)
+        Of K' and D', all sources, SI.
+    coupling : ndarray, (3, 3)
+        Y, rows y, alpha, gamma, columns x, z, beta; m, m, 1 and so on, SI.
+    coupling_covariance : ndarray, (9, 9)
+    inplane : InplaneStiffness
+    sources : dict of str to ndarray, (12, 12)
+        Covariance of K and D about the footplate centre by source.
+    effects : tuple of SharedEffect
+        The shared errors as the data leave them, for derived quantities.
+    chi2 : float
+        Of equations, shared errors and priors together.
+    n_dof : int
+    widened : float
+        Factor on the channel noise because chi2 exceeds its degrees of freedom.
+    exponent_sd : float or None
+    normalised : ndarray, (lines, 3), complex
+        Residuals over their noise; real and imaginary parts have unit variance.
+    lines, equations, joint
+        What was solved.
+    """
+
+    law: DampingLaw
+    estimate: Estimate
+    stiffness: Array
+    damping: Array
+    plane_stiffness: Array
+    plane_damping: Array
+    plane_covariance: Array
+    coupling: Array
+    coupling_covariance: Array
+    inplane: InplaneStiffness
+    sources: dict[str, Array]
+    effects: tuple[SharedEffect, ...]
+    chi2: float
+    n_dof: int
+    widened: float
+    exponent_sd: float | None
+    normalised: ComplexArray
+    lines: JointLines = field(repr=False)
+    equations: Equations = field(repr=False)
+    joint: JointFit = field(repr=False)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a chi2, or a larger one, when model, noise and shared errors are as stated."""
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.n_dof, self.chi2))
+
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """Height of the plane above the footplate centre as rocking about x and about z see it, m."""
+        return float(self.coupling[1, 1]), float(-self.coupling[2, 0])
+
+    @property
+    def height(self) -> tuple[float, float]:
+        """Weighted mean of the two heights and its sd, m."""
+        places = [_entry(1, 1), _entry(2, 0)]
+        signs = np.array([1.0, -1.0])
+        covariance = self.coupling_covariance[np.ix_(places, places)] * np.outer(signs, signs)
+        weights = np.linalg.solve(covariance, np.ones(2))
+        values = np.array(self.heights_m)
+        return float(weights @ values / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+
+    @property
+    def heights_sd_m(self) -> tuple[float, float]:
+        """Their standard deviations, m."""
+        sd = np.sqrt(np.diag(self.coupling_covariance))
+        return float(sd[_entry(1, 1)]), float(sd[_entry(2, 0)])
+
+    @property
+    def tilt_rad(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Tilt of the plane about x and about z, each with its sd; rad.
+
+        Notes
+        -----
+        A ring turned by a small angle t about z has K_yx = t (K_xx - K_yy), hence Y[y, x] = t (1 - K_yy /
+        K_xx); about x: Y[y, z] = -t (1 - K_yy / K_zz).
+        """
+        sd = np.sqrt(np.diag(self.coupling_covariance))
+        piston = self.plane_stiffness[0, 0]
+        found = []
+        for column, sign in ((1, -1.0), (0, 1.0)):
+            share = 1.0 - piston / self.inplane.stiffness[column, column]
+            share = sign * share if abs(share) > 0.1 else np.nan
+            found.append((float(self.coupling[0, column] / share), float(sd[column] / abs(share))))
+        return found[0], found[1]
+
+
+def applies(problem: Problem, both: Observation) -> bool:
+    """Return whether mass matrix, motion, estimator and degrees of freedom are those of this model."""
+    return (
+        problem.observation.dof == PRINCIPAL_DOF
+        and both.dof == DOF_NAMES
+        and problem.inertia.complete
+        and problem.base_mass is None
+        and problem.method.likelihood
+        and not problem.options.student
+    )
+
+
+def fit_ligament(problem: Problem, both: Observation, start: Array) -> LigamentFit | None:
+    """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the damping law; of the three degrees of freedom.
+    both : Observation
+        All six degrees of freedom of both bodies.
+    start : ndarray, (12,)
+        Scaled K and D of the plain model.
+
+    Returns
+    -------
+    LigamentFit or None
+        None when the iteration does not settle, or settles where K' or D' is not positive semidefinite.
+    """
+    lines = joint_lines(problem, both)
+    equations = _piston_equations(problem, lines)
+    begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
+    flat = np.concatenate([begins, np.zeros(_N * _N)])
+    fits = [fit_joint(lines, equations, np.concatenate([begins, equations.mean[len(begins) :]]))]
+    if not fits[0].converged:
+        fits.append(fit_joint(lines, equations, flat))
+    fit = min((one for one in fits if one.converged), key=lambda one: one.chi2, default=None)
+    if fit is None or not _passive(fit.parameters[: equations.entries]):
+        return None
+    return _result(problem, lines, equations, fit)
+
+
+def _passive(parameters: Array) -> bool:
+    return all(np.linalg.eigvalsh(part)[0] >= 0.0 for part in split(parameters, _N))
+
+
+def _piston_equations(problem: Problem, lines: JointLines) -> Equations:
+    """Return the equations of y, alpha and gamma with unknown coupling to x, z and beta."""
+    rows, columns = np.eye(DOFS)[_ROWS], np.eye(DOFS)[_COLUMNS]
+    free = _N * (_N + 1) + problem.law.unknowns
+    mean, sd = coupling_prior()
+    unit = coupling_units(lines)
+    return Equations(
+        rows,
+        rows,
+        columns,
+        np.zeros((0, _N, DOFS)),
+        problem.law,
+        np.concatenate([np.zeros(free), (mean / unit).ravel()]),
+        np.concatenate([np.zeros(free), (unit / sd).ravel()]),
+    )
+
+
+def coupling_prior() -> tuple[Array, Array]:
+    """Return mean and standard deviation of Y before the data are seen, (3, 3), SI."""
+    millimetre = 1e-3
+    lengths = np.array([[1.0, 1.0, 1.0 / millimetre], *[[millimetre, millimetre, 1.0]] * 2])
+    mean, sd = np.zeros((_N, _N)), calibrated("ligament.other_sd") * lengths
+    for row, column, sign in ((1, 1, 1.0), (2, 0, -1.0)):
+        mean[row, column] = sign * calibrated("ligament.height_mm") * millimetre
+        sd[row, column] = calibrated("ligament.height_sd_mm") * millimetre
+    return mean, sd
+
+
+def coupling_units(lines: JointLines) -> Array:
+    """Return SI over scaled of Y, (3, 3)."""
+    return np.asarray(lines.root_mass[_ROWS][:, None] / lines.root_mass[_COLUMNS][None, :])
+
+
+def _entry(row: int, column: int) -> int:
+    return row * _N + column
+
+
+def _result(problem: Problem, lines: JointLines, equations: Equations, fit: JointFit) -> LigamentFit:
+    """Turn the minimum into SI about both points, with the covariance by source."""
+    known, spread = joint_covariance(lines, equations, fit)
+    p, entries = equations.unknowns, equations.entries
+    inverse = _inverse(known)
+    covariance = inverse @ spread @ inverse
+    own = _inverse(known[:p, :p])
+    widened = max(1.0, fit.level)
+    noise = widened * own @ spread[:p, :p] @ own
+    response = -own @ known[:p, p:]
+    shared = covariance[p:, p:]
+    law = equations.law_at(fit.parameters)
+    units, unit = problem.with_law(law).units, coupling_units(lines)
+    plane = split(fit.parameters[:entries] * units, _N)
+    coupling = fit.parameters[equations.coupling].reshape(_N, _N) * unit
+    to_plane = _to_plane(problem, equations, fit.parameters, units, law)
+    spread_root = _coupling_root(widened * covariance[equations.coupling, equations.coupling])
+    inplane = _inplane(problem.with_law(law), lines, coupling / unit, spread_root, plane)
+    slope, by_inplane = _slopes(coupling, inplane)
+    to_centre = to_plane.copy()
+    to_centre[:, equations.coupling] += slope * unit.ravel()
+    sources = {NOISE: to_centre @ noise @ to_centre.T}
+    moved = to_centre @ response
+    for source in dict.fromkeys(lines.sources):
+        places = [place for place, name in enumerate(lines.sources) if name == source]
+        half = moved[:, places] @ shared[places] @ moved.T
+        sources[source] = 0.5 * (half + half.T)
+    if np.any(coupling):
+        sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
+    effects = [SharedEffect("shared", lines.sources, shared, moved, lines.mass_slopes[:, _ROWS][:, :, _ROWS])]
+    still = np.zeros((2 * len(pairs(_N)), _N, _N))
+    effects.append(SharedEffect(INPLANE_STIFFNESS, (), inplane.covariance, by_inplane, still))
+    total = noise + response @ shared @ response.T
+    added = [coupling @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
+    place = equations.coupling
+    exponent_sd = float(np.sqrt(total[entries, entries])) if law.estimated else None
+    return LigamentFit(
+        law,
+        Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged),
+        plane[0] + added[0],
+        plane[1] + added[1],
+        plane[0],
+        plane[1],
+        to_plane @ total @ to_plane.T,
+        coupling,
+        total[place, place] * np.outer(unit.ravel(), unit.ravel()),
+        inplane,
+        sources,
+        tuple(effects) if lines.errors else tuple(effects[1:]),
+        fit.chi2,
+        fit.n_dof,
+        widened,
+        exponent_sd,
+        fit.at.residual * np.sqrt(2.0),
+        lines,
+        equations,
+        fit,
+    )
+
+
+def _inverse(matrix: Array) -> Array:
+    """Invert a positive definite matrix of different units."""
+    root = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.inv(matrix / np.outer(root, root)) / np.outer(root, root))
+
+
+def _to_plane(
+    problem: Problem, equations: Equations, parameters: Array, units: Array, law: DampingLaw
+) -> Array:
+    """Return the derivative of K' and D' in SI by the scaled parameters, (12, p)."""
+    entries = equations.entries
+    slope = np.zeros((entries, equations.unknowns))
+    slope[:, :entries] = np.diag(units)
+    if law.estimated:
+        half = entries // 2
+        damping = parameters[half:entries] * units[half:]
+        slope[half:, entries] = -np.log(problem.scale.omega) * damping
+    return slope
+
+
+def _slopes(coupling: Array, inplane: InplaneStiffness) -> tuple[Array, Array]:
+    """Return derivatives of Y K_cc Y^T and Y D_cc Y^T by Y (12, 9), and by K_cc and D_cc (12, 12)."""
+    by_coupling = np.zeros((2 * len(pairs(_N)), _N * _N))
+    for place, (row, column) in enumerate(np.ndindex(_N, _N)):
+        unit = np.zeros((_N, _N))
+        unit[row, column] = 1.0
+        parts = [unit @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
+        by_coupling[:, place] = join(*(part + part.T for part in parts))
+    half = len(pairs(_N))
+    by_inplane = np.zeros((2 * half, 2 * half))
+    for place in range(2 * half):
+        entry = np.zeros(2 * half)
+        entry[place] = 1.0
+        by_inplane[:, place] = join(*(coupling @ part @ coupling.T for part in split(entry, _N)))
+    return by_coupling, by_inplane
+
+
+def _inplane(
+    problem: Problem, lines: JointLines, coupling: Array, spread: Array, plane: tuple[Array, Array]
+) -> InplaneStiffness:
+    """Fit the rows of x, z and beta in the plane of the ligament, with weak priors from the piston's.
+
+    The coupling, scaled, is known with unit variance along each of ``spread`` (k, 3, 3). Without convergence
+    or fit the usual ratio takes their place; torsion, which hardly matters, is not believed where they
+    are not positive semidefinite.
+    """
+    from scipy.special import chdtrc
+
+    rows, columns = np.eye(DOFS)[_ROWS], np.eye(DOFS)[_COLUMNS]
+    units = _inplane_units(problem, lines)
+    piston = np.array([plane[0][0, 0], max(plane[1][0, 0], 0.05 * plane[0][0, 0] / _time(problem))])
+    ratio, ratio_sd = calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
+    mean, sd = _inplane_prior(piston, ratio, ratio_sd)
+    law = problem.law
+    fixed = DampingLaw(law.name, law.exponent)
+    spare = law.unknowns
+    equations = Equations(
+        columns + coupling.T @ rows,
+        columns,
+        np.zeros((0, DOFS)),
+        spread.transpose(0, 2, 1) @ rows,
+        fixed,
+        np.concatenate([mean / units, [law.exponent] * spare, np.zeros(len(spread))]),
+        np.concatenate([units / sd, [_FIXED] * spare, np.ones(len(spread))]),
+    )
+    fits = []
+    for share in (1.0, 0.3):
+        try:
+            begin = np.concatenate([share * mean / units, [law.exponent] * spare])
+            fits.append(fit_joint(lines, equations, begin, _INPLANE_TOLERANCE, _INPLANE_STEPS))
+        except np.linalg.LinAlgError:
+            continue
+        if fits[-1].converged:
+            break
+    fit = min((one for one in fits if one.converged), key=lambda one: one.chi2, default=None)
+    mean, sd = _inplane_prior(
+        piston, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd")
+    )
+    values, covariance = mean.copy(), np.diag(sd**2)
+    if fit is None or chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):
+        return InplaneStiffness(*split(values, _N), covariance, False)
+    known, spread = joint_covariance(lines, equations, fit)
+    inverse = _inverse(known)
+    fitted = fit.parameters[: len(units)] * units
+    fitted_covariance = (inverse @ spread @ inverse)[: len(units), : len(units)] * np.outer(units, units)
+    good = np.arange(len(units))
+    if not _passive(fitted / units):
+        good = good[_without_torsion()]
+    values[good] = fitted[good]
+    covariance[np.ix_(good, good)] = fitted_covariance[np.ix_(good, good)]
+    found = split(values, _N)
+    determined = bool(min(np.linalg.eigvalsh(part[:2, :2])[0] for part in found) >= 0.0)
+    if not determined:
+        return InplaneStiffness(*split(mean, _N), np.diag(sd**2), False)
+    return InplaneStiffness(*found, covariance, True)
+
+
+def _coupling_root(covariance: Array) -> Array:
+    """Return a root of the covariance (9, 9) of the scaled coupling, (9, 3, 3)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T.reshape(-1, _N, _N))
+
+
+def _without_torsion() -> Array:
+    """Return which entries of K_cc and D_cc do not concern beta, (12,), bool."""
+    return np.array([_N - 1 not in pair for pair in pairs(_N)] * 2)
+
+
+def _time(problem: Problem) -> float:
+    """Return K over D of a damping as strong as the stiffness, in SI, at the reference frequency."""
+    return float(problem.scale.omega**problem.law.exponent)
+
+
+def _inplane_units(problem: Problem, lines: JointLines) -> Array:
+    """Return SI over scaled of the entries of K_cc and D_cc, (12,)."""
+    root, omega = lines.root_mass[_COLUMNS], problem.scale.omega
+    product = np.outer(root, root)
+    return join(product * omega**2, product * omega ** (2.0 - problem.law.exponent))
+
+
+def _inplane_prior(piston: Array, ratio: float, ratio_sd: float) -> tuple[Array, Array]:
+    """Return mean and sd of the entries of K_cc and D_cc for the piston's K and D, (12,), SI.
+
+    Translations have ``ratio`` times the piston's; torsion that of a ring of 1 mm, known to its own size; the
+    other entries are zero, known to the piston's (times 1 mm with torsion).
+    """
+    arm = 1e-3
+    mean, sd = [], []
+    for value in piston:
+        size = np.diag([ratio, ratio, ratio * arm**2]) * value
+        spread = np.array([[ratio_sd, 1.0, arm], [1.0, ratio_sd, arm], [arm, arm, ratio * arm**2]]) * value
+        mean.append(size)
+        sd.append(spread)
+    return join(*mean), join(*sd)

@@ -1,0 +1,78 @@
+"""The section of the page about the plane of the ligament."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fitting.kd_fit import KDFit
+from fitting.laws import LawFit
+from fitting.ligament.ligament import INPLANE_DOF, LigamentFit
+from fitting.model.symmetric import entry_units, join, split
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.page import Section
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+
+def ligament_section(fit: KDFit, ligament: LigamentFit) -> Section:
+    """Return height and tilt of the plane, K and D about it, and what the plain model would have given."""
+    height, height_sd = (1e3 * value for value in ligament.height)
+    rows = [("height above the footplate centre (mm)", plus_minus(height, height_sd))]
+    for name, value, sd in zip(("x", "z"), ligament.heights_m, ligament.heights_sd_m, strict=True):
+        rows.append((f"height seen by rocking about {name} (mm)", plus_minus(1e3 * value, 1e3 * sd)))
+    for name, (value, sd) in zip(("x", "z"), np.degrees(ligament.tilt_rad), strict=True):
+        shown = plus_minus(value, sd) if np.isfinite(value) and sd < 45.0 else "undetermined"
+        rows.append((f"tilt about {name} (degrees)", shown))
+    stiffness_sd, damping_sd = split(np.sqrt(np.diag(ligament.plane_covariance)), len(fit.dof))
+    units = entry_units(fit.dof)
+    damping_units = [[fit.law.unit(unit) for unit in row] for row in units]
+    section = Section("Plane of the ligament").add(
+        page.text(
+            "A ligament whose plane does not hold the footplate centre couples in-plane motion (x, z, beta) "
+            "with piston and rocking. Its height and tilt are estimated with K and D, together with all "
+            "shared errors of motion and mass."
+        ),
+        page.table(("", "value"), rows),
+        page.matrix(
+            ligament.plane_stiffness, fit.dof, "K about the plane of the ligament, ± sd.", stiffness_sd, units
+        ),
+        page.matrix(
+            ligament.plane_damping,
+            fit.dof,
+            "D about the plane of the ligament, ± sd.",
+            damping_sd,
+            damping_units,
+        ),
+    )
+    inplane = [
+        (f"stiffness {name}", plus_minus(ligament.inplane.stiffness[place, place], sd), unit)
+        for place, (name, sd, unit) in enumerate(
+            zip(
+                INPLANE_DOF,
+                np.sqrt(np.diag(split(np.diag(ligament.inplane.covariance), len(INPLANE_DOF))[0])),
+                ("N/m", "N/m", "N m"),
+                strict=True,
+            )
+        )
+    ]
+    origin = "from the in-plane equations" if ligament.inplane.determined else "assumed: not determined"
+    section.add(page.subheading(f"In the plane ({origin})"), page.table(("", "value", "unit"), inplane))
+    if fit.plain is not None:
+        section.add(page.subheading("Without in-plane motion"), _plain_table(fit, fit.plain))
+    return section
+
+
+def _plain_table(fit: KDFit, other: LawFit) -> Markup:
+    """Return K and D next to those of the three degrees of freedom alone."""
+    plain = other.estimate.parameters * other.problem.units
+    values = join(fit.stiffness, fit.damping)
+    sd = np.sqrt(np.diag(fit.covariance))
+    rows = [
+        (name, f"{value:.4g}", f"{alone:.4g}", f"{(alone - value) / spread:+.1f}")
+        for name, value, alone, spread in zip(fit.parameters, values, plain, sd, strict=True)
+    ]
+    return page.table(("entry", "value (SI)", "three degrees of freedom alone", "difference in sd"), rows)
