@@ -176,7 +176,7 @@ def _start(
     tell: Callable[[str], None],
 ) -> _Job:
     """Start a study in its own session, so that an interruption reaches it once, from here."""
-    words = [sys.executable, "-m", "pipeline.child", str(Path(study).absolute()), str(folder)]
+    words = [sys.executable, "-P", "-m", "pipeline.child", str(Path(study).absolute()), str(folder)]
     process = subprocess.Popen(
         [*words, *(["--force"] if force else [])],
         stdin=subprocess.DEVNULL,

@@ -84,11 +84,15 @@ class Option:
     def missing_files(
         self, value: Any, thing: str, where: str = "", folder: Path | None = None
     ) -> list[Fault]:
-        """Return a fault for each file of the value that does not exist, looked for in a folder."""
+        """Return a fault for each file of the value that is no file or folder, looked for in a folder."""
         if not self.kind.is_file or value is None:
             return []
         paths = value if isinstance(value, tuple) else (value,)
-        missing = [path for path in paths if not ((folder or Path()) / path).exists()]
+        # A pipe or a device would be waited for without end.
+        found = [(folder or Path()) / path for path in paths]
+        missing = [
+            path for path, place in zip(paths, found, strict=True) if not (place.is_file() or place.is_dir())
+        ]
         return [self.fault(path, thing, where) for path in missing]
 
 

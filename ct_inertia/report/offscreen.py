@@ -54,7 +54,7 @@ def draw_offscreen(panels: Sequence[Panel], pixels: int) -> tuple[list[Array] | 
         environment["PYTHONPATH"] = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
         try:
             child = subprocess.run(
-                [sys.executable, "-m", "ct_inertia.report.offscreen", str(folder)],
+                [sys.executable, "-P", "-m", "ct_inertia.report.offscreen", str(folder)],
                 env=environment,
                 capture_output=True,
                 timeout=TIMEOUT_S,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kinematics.faults.describe import channel_list, describe
 from kinematics.faults.diagnose import Diagnosis, Finding
 from kinematics.measurement import BodyChannels, direction_name
+from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -164,9 +165,9 @@ def write_channels(path: Path, verdicts: Sequence[ChannelVerdict]) -> None:
 
     frame = pd.DataFrame(
         {
-            "run": [v.run for v in verdicts],
-            "body": [v.body for v in verdicts],
-            "point": [v.point for v in verdicts],
+            "run": [as_text_cell(v.run) for v in verdicts],
+            "body": [as_text_cell(v.body) for v in verdicts],
+            "point": [as_text_cell(v.point) for v in verdicts],
             "dir_x": [round(float(v.direction[0]), 9) + 0.0 for v in verdicts],
             "dir_y": [round(float(v.direction[1]), 9) + 0.0 for v in verdicts],
             "dir_z": [round(float(v.direction[2]), 9) + 0.0 for v in verdicts],

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.tables.text_cells import as_text_cell
+
 Array = NDArray[np.float64]
 
 # Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
@@ -195,9 +197,9 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] 
     failed = {} if faults is None else faults
 
     columns: dict[str, Any] = {
-        "study": [ear.name for ear in ears],
-        "folder": [ear.folder for ear in ears],
-        "side": [ear.side for ear in ears],
+        "study": [as_text_cell(ear.name) for ear in ears],
+        "folder": [as_text_cell(ear.folder) for ear in ears],
+        "side": [as_text_cell(ear.side) for ear in ears],
         "estimator": [ear.kd["estimator"] for ear in ears],
         "warnings": [ear.warnings for ear in ears],
     }
@@ -208,8 +210,9 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] 
     columns["error"] = [""] * len(ears)
     table = pd.DataFrame(columns)
     if failed:
-        errors = [" ".join(text.split()) for text in failed.values()]
-        empty = pd.DataFrame({"study": list(failed), "folder": list(failed), "error": errors})
+        errors = [as_text_cell(" ".join(text.split())) for text in failed.values()]
+        names = [as_text_cell(name) for name in failed]
+        empty = pd.DataFrame({"study": names, "folder": names, "error": errors})
         table = pd.concat([table.astype({"warnings": "Int64"}), empty])
     table.to_csv(path, index=False, lineterminator="\n")
 

@@ -60,7 +60,8 @@ pre { background: var(--tint); padding: 10px; overflow-x: auto; font-size: 13px;
 """
 
 _TEMPLATE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<html lang="en"><head><meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{{ policy }}"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{{ title }}</title><style>{{ style }}</style></head><body>
 <h1>{{ title }}</h1>{% if lead %}<p class="lead">{{ lead }}</p>{% endif %}
 {% if sections|length > 2 %}<nav>{% for s in sections %}<a href="#{{ s.key or 's%d' % loop.index }}">{{ s.heading }}</a>{% endfor %}</nav>{% endif %}
@@ -69,6 +70,10 @@ _TEMPLATE = """<!doctype html>
 {% endfor %}</section>
 {% endfor %}</body></html>
 """
+
+
+# A page loads nothing from anywhere and sends nothing: styles, scripts and pictures are in it.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 
 
 def _render(template: str, **values: Any) -> Markup:
@@ -119,7 +124,16 @@ class Page:
         from markupsafe import Markup
 
         style = Markup(_STYLE)
-        return str(_render(_TEMPLATE, title=self.title, lead=self.lead, sections=self.sections, style=style))
+        return str(
+            _render(
+                _TEMPLATE,
+                title=self.title,
+                lead=self.lead,
+                sections=self.sections,
+                style=style,
+                policy=_POLICY,
+            )
+        )
 
     def write(self, path: Path) -> None:
         """Write the page as UTF-8."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from pathlib import Path
 
@@ -135,3 +136,12 @@ def test_an_unknown_keyword_names_the_nearest():
     (fault,) = caught.value.faults
     assert fault.got == "estimatr"
     assert "estimator" in fault.next_step
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes have names on POSIX only")
+def test_a_pipe_is_no_file(tmp_path):
+    """A command that opened one would wait without end."""
+    pipe = tmp_path / "scan.tif"
+    os.mkfifo(pipe)
+    scan = next(one for one in declared(TABLES["scan"]) if one.kind.is_file)
+    assert [fault.got for fault in scan.missing_files(pipe, "the scan")] == [str(pipe)]

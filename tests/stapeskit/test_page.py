@@ -86,3 +86,10 @@ def test_sections_are_linked_by_their_keys():
     html = made.html()
     assert re.findall(r'<section id="(\w+)"', html) == ["s1", "second", "s3"]
     assert re.findall(r'<a href="#(\w+)"', html) == ["s1", "second", "s3"]
+
+
+def test_a_page_forbids_itself_the_network():
+    html = Page("title").html()
+    policy = html.partition('Content-Security-Policy" content="')[2].partition('">')[0]
+    assert "default-src &#39;none&#39;" in policy
+    assert "http" not in policy
