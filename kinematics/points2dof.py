@@ -225,9 +225,15 @@ def points2dof(
             fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
             notices += said
             diagnoses[key], searched[key] = searched_body(placed, run, screen.body, fits[key], known[key])
-            other = explained(placed, run, screen.body, searched[key], known[key], diagnoses[key])
-            diagnoses[key], searched[key] = other or (diagnoses[key], searched[key])
-    diagnoses |= told_across(placed, searched, diagnoses, known)
+    # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
+    exchanged = told_across(placed, searched, diagnoses, known)
+    for run in range(len(placed.runs)):
+        for number, screen in enumerate(screens):
+            key = (run, number)
+            if key not in exchanged:
+                other = explained(placed, run, screen.body, searched[key], known[key], diagnoses[key])
+                diagnoses[key], searched[key] = other or (diagnoses[key], searched[key])
+    diagnoses |= exchanged
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)

@@ -189,13 +189,13 @@ def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        (["--frame", "scan"], "--frame scan must be given with --mass mass.json"),
+        (["--frame", "scan"], "--frame must be .*given with --mass mass.json; got scan"),
         (["--frame", "moon"], "--frame must be one of footplate, plate, scan; got moon"),
         (["--frame", "plate", "--fiducials", "f.csv"], "left out beside --fiducials"),
-        (["--out", "dof.xlsx"], "--out must be a name that ends in"),
-        (["--points", "nowhere.csv"], "--points must be an existing file"),
-        (["--mass", "nowhere.json"], "--mass must be an existing file"),
-        (["--dof", "y,roll"], "--dof must be a list"),
+        (["--out", "dof.xlsx"], "--out must be a file name that ends with .csv, and no folder; got dof.xlsx"),
+        (["--points", "nowhere.csv"], "--points must be an existing .*; got nowhere.csv"),
+        (["--mass", "nowhere.json"], "--mass must be an existing .*; got nowhere.json"),
+        (["--dof", "y,roll"], "--dof must be all, or a list"),
         (["--reference", "base:y"], "--reference must be BODY:DOF"),
         (["--robust", "median"], "--robust must be one of none, huber, t4; got median"),
         (["--calibration"], "--calibration must be a known option"),
@@ -213,7 +213,7 @@ def test_a_folder_at_the_place_of_the_output_is_refused_before_content(tmp_path)
     path, _ = write_plain(tmp_path)
     path.write_text("not,a,table\n")
     (tmp_path / "dof.csv").mkdir()
-    with pytest.raises(StapeskitError, match="--out must be a file; got the folder"):
+    with pytest.raises(StapeskitError, match="and no folder; got"):
         work([str(path), "--out", str(tmp_path / "dof.csv")])
 
 
@@ -246,8 +246,8 @@ def test_the_process_ends_as_promised(tmp_path):
     assert len(done.stdout.splitlines()) <= 15
     missing = command("nowhere.csv", folder=tmp_path)
     assert missing.returncode == 2
-    told = "the vibrometer file must be an existing file; got nowhere.csv. Check its name and folder.\n"
-    assert missing.stderr == told
+    assert "nowhere.csv" in missing.stderr
+    assert missing.stderr.count("\n") == 1
     start = time.perf_counter()
     helped = command("--help", folder=tmp_path)
     assert time.perf_counter() - start < 1.5

@@ -220,7 +220,7 @@ def test_labels_of_the_output_folder_that_the_study_names_are_no_output(ear):
     (out / "labels.nrrd").write_bytes(b"corrected by hand")
     with pytest.raises(StapeskitError, match=r"labels\.nrrd, which it is not known to have written"):
         run_study(study, out)
-    edit(study, "[ldv]", 'labels = "../out/labels.nrrd"\n[ldv]')
+    edit(study, 'file = "stapes.ply"', 'labels = "../out/labels.nrrd"')
     made = output_set(study, read_study(study), out)
     made.check()
     assert "labels.nrrd" not in made.names
