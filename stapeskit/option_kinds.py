@@ -398,7 +398,7 @@ def output(suffix: str) -> Kind:
     def advise(value: Any) -> str:
         return f"Write {Path(str(value)).stem or 'result'}{suffix}"
 
-    return Kind(f"a file name that ends with {suffix}, and no folder", f"FILE{suffix}", read, advise=advise)
+    return Kind(f"a file name that ends with {suffix}", f"FILE{suffix}", read, advise=advise)
 
 
 def _folder(value: Any) -> Path:

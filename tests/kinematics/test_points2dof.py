@@ -192,7 +192,7 @@ def test_without_fiducials_the_footplate_frame_is_meant(tmp_path, monkeypatch):
         (["--frame", "scan"], "--frame must be .*given with --mass mass.json; got scan"),
         (["--frame", "moon"], "--frame must be one of footplate, plate, scan; got moon"),
         (["--frame", "plate", "--fiducials", "f.csv"], "left out beside --fiducials"),
-        (["--out", "dof.xlsx"], "--out must be a file name that ends with .csv, and no folder; got dof.xlsx"),
+        (["--out", "dof.xlsx"], "--out must be a file name that ends with .csv; got dof.xlsx"),
         (["--points", "nowhere.csv"], "--points must be an existing .*; got nowhere.csv"),
         (["--mass", "nowhere.json"], "--mass must be an existing .*; got nowhere.json"),
         (["--dof", "y,roll"], "--dof must be all, or a list"),
@@ -213,7 +213,7 @@ def test_a_folder_at_the_place_of_the_output_is_refused_before_content(tmp_path)
     path, _ = write_plain(tmp_path)
     path.write_text("not,a,table\n")
     (tmp_path / "dof.csv").mkdir()
-    with pytest.raises(StapeskitError, match="and no folder; got"):
+    with pytest.raises(StapeskitError, match="--out must be a file name"):
         work([str(path), "--out", str(tmp_path / "dof.csv")])
 
 
