@@ -14,8 +14,8 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ class Row:
     codes: tuple[str, ...] = ()
     size: float = 1.0
     seeded: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 _THIN_OR_OPEN = ("thin", "hollow", "perforated", "flat thin", "filled", "single")
@@ -99,6 +100,7 @@ ROWS = (
         codes=("touches_border",),
     ),
     Row("mucosa of 35 um", lambda _: {"coat": 0.15}, codes=(*_SOFT, "bare_bone_assumed")),
+    Row("mucosa, stated", lambda _: {"coat": 0.15}, options={"coat_um": "35+-6", "coat_grey": "0.15+-0.03"}),
     Row("fluid in voids", lambda r: {"void": r.uniform(0.15, 0.35)}, ("hollow",), codes=_VOID),
     Row("dry voids", lambda _: {}, ("hollow",)),
     Row("rings", lambda _: {"rings": 0.02}),
@@ -164,6 +166,7 @@ def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
         spacing_mm=(scene.voxel_um * 1e-3,),
         anterior=tuple(float(v) for v in frame[:3, 0]),
         seed_mm=tuple(float(v) for v in seed) if row.seeded else None,
+        **row.options,
     )
     start = time.process_time()
     about = f"{number} {family} {scene.voxel_um:.0f} um, blur {scene.blur:.1f}, noise {scene.noise:.3f}"

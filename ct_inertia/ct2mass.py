@@ -160,6 +160,7 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
             from ct_inertia.volume.coarse import take_glance
 
             glance = Later(take_glance, volume)
+    from ct_inertia.grey.coat import stated_coat
     from ct_inertia.labelling.from_scan import find_bodies
     from ct_inertia.segment.sight import SearchOptions
 
@@ -179,7 +180,8 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
         stapes_label=options.stapes_label,
         plate_label=options.plate_label,
     )
-    return find_bodies(volume, search, progress, glance)
+    coat = stated_coat(options.coat_um, options.coat_grey)
+    return find_bodies(volume, search, progress, glance, coat)
 
 
 def _result(

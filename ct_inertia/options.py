@@ -17,6 +17,7 @@ from stapeskit.option_kinds import (
     NUMBER,
     POINT,
     SPACING,
+    VALUE_OR_ZERO_WITH_SD,
     VALUE_WITH_SD,
     VOXEL_TYPE,
     VOXELS,
@@ -100,12 +101,21 @@ class MassOptions(OptionTable):
         ),
         *(_half_a_layout(name) for name in ("shape", "dtype")),
         *(needs(name, "labels", "whose numbers it names") for name in ("stapes_label", "plate_label")),
+        needs("coat", "scan", "whose grey values show it"),
+        needs("coat_grey", "coat"),
+        Rule(
+            lambda v: v.coat_grey is not None and v.coat_grey[0] >= 1.0,
+            "{coat_grey}",
+            "a share of the grey value of bone, below 1",
+            next_step="Mucosa has 0.1 to 0.2",
+            shows="coat_grey",
+        ),
         *(_unused_with_labels(name) for name in ("seed", "threshold", "box")),
         *(
             _unused_with_mesh(name)
             for name in (
                 "calibration", "spacing", "shape", "labels", "threshold", "seed", "box", "mirror",
-                "nan_as_air",
+                "nan_as_air", "coat",
             )
         ),
     )  # fmt: skip
@@ -208,6 +218,23 @@ class MassOptions(OptionTable):
         unit="mm",
         group=_FINDING,
         example=[0.0, 0.0, 0.0, 8.0, 8.0, 6.0],
+    )
+    coat_um: WithSd | None = option(
+        VALUE_OR_ZERO_WITH_SD,
+        "thickness of mucosa on the bone, um, subtracted with its image; 0 for cleaned bone (without SD: a "
+        "third)",
+        unit="um",
+        metavar="T[+-SD]",
+        group=_FINDING,
+        example="35+-12",
+    )
+    coat_grey: WithSd = option(
+        VALUE_WITH_SD,
+        "its grey value above air, as a share of that of bone",
+        "0.15+-0.05",
+        metavar="G[+-SD]",
+        group=_FINDING,
+        example="0.15+-0.05",
     )
     anterior: tuple[float, float, float] | None = option(
         DIRECTION,

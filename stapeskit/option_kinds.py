@@ -177,6 +177,11 @@ def _with_sd(value: Any) -> WithSd:
     return WithSd((float(value[0]), None if sd is None else float(sd)))
 
 
+def _zero_or_with_sd(value: Any) -> WithSd:
+    parts = tuple(value) if isinstance(value, list | tuple) else (_plain(value),)
+    return WithSd((0.0, 0.0)) if parts in ((0,), (0, 0)) else _with_sd(value)
+
+
 def _spacing(value: Any) -> tuple[float, ...]:
     values = _numbers([value] if _is_number(value) else value, (1, 3))
     _require(min(values) > 0.0)
@@ -322,6 +327,11 @@ TEXT = Kind("text", "TEXT", _text)
 NUMBER = Kind("a number", "NUMBER", _number)
 VALUE_WITH_SD = Kind(
     'a positive number, or text with its standard deviation like "1900+-60"', "VALUE[+-SD]", _with_sd
+)
+VALUE_OR_ZERO_WITH_SD = Kind(
+    '0, a positive number, or text with its standard deviation like "35+-12"',
+    "VALUE[+-SD]",
+    _zero_or_with_sd,
 )
 SPACING = Kind("a positive number, or three of them (x, y, z), mm", "H|DX,DY,DZ", _spacing)
 BOX = Kind(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS
 from ct_inertia.grey.border import CODE as CUT_BY_BORDER
+from ct_inertia.grey.coat import BARE
 from ct_inertia.mass.budget import budget, not_included
 from ct_inertia.mass.mass_properties import point_masses
 from ct_inertia.native import which
@@ -96,7 +97,8 @@ def mass_json(
             "not_included": not_included(
                 matrix.contributions,
                 result.options.mass_known_by,
-                any(notice.code == CUT_BY_BORDER for notice in result.notices),
+                cut=any(notice.code == CUT_BY_BORDER for notice in result.notices),
+                bare=any(notice.code == BARE for notice in result.notices),
             ),
         },
         "mass_known_by": result.options.mass_known_by,

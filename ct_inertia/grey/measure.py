@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
+from ct_inertia.grey.coat import Coat, CoatImage, coat_image, with_coat_sd
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
@@ -67,6 +68,8 @@ class Measured:
     notices : tuple of Notice
     doubt : ndarray of float32, [z, y, x], or None
         By how much the share may be wrong at once, where something soft or the plate was taken off.
+    coat_share : float or None
+        Volume of the subtracted coat's image over that of the stapes.
     """
 
     moments: Moments
@@ -80,10 +83,19 @@ class Measured:
     air_clipped: float
     notices: tuple[Notice, ...] = ()
     doubt: NDArray[np.float32] | None = None
+    coat_share: float | None = None
 
 
-def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
+def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) -> Measured:
     """Measure levels and blur near the stapes and integrate its grey values.
+
+    Parameters
+    ----------
+    volume : Volume
+    cut : Cut
+    guess : Guess
+    coat : Coat, optional
+        A soft coat on the bone, to be subtracted.
 
     Raises
     ------
@@ -127,6 +139,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
     face = None if fitted is None else fitted.face
     if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
         blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
+    coated: CoatImage | None = None
+    if coat is not None and coat.thickness_mm > 0.0:
+        coated = coat_image(cut, coat, distance < 1.99 * reach, spacing, (air.level, bone.level), blur[0])
+        cut = replace(cut, grey=cut.grey - np.float32(bone.level - air.level) * coated.share)
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     # Where blur fills thin walls, they look like something soft: only well seen bone tells the two apart.
     soft = None
@@ -177,6 +193,11 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         moments = with_contribution(moments, "voids", by_unseen_voids(voids, cut, volume, moments))
         notices = (*notices, *void_notices(voids, volume, moments))
     doubt = None if soft is None else soft.doubt * np.float32(_PLATE_DOUBT if touched else 1.0)
+    coat_share = None
+    if coated is not None:
+        moments = with_coat_sd(coated, parted.own, cut, volume, moments)
+        doubt = coated.doubt if doubt is None else doubt + coated.doubt
+        coat_share = float(coated.share[parted.own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level
         covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
@@ -196,6 +217,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess) -> Measured:
         air.clipped,
         (*notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
         None if doubt is None else np.where(parted.own, doubt, np.float32(0.0)),
+        coat_share,
     )
 
 

@@ -13,6 +13,7 @@ from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, Bodies, LabelledVolume
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import surface_with_planes
 from ct_inertia.grey.border import CODE, BorderCut, border_notices, cut_notice
+from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.partial_volume import sensitivity, with_voxel_size
@@ -37,7 +38,7 @@ _BEYOND = 2
 _LEAST_END = 10
 
 
-def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
+def bodies_from_labels(volume: Volume | None, options: SearchOptions, coat: Coat | None = None) -> Bodies:
     """Take stapes and plate from a label volume; measure them by grey values where there are some.
 
     Raises
@@ -53,7 +54,7 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions) -> Bodies:
     _check_labels(labels, numbers[0])
     stapes, islands = without_islands(labels, numbers[0])
     labels = _renumbered(labels, stapes, numbers)
-    bodies = _labels_alone(labels, options) if volume is None else _with_grey(volume, labels, options)
+    bodies = _labels_alone(labels, options) if volume is None else _with_grey(volume, labels, options, coat)
     return replace(bodies, notices=(*bodies.notices, *islands))
 
 
@@ -255,7 +256,7 @@ def _grid(volume: Volume) -> str:
     return f"{size} voxels of {spacing} mm from {origin}"
 
 
-def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies:
+def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coat | None) -> Bodies:
     """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
     from ct_inertia.grey.measure import measure
     from ct_inertia.volume.coarse import finite
@@ -284,7 +285,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         plate = unlabelled.mask(first, grey) & ~stapes & ~rest
     ends = _cut_by_labels(volume, labels, offset, 0.5 * (guess.air + guess.bone))
     cut = _cut(Cut(first, grey, stapes, rest, plate, "labels made elsewhere"), guess, volume.spacing_mm)
-    measured = measure(volume, cut, guess)
+    measured = measure(volume, cut, guess, coat)
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
@@ -308,6 +309,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         "iso_level_share": float(level),
         "psf_sigma_mm": measured.sigma_mm,
         "psf_from": measured.sigma_from,
+        **({} if measured.coat_share is None else {"coat_share_of_volume": measured.coat_share}),
     }
     return Bodies(
         volume=volume,
@@ -323,7 +325,13 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions) -> Bodies
         psf_sigma_mm=measured.sigma_mm,
         plate_face=measured.plate_face,
         evidence=evidence,
-        notices=(*volume.notices, *measured.notices, *border_notices(volume, cut), *ends),
+        notices=(
+            *volume.notices,
+            *measured.notices,
+            *border_notices(volume, cut),
+            *ends,
+            *([bare_bone_notice(coarse, moments.volume_mm3)] if coat is None else []),
+        ),
     )
 
 

@@ -14,6 +14,7 @@ from ct_inertia.bodies import Bodies
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
 from ct_inertia.grey.border import border_notices
+from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.measure import Measured, measure
@@ -43,6 +44,7 @@ def find_bodies(
     options: SearchOptions | None = None,
     progress: Tell = untold,
     glance: Later[Glance] | None = None,
+    coat: Coat | None = None,
 ) -> Bodies:
     """Find stapes, plate and other bone in a scan, and measure the stapes.
 
@@ -55,6 +57,8 @@ def find_bodies(
         Called with a few words at the beginning of each stage.
     glance : Later of Glance, optional
         The coarse view of the whole volume, when it is being taken already.
+    coat : Coat, optional
+        A soft coat on the bone; None: not stated, bare bone is assumed.
 
     Returns
     -------
@@ -69,7 +73,7 @@ def find_bodies(
     if options.labels is not None:
         from ct_inertia.labelling.from_labels import bodies_from_labels
 
-        return bodies_from_labels(volume, options)
+        return bodies_from_labels(volume, options, coat)
     if volume is None:
         raise CtInertiaError(Fault("the scan", "given", "none", "", "Give a volume or labels"))
     if options.box_mm is not None:
@@ -87,7 +91,7 @@ def find_bodies(
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
     progress("measuring the stapes")
-    bodies = _assembled(volume, sight, plate, plate_mesh, cut, options)
+    bodies = _assembled(volume, sight, plate, plate_mesh, cut, options, coat)
     imports.result()
     return bodies
 
@@ -104,10 +108,11 @@ def _assembled(
     plate_mesh: Later[PlateSurface | None] | None,
     cut: Cut,
     options: SearchOptions,
+    coat: Coat | None,
 ) -> Bodies:
     """Measure what was cut out and build surfaces and labels."""
     grid = volume if cut.working is None else cut.working.volume
-    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between))
+    measured = measure(grid, cut, Guess(sight.air, sight.bone, sight.plastic, sight.between), coat)
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
@@ -116,6 +121,8 @@ def _assembled(
     coarse, blur = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
+    if coat is None:
+        notices.append(bare_bone_notice(coarse, moments.volume_mm3))
     stapes, level = mesh.result()
     if is_thresholded(_as_stored(cut)):
         moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))
@@ -169,4 +176,5 @@ def _evidence(sight: Sight, cut: Cut, measured: Measured, level: float) -> dict[
         "psf_from": measured.sigma_from,
         "noise_correlation": float(measured.correlation),
         "air_clipped_share": float(measured.air_clipped),
+        **({} if measured.coat_share is None else {"coat_share_of_volume": measured.coat_share}),
     }

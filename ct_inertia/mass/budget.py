@@ -17,6 +17,8 @@ SOURCES = {
     "levels": "grey levels of air and bone",
     "noise": "voxel noise",
     "psf": "blur of the scan",
+    "coat": "soft coat on the bone",
+    "surroundings": "fluid or tissue around the stapes",
     "separation": "cut between stapes and what touches it",
     "plate": "face of the plate",
     "inhomogeneity": "uneven bone",
@@ -69,8 +71,10 @@ def described(source: str) -> str:
     return SOURCES.get(source, source.replace("_", " "))
 
 
-def not_included(contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False) -> list[str]:
-    """Say what the budget does not hold: what nobody gave an uncertainty of, and what a border cut off."""
+def not_included(
+    contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False, bare: bool = False
+) -> list[str]:
+    """List what the budget does not hold: values without an uncertainty, a cut-off part, a soft coat."""
     missing = []
     if mass_known_by == "density" and "density" not in contributions:
         missing.append("density not included")
@@ -80,6 +84,8 @@ def not_included(contributions: Mapping[str, Any], mass_known_by: str, cut: bool
         missing.append("calibration not included")
     if "voxel_size" not in contributions:
         missing.append("voxel size not included")
+    if bare:
+        missing.append("bare bone assumed: soft coat not included")
     if cut:
         missing.append("cut part not included")
     return missing
