@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record sample paper docs clean
+.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -12,6 +12,7 @@ help:
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
 	@echo "make golden       every number of the commands on many scenes against what was recorded"
+	@echo "make fuzz         damaged files for every reader: one minute, or MINUTES=240 SEED=7"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make docs         the pages that are made from the sources"
 	@echo "make sample       make the sample study anew"
@@ -76,6 +77,13 @@ golden: $(READY)
 
 golden-record: $(READY)
 	$(BIN)/python -m tests.golden --record $(ARGS)
+
+# ARGS="--only scans", ARGS="--replay PLACE": tests/fuzz/__main__.py says more
+fuzz: export OPENBLAS_NUM_THREADS = 1
+fuzz: MINUTES ?= 1
+fuzz: SEED ?= 1
+fuzz: $(READY)
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) --seed $(SEED) $(ARGS)
 
 clean:
 	rm -rf .venv demo

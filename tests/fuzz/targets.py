@@ -1,0 +1,128 @@
+"""What reads the inputs: single readers, which are fast, and the four commands as a whole."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+
+PRELOADED = (
+    "numpy scipy.optimize scipy.ndimage scipy.spatial scipy.stats scipy.linalg scipy.io h5py pandas tifffile "
+    "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read ct_inertia.ct2mass "
+    "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
+    "fitting.options kinematics.measure_motion kinematics.readers.assemble kinematics.readers.formats "
+    "kinematics.tidy.ldv_csv kinematics.tidy.points_csv pipeline.study stapeskit.records.mass_record "
+    "stapeskit.records.motion_files"
+)
+"""Imported once, before the process that reads is forked."""
+
+SPACING_MM = 0.02
+
+
+def preload() -> None:
+    """Import what the readers need."""
+    for name in PRELOADED.split():
+        importlib.import_module(name)
+
+
+def _scan(path: str, *_: str) -> None:
+    from ct_inertia.read import read_volume
+
+    volume = read_volume(path, SPACING_MM)
+    for plane in volume.array:
+        plane.sum()
+
+
+def _labels(path: str, *_: str) -> None:
+    from ct_inertia.read import read_labels
+
+    read_labels(path, SPACING_MM)
+
+
+def _mesh(path: str, *_: str) -> None:
+    from ct_inertia.surface.surface import read_surface
+
+    read_surface(path)
+
+
+def _landmarks(path: str, *_: str) -> None:
+    from ct_inertia.frames.landmarks import read_landmarks
+
+    read_landmarks(Path(path))
+
+
+def _calibration(path: str, *_: str) -> None:
+    from ct_inertia.mass.calibration import read_calibration
+
+    read_calibration(Path(path))
+
+
+def _ldv(*words: str) -> None:
+    """Read vibrometer files by the words that points2dof takes, without fitting."""
+    from kinematics.cli import parser
+    from kinematics.measure_motion import motion_inputs
+    from kinematics.options import LdvOptions
+
+    options = parser().parse(list(words)).make(LdvOptions)
+    from kinematics.measure_motion import read_inputs
+
+    read_inputs(motion_inputs(options))
+
+
+def _motion(path: str, *_: str) -> None:
+    from stapeskit.records.motion_files import read_motion
+
+    read_motion(Path(path))
+
+
+def _mass(path: str, *_: str) -> None:
+    from stapeskit.records.mass_record import read_mass_record
+
+    read_mass_record(Path(path))
+
+
+def _study(path: str, *_: str) -> None:
+    from pipeline.study import read_study
+
+    read_study(Path(path))
+
+
+def _plan(path: str, *_: str) -> None:
+    from fitting.plan.plan_file import read_plan
+
+    read_plan(Path(path))
+
+
+def _command(module: str, function: str = "work") -> Callable[..., None]:
+    def run(*words: str) -> None:
+        getattr(importlib.import_module(module), function)(list(words))
+
+    return run
+
+
+def _parse(module: str) -> Callable[..., None]:
+    def run(*words: str) -> None:
+        importlib.import_module(module).parser().parse(list(words))
+
+    return run
+
+
+TARGETS: dict[str, Callable[..., None]] = {
+    "read_scan": _scan,
+    "read_labels": _labels,
+    "read_mesh": _mesh,
+    "read_landmarks": _landmarks,
+    "read_calibration": _calibration,
+    "read_ldv": _ldv,
+    "read_motion": _motion,
+    "read_mass": _mass,
+    "read_study": _study,
+    "read_plan": _plan,
+    "parse_ct2mass": _parse("ct_inertia.cli"),
+    "parse_points2dof": _parse("kinematics.cli"),
+    "parse_dof2kd": _parse("fitting.cli"),
+    "ct2mass": _command("ct_inertia.cli"),
+    "points2dof": _command("kinematics.cli"),
+    "dof2kd": _command("fitting.cli", "_work"),
+    "scan2kd": _command("pipeline.cli"),
+}
