@@ -2,8 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+TOOLS := .venv/.tools
+SITE := .venv/.site
 
-.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs clean
+.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -15,13 +17,23 @@ help:
 	@echo "make fuzz         damaged files for every reader: one minute, or MINUTES=240 SEED=7"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make docs         the pages that are made from the sources"
+	@echo "make site         the documentation as a website, in site/"
 	@echo "make sample       make the sample study anew"
 
-setup: $(READY)
+setup: $(TOOLS)
 
 $(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch] */kernels/*.[ch])
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
+
+# what tests and checks need beyond the package
+$(TOOLS): $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt --group dev
+	@touch $(TOOLS)
+
+$(SITE): $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt --group docs
+	@touch $(SITE)
 
 demo: $(READY)
 	$(BIN)/scan2kd sample_volumes/study.toml --out demo
@@ -30,28 +42,28 @@ demo: $(READY)
 
 # one thread of linear algebra per process: two processes share two cores
 test: export OPENBLAS_NUM_THREADS = 1
-test: $(READY)
+test: $(TOOLS)
 	$(BIN)/python -m pytest -n 2
 
 test-shared: export OPENBLAS_NUM_THREADS = 1
-test-shared: $(READY)
+test-shared: $(TOOLS)
 	$(BIN)/python -m pytest -n 2 -m "shared or not shared"
 
-lint: $(READY)
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(READY)
+types: $(TOOLS)
 	$(BIN)/mypy
 
-imports: $(READY)
+imports: $(TOOLS)
 	$(BIN)/lint-imports
 
 # compiled anew, every warning a fault
-kernels: $(READY)
+kernels: $(TOOLS)
 	$(BIN)/python hatch_build.py --strict
 
-format: $(READY)
+format: $(TOOLS)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -61,6 +73,15 @@ docs: $(READY)
 	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
 	$(BIN)/python -m pipeline.options_page > docs/options.md
 
+# the same pages as a website, in site/
+site: docs $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+pictures: $(READY)
+	$(BIN)/python tools/draw_experiment.py
+	$(BIN)/python tools/draw_conventions.py
+	$(BIN)/python tools/draw_overview.py demo
+
 sample: $(READY)
 	$(BIN)/python -m sample_volumes.make_sample
 
@@ -68,22 +89,22 @@ paper: $(READY)
 	mkdir -p demo
 	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
 
-bench: $(READY)
+bench: $(TOOLS)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
 
 # ARGS="--room ct", ARGS="--only kd_", ARGS="-j 2": tests/golden/__main__.py says more
-golden: $(READY)
+golden: $(TOOLS)
 	$(BIN)/python -m tests.golden $(ARGS)
 
-golden-record: $(READY)
+golden-record: $(TOOLS)
 	$(BIN)/python -m tests.golden --record $(ARGS)
 
 # ARGS="--only scans", ARGS="--replay PLACE": tests/fuzz/__main__.py says more
 fuzz: export OPENBLAS_NUM_THREADS = 1
 fuzz: MINUTES ?= 1
 fuzz: SEED ?= 1
-fuzz: $(READY)
+fuzz: $(TOOLS)
 	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) --seed $(SEED) $(ARGS)
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo site

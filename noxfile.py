@@ -13,7 +13,7 @@ nox.options.default_venv_backend = "uv|virtualenv"
 
 
 def _install(session: nox.Session, *more: str) -> None:
-    session.install("-e", ".", *more, *nox.project.dependency_groups(nox.project.load_toml(), "dev"))
+    session.install("-e", ".[all]", *more, *nox.project.dependency_groups(nox.project.load_toml(), "dev"))
 
 
 @nox.session
@@ -44,7 +44,7 @@ def newest(session: nox.Session) -> None:
 def oldest(session: nox.Session) -> None:
     """Run the tests with the oldest versions that pyproject.toml allows."""
     groups = nox.project.dependency_groups(nox.project.load_toml(), "dev")
-    session.install("--resolution", "lowest-direct", "-e", ".", *groups)
+    session.install("--resolution", "lowest-direct", "-e", ".[all]", *groups)
     session.run("pytest", "-n", "2", *session.posargs, env={"OPENBLAS_NUM_THREADS": "1"})
 
 

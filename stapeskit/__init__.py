@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from stapeskit.records.motion import RigidMotion, SharedErrors
     from stapeskit.warnings import Notice
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Cohort",

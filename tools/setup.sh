@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv with stapeskit and its tools, and looks for the GL libraries that pictures and pymeshlab need.
+# Makes .venv with stapeskit and its optional packages, and looks for the GL libraries that pictures and pymeshlab need.
 set -eu
 : "${PYTHON:=python3}"
 
@@ -25,7 +25,7 @@ fi
 "$PYTHON" -m venv .venv
 # Dependency groups need pip 25.1.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check "pip>=25.1"
-install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e . --group dev; }
+install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e ".[all]"; }
 install || {
     command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null && exit 1
     echo "no C compiler, and none could be downloaded: installing without the compiled kernels"

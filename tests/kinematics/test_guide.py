@@ -20,7 +20,7 @@ from tests.kinematics.rewritten import write_three_ways
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "sample_volumes"
-GUIDE = (ROOT / "docs" / "from_export_to_dof.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "export_from_psv.md").read_text(encoding="utf-8")
 
 
 def commands():

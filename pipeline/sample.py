@@ -1,0 +1,52 @@
+"""The sample study: where its files are, and copying them into a folder of the user."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from stapeskit.faults import Fault, StapeskitError
+from stapeskit.own_files import OutputSet
+
+FILES = ("study.toml", "scan.tif", "ldv.csv", "points.csv", "fiducials.csv", "truth.json", "ATTRIBUTION.md")
+
+
+def sample_folder() -> Path:
+    """Return the folder of the sample study: in the installed package, or in the source tree.
+
+    Raises
+    ------
+    StapeskitError
+        The installation has no sample study.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / "sample_study", here.parent / "sample_volumes"):
+        if all((folder / name).is_file() for name in FILES):
+            return folder
+    raise StapeskitError(
+        Fault("the sample study", "part of this installation", "none", "", "Install stapeskit again")
+    )
+
+
+def copy_sample(target: Path, *, force: bool = False) -> tuple[Path, ...]:
+    """Copy the sample study into a folder and return the paths of its files.
+
+    Parameters
+    ----------
+    target : Path
+        Made when missing.
+    force : bool
+        Replace files of the same names that this function did not write.
+
+    Raises
+    ------
+    StapeskitError
+        A file of another origin, or an edited one, has the name of a file of the sample.
+    """
+    source = sample_folder()
+    outputs = OutputSet("stapeskit", target, FILES, tuple(source / name for name in FILES), force)
+    outputs.check()
+    with outputs.staged() as stage:
+        for name in FILES:
+            shutil.copyfile(source / name, stage / name)
+    return tuple(outputs.folder / name for name in FILES)

@@ -1,0 +1,132 @@
+"""The command ``stapeskit``: what there is, the sample study, and the four commands by one name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+from stapeskit.command import Outcome, run
+from stapeskit.faults import Fault, StapeskitError
+
+_HELP = """\
+usage: stapeskit COMMAND ...
+
+From a micro-CT scan and a laser vibrometer measurement of a stapes to its mass
+matrix M and to stiffness K and damping D of its annular ligament.
+
+the whole chain:
+  scan2kd       study file to M, K, D and one report
+
+its three steps:
+  ct2mass       scan to mass matrix and frames
+  points2dof    vibrometer readings to rigid-body motion
+  dof2kd        motion and mass matrix to stiffness and damping
+
+to begin:
+  sample DIR    copy a complete simulated study into DIR
+  completion    print the completion for bash, zsh or fish
+
+Each of the four is a command of its own: stapeskit scan2kd is scan2kd.
+scan2kd --help and so on list their options; stapeskit --version says which
+version this is.
+
+try it:
+  stapeskit sample ear
+  scan2kd ear/study.toml --out results
+"""
+COMMANDS = {
+    "ct2mass": "ct_inertia.cli",
+    "points2dof": "kinematics.cli",
+    "dof2kd": "fitting.cli",
+    "scan2kd": "pipeline.cli",
+}
+_OWN = ("sample", "completion")
+
+
+def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
+    """Run what the first word names.
+
+    Raises
+    ------
+    StapeskitError
+        The word is unknown (the nearest is named), or what the command itself raises.
+    """
+    word, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
+    if word in ("--help", "-h", "help"):
+        sys.stdout.write(_HELP)
+        return None
+    if word == "--version":
+        from stapeskit import __version__
+
+        sys.stdout.write(f"stapeskit {__version__}\n")
+        return None
+    if word in COMMANDS:
+        done: tuple[Any, Outcome] | None = _work_of(COMMANDS[word])(rest)
+        return done
+    if word == "sample":
+        _sample(rest)
+        return None
+    if word == "completion":
+        _completion(rest)
+        return None
+    raise StapeskitError(_unknown(word))
+
+
+def _work_of(module: str) -> Callable[[list[str]], Any]:
+    found = import_module(module)
+    return getattr(found, "work", None) or found._work
+
+
+def _unknown(word: str) -> Fault:
+    import difflib
+
+    close = difflib.get_close_matches(word, [*COMMANDS, *_OWN], 1)
+    hint = f"Did you mean {close[0]}?" if close else "Run stapeskit --help to see the commands"
+    return Fault("the command", f"one of {', '.join((*COMMANDS, *_OWN))}", word, "stapeskit", hint)
+
+
+def _sample(words: Sequence[str]) -> None:
+    """Copy the sample study into the folder that the words name."""
+    folders = [word for word in words if word != "--force"]
+    if len(folders) != 1 or folders[0].startswith("-"):
+        got = " ".join(words) or "nothing"
+        raise StapeskitError(Fault("stapeskit sample", "given one folder", got, "", "stapeskit sample ear"))
+    from pipeline.sample import copy_sample
+
+    target = Path(folders[0])
+    files = copy_sample(target, force="--force" in words)
+    sys.stdout.write(
+        f"{len(files)} files of a simulated ear written into {target}. Run it with:\n"
+        f"  scan2kd {target / 'study.toml'} --out results\n"
+    )
+
+
+def _completion(words: Sequence[str]) -> None:
+    """Print the completion for a shell."""
+    from pipeline.completion import SHELLS, completion
+
+    if len(words) != 1 or words[0] not in SHELLS:
+        got = " ".join(words) or "nothing"
+        raise StapeskitError(Fault("stapeskit completion", f"one of {', '.join(SHELLS)}", got))
+    from pipeline.options_page import COMMANDS as TABLES
+    from stapeskit.options import declared
+
+    common = [one.flag for table in TABLES["every command"] for one in declared(table)]
+    flags: dict[str, Sequence[str]] = {
+        command: [one.flag for table in TABLES[command] for one in declared(table) if not one.positional]
+        + common
+        for command in COMMANDS
+    }
+    sys.stdout.write(completion(words[0], {"stapeskit": [*COMMANDS, *_OWN], **flags}))
+
+
+def main() -> NoReturn:
+    """Run the command and leave with its exit code."""
+    run("stapeskit", work)
+
+
+if __name__ == "__main__":
+    main()
