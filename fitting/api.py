@@ -31,6 +31,7 @@ def dof2kd(
     motion: str | os.PathLike[str] | RigidMotion | HasMotion,
     *,
     mass: MassInput | ArrayLike,
+    force: bool = False,
     **options: Any,
 ) -> KDResult:
     """Estimate stiffness and damping from motion and mass.
@@ -40,6 +41,8 @@ def dof2kd(
     motion : path or result of points2dof
     mass : path or result of ct2mass, or ndarray, (n, n)
         An array is in the order of ``dof``, SI, about the footplate centre in footplate axes.
+    force : bool
+        Use a mass that is not the one whose frames the motion was computed with, with a warning.
     **options
         The options of the command dof2kd by their names: ``dof``, ``estimator``, ``damping``, ``band``,
         ``exclude``, ``monte_carlo`` ...
@@ -53,6 +56,7 @@ def dof2kd(
     --------
     >>> fit = dof2kd(motion, mass=mass, band=(400, 5000))  # doctest: +SKIP
     """
+    from fitting.chain import check_chain
     from fitting.measure_kd import kd_of
     from fitting.model.mass_file import read_mass
     from fitting.options import KDOptions
@@ -79,9 +83,12 @@ def dof2kd(
         moved = read_motion(Path(motion))
     else:
         moved = motion if isinstance(motion, RigidMotion) else motion.motion
+    motion_name = files["motion"].name if "motion" in files else "the motion"
+    mass_file = files.get("mass")
+    chain = check_chain(moved, motion_name, known, mass_file if isinstance(mass_file, Path) else None, force)
     provenance = record(files, chosen.parameters(), ["stapeskit.dof2kd"])
     read = tuple(path for path in files.values() if isinstance(path, Path))
-    return kd_of(moved, matrix, chosen, known, provenance, read)
+    return kd_of(moved, matrix, chosen, known, provenance, read, chain)
 
 
 def _is_plain(mass: Any) -> bool:

@@ -8,14 +8,18 @@ from typing import Any
 
 from fitting.errors import FittingError
 from stapeskit.faults import Fault
-from stapeskit.provenance import content_hash
+from stapeskit.provenance import content_hash, document_hash
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
 from stapeskit.warnings import Notice
 
 
 def check_chain(
-    motion: RigidMotion, motion_file: Path, mass_file: Path, record: MassRecord | None, force: bool = False
+    motion: RigidMotion,
+    motion_name: str,
+    record: MassRecord | None,
+    mass_file: Path | None = None,
+    force: bool = False,
 ) -> list[Notice]:
     """Compare the mass.json that the motion was computed with to the given one.
 
@@ -23,11 +27,14 @@ def check_chain(
     ----------
     motion : RigidMotion
         Its provenance names the mass.json whose frames it used, with a content hash.
-    motion_file, mass_file : Path
+    motion_name : str
+        Name of its file, or what it is.
     record : MassRecord or None
-        Of the mass file; None for a plain mass matrix, which belongs to no chain.
+        The given mass; None for a plain mass matrix, which belongs to no chain.
+    mass_file : Path or None
+        Its file; None for a mass in memory.
     force : bool
-        Go on with another mass.json, with a warning.
+        Continue with another mass.json, with a warning.
 
     Returns
     -------
@@ -37,31 +44,41 @@ def check_chain(
     Raises
     ------
     FittingError
-        The motion was computed with another mass.json.
+        The motion was computed with another mass.json. A file that differs only in the date and the command
+        that made it is the same.
     """
     if record is None:
         return []
-    travelling = [replace(notice, text=f"{mass_file.name}: {notice.text}") for notice in record.notices]
+    name = "mass" if mass_file is None else mass_file.name
+    travelling = [replace(notice, text=f"{name}: {notice.text}") for notice in record.notices]
     used = _used(motion)
-    if used is None:
-        return travelling
-    given = content_hash(mass_file, str(used["hash"]).startswith("sha256"))
-    if given == used["hash"]:
+    given = None if used is None else _given(used, record, mass_file)
+    if used is None or given is None:
         return travelling
     made = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
-    got = f"{mass_file.name} with the content {given}"
+    got = f"{name} with the content {given}"
     if not force:
         raise FittingError(
             Fault(
                 "{mass}",
-                f"the file whose frames {motion_file.name} was computed with, {made}",
+                f"the file whose frames {motion_name} was computed with, {made}",
                 got,
-                str(mass_file),
-                f"Give that file, run points2dof again with {mass_file.name}, or force the fit by --force",
+                "" if mass_file is None else str(mass_file),
+                f"Give that file, run points2dof again with {name}, or use the given one by {{force}}",
             )
         )
-    text = f"{motion_file.name} was computed with the frames of {made}, not with {got} (--force)."
-    return [Notice("other_mass_file", text), *travelling]
+    text = f"{motion_name} was computed with the frames of {made}, not with {got} ({{force}})."
+    return [Notice("other_mass_file", text.replace("{force}", "--force")), *travelling]
+
+
+def _given(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:
+    """Return the hash of the given mass where it is another one than that of the motion, else None."""
+    document = used.get("document_hash")
+    own = document_hash(record.raw)
+    if mass_file is None:
+        return None if document in (None, own) else own
+    content = content_hash(mass_file, str(used["hash"]).startswith("sha256"))
+    return None if content == used["hash"] or document == own else content
 
 
 def _used(motion: RigidMotion) -> dict[str, Any] | None:

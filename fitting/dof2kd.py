@@ -78,7 +78,7 @@ def dof2kd(
     outputs.check()
     mass, mass_record = read_mass(mass_path, options.dof)
     motion = read_motion(motion_path)
-    chain = check_chain(motion, motion_path, mass_path, mass_record, force)
+    chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
     provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     with outputs.staged() as folder:

@@ -184,6 +184,7 @@ def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     """Write kd.json."""
+    from fitting.chain import check_chain
     from fitting.measure_kd import kd_of
     from stapeskit.provenance import record
 
@@ -191,11 +192,12 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     files = {"motion": work.find("dof.h5"), "mass": work.find("mass.json")}
     mass = work.mass.record
     provenance = record(files, options.parameters(), hashes=work.hashes)
-    fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance)
+    chain = check_chain(work.motion, "dof.h5", mass, files["mass"])
+    fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance, chain=chain)
     text = json.dumps(fit.content(), indent=1) + "\n"
     (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
     work.keep("kd", json.loads(text))
-    return [KD_FILE], Told(tuple(fit.sections()), fit.notices)
+    return [KD_FILE], Told(tuple(fit.sections()), tuple(one for one in fit.notices if one not in chain))
 
 
 STAGES = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt.
 _CHUNK = 1 << 19
+_RELIED_ON = ("schema", "frames", "inertial_parameters", "mass_matrix")
 _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
 
 
@@ -125,13 +127,37 @@ def _give_way() -> None:
 
 
 def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:
-    """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash."""
+    """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash.
+
+    A mass.json has its ``document_hash`` as well.
+    """
     path = Path(path)
     stat = path.stat()
     size = sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else stat.st_size
     modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
     content = content_hash(path, sha256) if hashes is None else hashes.of(path)
-    return {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
+    found = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
+    if path.suffix.lower() == ".json":
+        with suppress(OSError, ValueError, UnicodeDecodeError):
+            document = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(document, dict) and "frames" in document:
+                found["document_hash"] = document_hash(document)
+    return found
+
+
+def document_hash(document: Mapping[str, Any]) -> str:
+    """Return ``algorithm:hex`` of the numbers of a mass.json that other results rely on.
+
+    Parameters
+    ----------
+    document : mapping
+        JSON-able. Date, command and whatever else does not move another result are left out.
+    """
+    import xxhash
+
+    content = {key: document[key] for key in _RELIED_ON if key in document}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return f"xxh3_128:{xxhash.xxh3_128_hexdigest(text.encode())}"
 
 
 def versions() -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ct_inertia.exports.mass_json import mass_json
+from stapeskit.provenance import document_hash
 from stapeskit.records.mass_record import mass_record
 from stapeskit.records.measured_mass import LabelVolume, MeasuredMass
 
@@ -36,6 +37,7 @@ def measured_mass(result: MassMeasurement, content: Mapping[str, Any] | None = N
         "size_bytes": len(text.encode()),
         "modified": made["provenance"]["date"],
         "hash": f"xxh3_128:{xxhash.xxh3_128_hexdigest(text.encode())}",
+        "document_hash": document_hash(json.loads(text)),
     }
     surfaces: dict[str, Surface | None] = {"stapes": result.stapes, "plate": result.plate}
     return MeasuredMass(

@@ -1,10 +1,10 @@
 """Maximum likelihood of K, D, in-plane coupling and shared errors together.
 
-Per line the equations are ``e = Z (E dq) - w^2 (P - Y Q) M q_s`` with the motions of both bodies moved by the
-shared errors z, ``y (1 + sum z_k T_k)``, and ``M + sum z_k dM_k``. Minimised is the sum of ``e^H Ce^-1 e``,
-Ce = B C B^H, of ``|z|^2 / 2`` and of the priors: the functional likelihood of errors in variables (Pintelon
-and Schoukens 2012, System Identification, ch. 9). Gauss-Newton with derivatives at the fitted motion
-``yhat = y - C B^H Ce^-1 e`` has the exact gradient.
+The motions of both bodies are moved by the shared errors z, ``y (1 + sum z_k T_k)``, and the mass matrix is
+``M + sum z_k dM_k``. Minimised is the sum of ``e^H Ce^-1 e``, Ce = B C B^H, of ``|z|^2 / 2`` and of the
+priors: the functional likelihood of errors in variables (Pintelon and Schoukens 2012, System Identification,
+ch. 9). Gauss-Newton with derivatives at the fitted motion ``yhat = y - C B^H Ce^-1 e`` has the exact
+gradient.
 """
 
 from __future__ import annotations
@@ -15,78 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimators.base import solve_symmetric
-from fitting.estimators.regressor_noise import information
+from fitting.ligament.equations import (
+    Equations,
+    dynamic,
+    inertia_rows,
+    mass_at,
+    moved_motion,
+    operator_of,
+    term_operators,
+    times_turn,
+    turned,
+)
 from fitting.ligament.joint_lines import DOFS, JointLines
-from fitting.model.damping import DampingLaw
 from fitting.model.lines import regressor
-from fitting.model.symmetric import basis, split
+from fitting.model.symmetric import split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-
-@dataclass(frozen=True)
-class Equations:
-    """Which equations of motion are fitted, and what is unknown in them.
-
-    Attributes
-    ----------
-    difference : ndarray, (n, 6)
-        E: deflections that K and D act on, of scaled dq.
-    loaded : ndarray, (n, 6)
-        P: rows of the mass matrix.
-    coupled : ndarray, (c, 6)
-        Q: rows of the mass matrix that Y multiplies; c = 0 without unknown coupling.
-    shapes : ndarray, (s, n, 6)
-        Changes of E by further unknowns.
-    law : DampingLaw
-    mean, precision_root : ndarray, (p,)
-        Prior of the scaled parameters ahead of the shared errors: mean and 1 / sd, 0 for none.
-    """
-
-    difference: Array
-    loaded: Array
-    coupled: Array
-    shapes: Array
-    law: DampingLaw
-    mean: Array
-    precision_root: Array
-
-    @property
-    def n(self) -> int:
-        """Number of equations a line."""
-        return len(self.difference)
-
-    @property
-    def entries(self) -> int:
-        """Number of entries of K and D."""
-        return self.n * (self.n + 1)
-
-    @property
-    def coupling(self) -> slice:
-        """Where Y, row by row, lies among the parameters."""
-        start = self.entries + self.law.unknowns
-        return slice(start, start + self.n * len(self.coupled))
-
-    @property
-    def unknowns(self) -> int:
-        """Number of parameters ahead of the shared errors."""
-        return self.shape.stop
-
-    @property
-    def shape(self) -> slice:
-        """Where the factors of the shapes lie among the parameters."""
-        return slice(self.coupling.stop, self.coupling.stop + len(self.shapes))
-
-    def difference_at(self, parameters: Array) -> Array:
-        """Return E with the shapes among the parameters, (n, 6)."""
-        return self.difference + np.einsum("k,kij->ij", parameters[self.shape], self.shapes)
-
-    def law_at(self, parameters: Array) -> DampingLaw:
-        """Return the damping law with the exponent among the parameters."""
-        if not self.law.estimated:
-            return self.law
-        return DampingLaw(self.law.name, float(np.clip(parameters[self.entries], 1e-3, 2.0 - 1e-3)))
+# Step, squared, in units of the parameters' uncertainty, that ends the fit without shared errors, which is a
+# start.
+_START_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -102,10 +50,10 @@ class Expansion:
         L^-1 e with Ce = L L^H.
     whitening : ndarray, (lines, n, n), complex
         L^-1.
-    operator, bare : ndarray, (lines, n, 12), complex
-        B, and B without the shared errors of the motion.
     gain : ndarray, (lines, 12, n), complex
-        C B^H.
+        C B^H, of the motion with the terms in it.
+    fitted : ndarray, (lines, 12), complex
+        yhat with the terms in it.
     """
 
     value: float
@@ -113,9 +61,8 @@ class Expansion:
     hessian: Array
     residual: ComplexArray
     whitening: ComplexArray
-    operator: ComplexArray
-    bare: ComplexArray
     gain: ComplexArray
+    fitted: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -125,7 +72,7 @@ class JointFit:
     Attributes
     ----------
     parameters : ndarray, (p + k,)
-        Scaled K and D, exponent where it is estimated, Y, shared errors.
+        Scaled K and D, exponent where it is estimated, Y, shapes, terms, shared errors.
     chi2 : float
         Twice the objective, priors included.
     n_dof : int
@@ -148,99 +95,137 @@ class JointFit:
         return self.chi2 / max(self.n_dof, 1)
 
 
-def expand(lines: JointLines, equations: Equations, parameters: Array) -> Expansion:
+def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expansion:
     """Evaluate objective, gradient and Gauss-Newton Hessian."""
-    n, errors = equations.n, parameters[equations.unknowns :]
-    bare, pulled, moved_mass = _operators(lines, equations, parameters)
-    turn = np.eye(DOFS) + lines.maps @ errors
-    operator = np.concatenate([bare[:, :, :DOFS] @ turn[0], bare[:, :, DOFS:] @ turn[1]], axis=2)
+    errors = parameters[unknown.unknowns :]
+    lines, equations = unknown.applied(measured, parameters)
+    bare = operator_of(lines, equations, parameters)
+    turn = turned(lines, errors)
+    operator = times_turn(bare, turn)
     gain = lines.covariance @ operator.conj().swapaxes(1, 2)
-    noise = operator @ gain
     residual = (operator @ lines.y[:, :, None])[:, :, 0]
     shift = None if lines.rests is None else lines.rests @ errors
     if shift is not None:
         residual = residual + (bare @ shift[:, :, None])[:, :, 0]
-    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(noise)), dtype=complex)
+    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(operator @ gain)), dtype=complex)
     white = (whitening @ residual[:, :, None])[:, :, 0]
     multiplier = (whitening.conj().swapaxes(1, 2) @ white[:, :, None])[:, :, 0]
     fitted = lines.y - (gain @ multiplier[:, :, None])[:, :, 0]
-    moved = np.concatenate([fitted[:, :DOFS] @ turn[0].T, fitted[:, DOFS:] @ turn[1].T], axis=1)
-    moved = moved if shift is None else moved + shift
-    law = equations.law_at(parameters)
+    moved = moved_motion(fitted, turn, shift)
+    columns = [
+        whitening @ _structural_columns(measured, unknown, lines, equations, parameters, fitted, moved)
+    ]
+    if lines.errors:
+        columns.append(_error_columns(lines, equations, parameters, whitening, bare, fitted, moved))
+    jacobian = np.concatenate(columns, axis=2).reshape(lines.count * equations.n, -1)
+    rows = np.concatenate([jacobian.real, jacobian.imag])
+    flat = np.concatenate([white.real.ravel(), white.imag.ravel()])
+    prior, p = equations.prior, equations.unknowns
+    off = prior.root @ (parameters[:p] - prior.mean)
+    value = float(flat @ flat) + 0.5 * float(off @ off) + 0.5 * float(errors @ errors)
+    gradient = 2.0 * (rows.T @ flat)
+    gradient[:p] += prior.root.T @ off
+    gradient[p:] += errors
+    hessian = 2.0 * (rows.T @ rows)
+    hessian[:p, :p] += prior.root.T @ prior.root
+    hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
+    return Expansion(value, gradient, hessian, white, whitening, gain, fitted)
+
+
+def _structural_columns(
+    measured: JointLines,
+    unknown: Equations,
+    lines: JointLines,
+    equations: Equations,
+    parameters: Array,
+    fitted: ComplexArray,
+    moved: ComplexArray,
+) -> ComplexArray:
+    """Return the derivatives of the residual by everything but the shared errors, (lines, n, p)."""
+    n, law = equations.n, equations.law_at(parameters)
     deflection = (moved[:, :DOFS] - moved[:, DOFS:]) @ equations.difference_at(parameters).T
+    factor = None if equations.factor is None else equations.factor[:, None]
+    if factor is not None:
+        deflection = deflection * factor
     columns = [np.moveaxis(regressor(np.ascontiguousarray(deflection.T), law.factor(lines.omega)), 0, 1)]
     if law.estimated:
         _, damping = split(parameters[: equations.entries], n)
         columns.append((law.slope(lines.omega)[:, None] * (deflection @ damping))[:, :, None])
     if len(equations.coupled):
-        load = (lines.omega**2)[:, None] * (moved[:, :DOFS] @ (equations.coupled @ moved_mass).T)
-        columns.append(np.einsum("rs,lc->lrsc", np.eye(n), load).reshape(lines.count, n, -1))
+        rows = equations.coupled @ mass_at(lines, parameters[equations.unknowns :])
+        load = (lines.omega**2)[:, None] * (moved[:, :DOFS] @ rows.T)
+        filled = np.zeros((lines.count, n, n, load.shape[1]), dtype=complex)
+        filled[:, np.arange(n), np.arange(n)] = load[:, None]
+        columns.append(filled.reshape(lines.count, n, -1))
     if len(equations.shapes):
-        bent = np.einsum("kij,lj->lik", equations.shapes, moved[:, :DOFS] - moved[:, DOFS:])
-        columns.append(_dynamic(equations, parameters, lines.omega) @ bent)
-    if lines.errors:
-        columns.append(_error_columns(lines, bare, pulled, fitted, moved))
-    jacobian = whitening @ np.concatenate(columns, axis=2)
-    columns_white = jacobian.reshape(lines.count * n, -1)
-    rows = np.concatenate([columns_white.real, columns_white.imag])
-    flat = np.concatenate([white.real.ravel(), white.imag.ravel()])
-    mean = np.concatenate([equations.mean, np.zeros(lines.errors)])
-    root = np.concatenate([equations.precision_root, np.ones(lines.errors)])
-    off = (parameters - mean) * root
-    value = float(flat @ flat) + 0.5 * float(off @ off)
-    gradient = 2.0 * (rows.T @ flat) + off * root
-    hessian = 2.0 * (rows.T @ rows) + np.diag(root**2)
-    return Expansion(value, gradient, hessian, white, whitening, operator, bare, gain)
-
-
-def _operators(
-    lines: JointLines, equations: Equations, parameters: Array
-) -> tuple[ComplexArray, Array, Array]:
-    """Return B (lines, n, 12) without errors of the motion, P - Y Q, and M with its errors."""
-    n = equations.n
-    elastic = _dynamic(equations, parameters, lines.omega) @ equations.difference_at(parameters)
-    coupling = parameters[equations.coupling].reshape(n, len(equations.coupled))
-    pulled = equations.loaded - coupling @ equations.coupled
-    mass = lines.mass + np.einsum("k,kij->ij", parameters[equations.unknowns :], lines.mass_changes)
-    inertia = pulled @ mass
-    operator = np.empty((lines.count, n, 2 * DOFS), dtype=complex)
-    operator[:, :, :DOFS] = elastic - (lines.omega**2)[:, None, None] * inertia
-    operator[:, :, DOFS:] = -elastic
-    return operator, pulled, mass
-
-
-def _dynamic(equations: Equations, parameters: Array, omega: Array) -> ComplexArray:
-    """Return Z = K + s D, (lines, n, n)."""
-    stiffness, damping = split(parameters[: equations.entries], equations.n)
-    factor = equations.law_at(parameters).factor(omega)
-    return np.asarray(stiffness + factor[:, None, None] * damping)
+        bent = np.tensordot(moved[:, :DOFS] - moved[:, DOFS:], equations.shapes, (1, 2)).swapaxes(1, 2)
+        columns.append(dynamic(equations, parameters, lines.omega) @ bent)
+    if len(equations.terms):
+        raw = fitted if lines.factors is None else fitted / lines.factors
+        operators = term_operators(measured, unknown, parameters)
+        columns.append(np.moveaxis((operators @ raw[:, :, None])[..., 0], 0, 2))
+    return np.concatenate(columns, axis=2)
 
 
 def _error_columns(
-    lines: JointLines, bare: ComplexArray, pulled: Array, fitted: ComplexArray, moved: ComplexArray
+    lines: JointLines,
+    equations: Equations,
+    parameters: Array,
+    whitening: ComplexArray,
+    bare: ComplexArray,
+    fitted: ComplexArray,
+    moved: ComplexArray,
 ) -> ComplexArray:
-    """Return the derivatives of the residual by the shared errors, (lines, n, k)."""
+    """Return the derivatives of the whitened residual by the shared errors, (lines, n, k)."""
     k = lines.errors
     change = np.empty((lines.count, 2 * DOFS, k), dtype=complex)
     for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
         flat = lines.maps[body].transpose(1, 0, 2).reshape(DOFS, DOFS * k)
         change[:, place] = (fitted[:, place] @ flat).reshape(lines.count, DOFS, k)
     if lines.rests is not None:
-        change = change + lines.rests
-    columns = bare @ change
-    heavy = pulled @ lines.mass_changes
-    load = moved[:, :DOFS] @ heavy.transpose(2, 1, 0).reshape(DOFS, -1)
-    return np.asarray(columns - (lines.omega**2)[:, None, None] * load.reshape(lines.count, -1, k))
+        change += lines.rests
+    columns = (whitening @ bare) @ change
+    heavy = np.flatnonzero(np.any(lines.mass_changes, axis=(1, 2)))
+    if len(heavy):
+        rows = inertia_rows(equations, parameters) @ lines.mass_changes[heavy]
+        load = moved[:, :DOFS] @ rows.transpose(2, 1, 0).reshape(DOFS, -1)
+        load = (lines.omega**2)[:, None, None] * load.reshape(lines.count, -1, len(heavy))
+        columns[:, :, heavy] -= whitening @ load
+    return np.asarray(columns)
 
 
 def fit_joint(
-    lines: JointLines, equations: Equations, start: Array, tolerance: float = 1e-6, most: int = 60
+    lines: JointLines, equations: Equations, start: Array, tolerance: float = 1e-5, most: int = 60
 ) -> JointFit:
-    """Minimise from a start (p,) or (p + k,) by Gauss-Newton, damped after Levenberg where a step fails.
+    """Minimise from a start (p,) or (p + k,), first without the shared errors when the start has none.
 
-    It ends when a squared step in units of the parameters' own uncertainty is below ``tolerance``, or without
-    convergence after ``most`` steps.
+    Parameters
+    ----------
+    lines : JointLines
+    equations : Equations
+    start : ndarray
+    tolerance : float
+        Squared step in units of the parameters' own uncertainty that ends it.
+    most : int
+        Steps after which it ends without convergence.
+
+    Raises
+    ------
+    LinAlgError
+        The start has no likelihood.
     """
+    count = 0
+    if lines.errors and len(start) <= equations.unknowns:
+        begun = _descend(lines.without_errors(), equations, start, max(tolerance, _START_TOLERANCE), most)
+        start, count = (begun.parameters if begun.converged else start), begun.iterations
+    found = _descend(lines, equations, start, tolerance, most)
+    return JointFit(
+        found.parameters, found.chi2, found.n_dof, found.converged, found.iterations + count, found.at
+    )
+
+
+def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: float, most: int) -> JointFit:
+    """Take Gauss-Newton steps, damped after Levenberg where a step fails."""
     now = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
     at = expand(lines, equations, now)
     damping, converged, count = 0.0, False, 0
@@ -248,77 +233,18 @@ def fit_joint(
         count += 1
         step = -solve_symmetric(at.hessian + damping * np.diag(np.diag(at.hessian)), at.gradient)
         decrement = float(-at.gradient @ step)
+        converged = decrement < tolerance and damping < 1.0
+        if converged and decrement < 1e-3 * tolerance:
+            break
         try:
             trial = expand(lines, equations, now + step)
         except np.linalg.LinAlgError:
-            damping = max(10.0 * damping, 1e-3)
+            damping, converged = max(10.0 * damping, 1e-3), False
             continue
-        converged = decrement < tolerance and damping < 1.0
         if np.isfinite(trial.value) and trial.value <= at.value * (1.0 + 1e-12):
             now, at = now + step, trial
             damping = damping / 10.0 if damping > 1e-6 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
-    free = int(np.sum(equations.precision_root == 0.0))
-    n_dof = 2 * equations.n * lines.count - free
+    n_dof = 2 * equations.n * lines.count - equations.prior.free
     return JointFit(now, 2.0 * at.value, n_dof, converged, count, at)
-
-
-def joint_covariance(lines: JointLines, equations: Equations, fit: JointFit) -> tuple[Array, Array]:
-    """Return information A (p + k, p + k) and spread V of the scores: the covariance is A^-1 V A^-1.
-
-    What the noise of the fitted motion adds to the Gauss-Newton Hessian is no information
-    (fitting.estimators.regressor_noise).
-    """
-    noise = _regressor_noise(lines, equations, fit)
-    half, added = 0.5 * fit.at.hessian, 0.5 * noise
-    known, spread = information(half, added, min(fit.level, 1.0))
-    return 2.0 * known, 2.0 * spread
-
-
-def _regressor_noise(lines: JointLines, equations: Equations, fit: JointFit) -> Array:
-    """Return 2 sum of Re tr(T_k C' T_l^H) over lines: T the whitened operators, C' the noise of yhat."""
-    n, at, parameters = equations.n, fit.at, fit.parameters
-    errors = parameters[equations.unknowns :]
-    _, pulled, mass = _operators(lines, equations, parameters)
-    turn = np.eye(DOFS) + lines.maps @ errors
-    law = equations.law_at(parameters)
-    factor = law.factor(lines.omega)
-    difference = equations.difference_at(parameters)
-    both = np.concatenate([difference @ turn[0], -difference @ turn[1]], axis=1)
-    elastic = basis(n) @ both
-    operators = [
-        np.broadcast_to(elastic[:, None], (len(elastic), lines.count, n, 2 * DOFS)),
-        elastic[:, None] * factor[:, None, None],
-    ]
-    if law.estimated:
-        _, damping = split(parameters[: equations.entries], n)
-        operators.append((law.slope(lines.omega)[:, None, None] * (damping @ both))[None])
-    square = (lines.omega**2)[:, None, None]
-    if len(equations.coupled):
-        rows = (equations.coupled @ mass) @ turn[0]
-        units = np.zeros((n * len(rows), n, 2 * DOFS), dtype=complex)
-        for place, (row, column) in enumerate(np.ndindex(n, len(rows))):
-            units[place, row, :DOFS] = rows[column]
-        operators.append(units[:, None] * square)
-    if len(equations.shapes):
-        bent = np.concatenate([equations.shapes @ turn[0], -equations.shapes @ turn[1]], axis=2)
-        operators.append(_dynamic(equations, parameters, lines.omega) @ bent[:, None])
-    if lines.errors:
-        heavy = (pulled @ lines.mass_changes) @ turn[0]
-        block = np.empty((lines.errors, lines.count, n, 2 * DOFS), dtype=complex)
-        for body, half in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
-            flat = lines.maps[body].transpose(0, 2, 1).reshape(DOFS, -1)
-            product = (at.bare[:, :, half].reshape(-1, DOFS) @ flat).reshape(lines.count, n, -1, DOFS)
-            block[:, :, :, half] = np.moveaxis(product, 2, 0)
-        block[:, :, :, :DOFS] -= heavy[:, None] * square
-        operators.append(block)
-    stacked = np.concatenate(operators)
-    stacked = at.whitening @ stacked
-    explained = at.gain @ at.whitening.conj().swapaxes(1, 2)
-    motion = lines.covariance - explained @ explained.conj().swapaxes(1, 2)
-    values, vectors = np.linalg.eigh(motion)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    flat = (stacked @ root).reshape(len(stacked), -1)
-    flat = np.ascontiguousarray(flat).view(np.float64)
-    return np.asarray(2.0 * flat @ flat.T)

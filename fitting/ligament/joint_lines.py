@@ -7,7 +7,7 @@ fitted motion: at the noisy motion itself they would make an estimate overconfid
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ ComplexArray = NDArray[np.complex128]
 DOFS = 6
 # Eigenvalues of a correlation matrix below this are combinations without an error.
 _NO_ERROR = 1e-9
-# Part of a recorded derivative that its map may leave over: noise of the readings that the derivative holds.
-_NOISE_LEFT = 0.3
+# What a map leaves over of a recorded derivative is noise of the readings, unless neighbouring lines agree
+# in it: least correlation of neighbours, and least share of the derivative.
+_NEIGHBOURS_AGREE, _LEAST_REST = 0.5, 0.02
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,8 @@ class JointLines:
         Name in the budget.
     mass_slopes : ndarray, (k, 6, 6)
         The changes of the mass matrix in SI.
+    factors : ndarray, (lines, 12), complex, or None
+        What the motion as measured was multiplied by, e.g. for a delay.
     """
 
     omega: Array
@@ -62,6 +65,7 @@ class JointLines:
     mass_changes: Array
     sources: tuple[str, ...]
     mass_slopes: Array
+    factors: ComplexArray | None = None
 
     @property
     def count(self) -> int:
@@ -72,6 +76,34 @@ class JointLines:
     def errors(self) -> int:
         """Number of shared errors k."""
         return len(self.sources)
+
+    def without_errors(self) -> JointLines:
+        """Return the lines with the shared errors left out."""
+        return replace(
+            self,
+            maps=self.maps[..., :0],
+            rests=None,
+            mass_changes=self.mass_changes[:0],
+            sources=(),
+            mass_slopes=self.mass_slopes[:0],
+        )
+
+    def corrected(self, errors: Array) -> JointLines:
+        """Return the lines with shared errors (k,) removed from motion and mass, and none left unknown."""
+        turn = np.zeros((2 * DOFS, 2 * DOFS), dtype=complex)
+        for body in range(2):
+            place = slice(body * DOFS, (body + 1) * DOFS)
+            turn[place, place] = np.eye(DOFS) + self.maps[body] @ errors
+        y = self.y @ turn.T if self.rests is None else self.y @ turn.T + self.rests @ errors
+        mass = self.mass + np.tensordot(errors, self.mass_changes, 1)
+        made = replace(self, y=y, covariance=turn @ self.covariance @ turn.conj().T, mass=mass)
+        return made.without_errors()
+
+    def multiplied(self, factors: ComplexArray) -> JointLines:
+        """Return the lines with the motion multiplied by factors (lines, 12)."""
+        covariance = self.covariance * (factors[:, :, None] * factors.conj()[:, None, :])
+        before = factors if self.factors is None else self.factors * factors
+        return replace(self, y=self.y * factors, covariance=covariance, factors=before)
 
 
 def joint_lines(problem: Problem, both: Observation, shared: bool = True) -> JointLines:
@@ -110,36 +142,37 @@ def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, t
     joined = problem.with_observation(both)
     if covariance is not None and derivatives is not None:
         along = motion_moves_mass(joined)
-        for column, source in _unit_errors(covariance, both.shared_names):
-            changes.append(np.einsum("k,klm->lm", column, derivatives))
-            slopes.append(matrix_from_parameters(along @ column))
-            sources.append(source)
+        columns, found = _unit_errors(covariance, both.shared_names)
+        changes.append(np.tensordot(columns, derivatives, 1))
+        slopes += [matrix_from_parameters(change) for change in columns @ along.T]
+        sources += found
     if problem.inertia.parameters is not None:
         for source, part in joined_mass_sources(joined).items():
-            for column, _ in _unit_errors(part, (source,) * len(part)):
-                changes.append(np.zeros_like(both.q))
-                slopes.append(matrix_from_parameters(column))
-                sources.append(f"mass.{source}")
+            columns, _ = _unit_errors(part, (source,) * len(part))
+            changes.append(np.zeros((len(columns), *both.q.shape), dtype=complex))
+            slopes += [matrix_from_parameters(column) for column in columns]
+            sources += [f"mass.{source}"] * len(columns)
     if not sources:
         return _none(len(both.q))
-    return np.array(changes), np.array(slopes), tuple(sources)
+    return np.concatenate(changes), np.array(slopes), tuple(sources)
 
 
-def _unit_errors(covariance: Array, names: tuple[str, ...]) -> list[tuple[Array, str]]:
-    """Return columns of a root of a covariance, block by block of correlated parameters, with sources."""
+def _unit_errors(covariance: Array, names: tuple[str, ...]) -> tuple[Array, list[str]]:
+    """Return rows of a root of a covariance, block by block of correlated parameters, with sources."""
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(size > 0.0, size, 1.0)
     correlation = covariance / np.outer(safe, safe)
-    left = [place for place in range(len(size)) if size[place] > 0.0]
-    found = []
+    related = [np.flatnonzero(row > _NO_ERROR).tolist() for row in np.abs(correlation)]
+    left = dict.fromkeys(np.flatnonzero(size > 0.0).tolist())
+    rows, sources = [np.zeros((0, len(size)))], []
     while left:
-        block, waiting = [], [left[0]]
+        block, waiting = [], [next(iter(left))]
         while waiting:
             place = waiting.pop()
             if place in left:
-                left.remove(place)
+                del left[place]
                 block.append(place)
-                waiting += [other for other in left if abs(correlation[place, other]) > _NO_ERROR]
+                waiting += related[place]
         block.sort()
         values, vectors = np.linalg.eigh(correlation[np.ix_(block, block)])
         for value, vector in zip(values, vectors.T, strict=True):
@@ -147,26 +180,28 @@ def _unit_errors(covariance: Array, names: tuple[str, ...]) -> list[tuple[Array,
                 column = np.zeros(len(size))
                 column[block] = size[block] * vector * np.sqrt(value)
                 leading = block[int(np.argmax(np.abs(vector)))]
-                found.append((column, names[leading].partition(".")[0]))
-    return found
+                rows.append(column[None])
+                sources.append(names[leading].partition(".")[0])
+    return np.concatenate(rows), sources
 
 
 def _maps(y: ComplexArray, changes: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
     """Return the linear maps that make the changes (k, lines, 12) of y, and the rests of others."""
     count = len(changes)
     maps = np.zeros((2, DOFS, DOFS, count), dtype=complex)
+    if not count:
+        return maps, None
     rests = np.moveaxis(changes, 0, 2).copy()
     for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
-        if not count:
-            continue
         motion = y[:, place]
         size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
         size = np.where(size > 0.0, size, 1.0)
-        wanted = np.moveaxis(changes[:, :, place], 0, 1).reshape(len(y), -1)
-        solved = np.linalg.lstsq(motion / size, wanted, rcond=1e-11)[0]
-        turned = (solved / size[:, None]).reshape(DOFS, count, DOFS)
-        maps[body] = turned.transpose(2, 0, 1)
-        rests[:, place] -= np.einsum("ijk,lj->lik", maps[body], motion)
-    left = np.sqrt(np.mean(np.abs(rests) ** 2, axis=(0, 1)))
-    odd = left > _NOISE_LEFT * np.sqrt(np.mean(np.abs(changes) ** 2, axis=(1, 2)))
+        wanted = rests[:, place].reshape(len(y), -1)
+        turned = np.linalg.lstsq(motion / size, wanted, rcond=1e-11)[0] / size[:, None]
+        rests[:, place] -= (motion @ turned).reshape(len(y), DOFS, count)
+        maps[body] = turned.reshape(DOFS, DOFS, count).transpose(1, 0, 2)
+    left = np.sum(np.abs(rests) ** 2, axis=(0, 1))
+    whole = np.sum(np.abs(changes) ** 2, axis=(1, 2))
+    alike = np.sum((rests[1:].conj() * rests[:-1]).real, axis=(0, 1))
+    odd = (alike > _NEIGHBOURS_AGREE * left) & (left > _LEAST_REST**2 * whole)
     return maps, np.where(odd, rests, 0.0) if np.any(odd) else None

@@ -17,48 +17,35 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.calibrated import calibrated
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
-from fitting.ligament.joint_fit import Equations, JointFit, fit_joint, joint_covariance
+from fitting.ligament.equations import Equations
+from fitting.ligament.inplane_stiffness import (
+    COLUMNS,
+    INPLANE_DOF,
+    ROWS,
+    InplaneStiffness,
+    coupling_root,
+    inplane_stiffness,
+    inverse_of,
+    semidefinite,
+)
+from fitting.ligament.joint_covariance import joint_covariance
+from fitting.ligament.joint_fit import JointFit, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
+from fitting.ligament.prior import Prior, coupling_prior
 from fitting.model.damping import DampingLaw
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
 from fitting.model.symmetric import join, pairs, split
 from fitting.uncertainty.covariance import NOISE, SharedEffect
-from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-INPLANE_DOF: tuple[str, ...] = ("x", "z", "beta")
+__all__ = ["INPLANE_DOF", "LigamentFit", "applies", "coupling_units", "fit_ligament"]
 INPLANE_STIFFNESS = "inplane_stiffness"
-_ROWS, _COLUMNS = dof_indices(PRINCIPAL_DOF), dof_indices(INPLANE_DOF)
 _N = len(PRINCIPAL_DOF)
-# The stiffness in the plane is needed to a tenth only: a step of a thirtieth of its uncertainty ends the fit.
-_INPLANE_TOLERANCE, _INPLANE_STEPS = 1e-3, 25
-# One over the sd of an exponent that is not to move, since the piston equations determine it.
-_FIXED = 1e6
-
-
-@dataclass(frozen=True)
-class InplaneStiffness:
-    """Stiffness and damping in the plane of the ligament (x, z, beta), about its centre.
-
-    Attributes
-    ----------
-    stiffness, damping : ndarray, (3, 3)
-        SI.
-    covariance : ndarray, (12, 12)
-        Of their entries.
-    determined : bool
-        Whether the in-plane equations fit; otherwise the usual ratio to the piston stiffness is given.
-    """
-
-    stiffness: Array
-    damping: Array
-    covariance: Array
-    determined: bool
 
 
 @dataclass(frozen=True)
@@ -196,51 +183,31 @@ def fit_ligament(problem: Problem, both: Observation, start: Array) -> LigamentF
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
-    flat = np.concatenate([begins, np.zeros(_N * _N)])
-    fits = [fit_joint(lines, equations, np.concatenate([begins, equations.mean[len(begins) :]]))]
-    if not fits[0].converged:
-        fits.append(fit_joint(lines, equations, flat))
-    fit = min((one for one in fits if one.converged), key=lambda one: one.chi2, default=None)
-    if fit is None or not _passive(fit.parameters[: equations.entries]):
+    fit = fit_joint(lines, equations, np.concatenate([begins, equations.prior.mean[len(begins) :]]))
+    if not fit.converged:
+        fit = fit_joint(lines, equations, np.concatenate([begins, np.zeros(_N * _N)]))
+    if not fit.converged:
+        return None
+    if not semidefinite(fit.parameters[: equations.entries]):
         return None
     return _result(problem, lines, equations, fit)
 
 
-def _passive(parameters: Array) -> bool:
-    return all(np.linalg.eigvalsh(part)[0] >= 0.0 for part in split(parameters, _N))
-
-
 def _piston_equations(problem: Problem, lines: JointLines) -> Equations:
     """Return the equations of y, alpha and gamma with unknown coupling to x, z and beta."""
-    rows, columns = np.eye(DOFS)[_ROWS], np.eye(DOFS)[_COLUMNS]
+    rows, columns = np.eye(DOFS)[ROWS], np.eye(DOFS)[COLUMNS]
     free = _N * (_N + 1) + problem.law.unknowns
-    mean, sd = coupling_prior()
-    unit = coupling_units(lines)
-    return Equations(
-        rows,
-        rows,
-        columns,
-        np.zeros((0, _N, DOFS)),
-        problem.law,
-        np.concatenate([np.zeros(free), (mean / unit).ravel()]),
-        np.concatenate([np.zeros(free), (unit / sd).ravel()]),
-    )
-
-
-def coupling_prior() -> tuple[Array, Array]:
-    """Return mean and standard deviation of Y before the data are seen, (3, 3), SI."""
-    millimetre = 1e-3
-    lengths = np.array([[1.0, 1.0, 1.0 / millimetre], *[[millimetre, millimetre, 1.0]] * 2])
-    mean, sd = np.zeros((_N, _N)), calibrated("ligament.other_sd") * lengths
-    for row, column, sign in ((1, 1, 1.0), (2, 0, -1.0)):
-        mean[row, column] = sign * calibrated("ligament.height_mm") * millimetre
-        sd[row, column] = calibrated("ligament.height_sd_mm") * millimetre
-    return mean, sd
+    mean, covariance = coupling_prior()
+    unit = coupling_units(lines).ravel()
+    root = np.zeros((_N * _N, free + _N * _N))
+    root[:, free:] = np.linalg.cholesky(np.linalg.inv(covariance / np.outer(unit, unit))).T
+    prior = Prior(np.concatenate([np.zeros(free), mean.ravel() / unit]), root)
+    return Equations(rows, rows, columns, np.zeros((0, _N, DOFS)), problem.law, prior)
 
 
 def coupling_units(lines: JointLines) -> Array:
     """Return SI over scaled of Y, (3, 3)."""
-    return np.asarray(lines.root_mass[_ROWS][:, None] / lines.root_mass[_COLUMNS][None, :])
+    return np.asarray(lines.root_mass[ROWS][:, None] / lines.root_mass[COLUMNS][None, :])
 
 
 def _entry(row: int, column: int) -> int:
@@ -251,9 +218,9 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
     """Turn the minimum into SI about both points, with the covariance by source."""
     known, spread = joint_covariance(lines, equations, fit)
     p, entries = equations.unknowns, equations.entries
-    inverse = _inverse(known)
+    inverse = inverse_of(known)
     covariance = inverse @ spread @ inverse
-    own = _inverse(known[:p, :p])
+    own = inverse_of(known[:p, :p])
     widened = max(1.0, fit.level)
     noise = widened * own @ spread[:p, :p] @ own
     response = -own @ known[:p, p:]
@@ -263,8 +230,9 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
     plane = split(fit.parameters[:entries] * units, _N)
     coupling = fit.parameters[equations.coupling].reshape(_N, _N) * unit
     to_plane = _to_plane(problem, equations, fit.parameters, units, law)
-    spread_root = _coupling_root(widened * covariance[equations.coupling, equations.coupling])
-    inplane = _inplane(problem.with_law(law), lines, coupling / unit, spread_root, plane)
+    spread_root = coupling_root(widened * covariance[equations.coupling, equations.coupling])
+    corrected = lines.corrected(fit.parameters[p:])
+    inplane = inplane_stiffness(problem.with_law(law), lines, corrected, coupling / unit, spread_root, plane)
     slope, by_inplane = _slopes(coupling, inplane)
     to_centre = to_plane.copy()
     to_centre[:, equations.coupling] += slope * unit.ravel()
@@ -276,7 +244,7 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
         sources[source] = 0.5 * (half + half.T)
     if np.any(coupling):
         sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
-    effects = [SharedEffect("shared", lines.sources, shared, moved, lines.mass_slopes[:, _ROWS][:, :, _ROWS])]
+    effects = [SharedEffect("shared", lines.sources, shared, moved, lines.mass_slopes[:, ROWS][:, :, ROWS])]
     still = np.zeros((2 * len(pairs(_N)), _N, _N))
     effects.append(SharedEffect(INPLANE_STIFFNESS, (), inplane.covariance, by_inplane, still))
     total = noise + response @ shared @ response.T
@@ -305,12 +273,6 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
         equations,
         fit,
     )
-
-
-def _inverse(matrix: Array) -> Array:
-    """Invert a positive definite matrix of different units."""
-    root = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.inv(matrix / np.outer(root, root)) / np.outer(root, root))
 
 
 def _to_plane(
@@ -342,102 +304,3 @@ def _slopes(coupling: Array, inplane: InplaneStiffness) -> tuple[Array, Array]:
         entry[place] = 1.0
         by_inplane[:, place] = join(*(coupling @ part @ coupling.T for part in split(entry, _N)))
     return by_coupling, by_inplane
-
-
-def _inplane(
-    problem: Problem, lines: JointLines, coupling: Array, spread: Array, plane: tuple[Array, Array]
-) -> InplaneStiffness:
-    """Fit the rows of x, z and beta in the plane of the ligament, with weak priors from the piston's.
-
-    The coupling, scaled, is known with unit variance along each of ``spread`` (k, 3, 3). Without convergence
-    or fit the usual ratio takes their place; torsion, which hardly matters, is not believed where they
-    are not positive semidefinite.
-    """
-    from scipy.special import chdtrc
-
-    rows, columns = np.eye(DOFS)[_ROWS], np.eye(DOFS)[_COLUMNS]
-    units = _inplane_units(problem, lines)
-    piston = np.array([plane[0][0, 0], max(plane[1][0, 0], 0.05 * plane[0][0, 0] / _time(problem))])
-    ratio, ratio_sd = calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
-    mean, sd = _inplane_prior(piston, ratio, ratio_sd)
-    law = problem.law
-    fixed = DampingLaw(law.name, law.exponent)
-    spare = law.unknowns
-    equations = Equations(
-        columns + coupling.T @ rows,
-        columns,
-        np.zeros((0, DOFS)),
-        spread.transpose(0, 2, 1) @ rows,
-        fixed,
-        np.concatenate([mean / units, [law.exponent] * spare, np.zeros(len(spread))]),
-        np.concatenate([units / sd, [_FIXED] * spare, np.ones(len(spread))]),
-    )
-    fits = []
-    for share in (1.0, 0.3):
-        try:
-            begin = np.concatenate([share * mean / units, [law.exponent] * spare])
-            fits.append(fit_joint(lines, equations, begin, _INPLANE_TOLERANCE, _INPLANE_STEPS))
-        except np.linalg.LinAlgError:
-            continue
-        if fits[-1].converged:
-            break
-    fit = min((one for one in fits if one.converged), key=lambda one: one.chi2, default=None)
-    mean, sd = _inplane_prior(
-        piston, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd")
-    )
-    values, covariance = mean.copy(), np.diag(sd**2)
-    if fit is None or chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):
-        return InplaneStiffness(*split(values, _N), covariance, False)
-    known, spread = joint_covariance(lines, equations, fit)
-    inverse = _inverse(known)
-    fitted = fit.parameters[: len(units)] * units
-    fitted_covariance = (inverse @ spread @ inverse)[: len(units), : len(units)] * np.outer(units, units)
-    good = np.arange(len(units))
-    if not _passive(fitted / units):
-        good = good[_without_torsion()]
-    values[good] = fitted[good]
-    covariance[np.ix_(good, good)] = fitted_covariance[np.ix_(good, good)]
-    found = split(values, _N)
-    determined = bool(min(np.linalg.eigvalsh(part[:2, :2])[0] for part in found) >= 0.0)
-    if not determined:
-        return InplaneStiffness(*split(mean, _N), np.diag(sd**2), False)
-    return InplaneStiffness(*found, covariance, True)
-
-
-def _coupling_root(covariance: Array) -> Array:
-    """Return a root of the covariance (9, 9) of the scaled coupling, (9, 3, 3)."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T.reshape(-1, _N, _N))
-
-
-def _without_torsion() -> Array:
-    """Return which entries of K_cc and D_cc do not concern beta, (12,), bool."""
-    return np.array([_N - 1 not in pair for pair in pairs(_N)] * 2)
-
-
-def _time(problem: Problem) -> float:
-    """Return K over D of a damping as strong as the stiffness, in SI, at the reference frequency."""
-    return float(problem.scale.omega**problem.law.exponent)
-
-
-def _inplane_units(problem: Problem, lines: JointLines) -> Array:
-    """Return SI over scaled of the entries of K_cc and D_cc, (12,)."""
-    root, omega = lines.root_mass[_COLUMNS], problem.scale.omega
-    product = np.outer(root, root)
-    return join(product * omega**2, product * omega ** (2.0 - problem.law.exponent))
-
-
-def _inplane_prior(piston: Array, ratio: float, ratio_sd: float) -> tuple[Array, Array]:
-    """Return mean and sd of the entries of K_cc and D_cc for the piston's K and D, (12,), SI.
-
-    Translations have ``ratio`` times the piston's; torsion that of a ring of 1 mm, known to its own size; the
-    other entries are zero, known to the piston's (times 1 mm with torsion).
-    """
-    arm = 1e-3
-    mean, sd = [], []
-    for value in piston:
-        size = np.diag([ratio, ratio, ratio * arm**2]) * value
-        spread = np.array([[ratio_sd, 1.0, arm], [1.0, ratio_sd, arm], [arm, arm, ratio * arm**2]]) * value
-        mean.append(size)
-        sd.append(spread)
-    return join(*mean), join(*sd)

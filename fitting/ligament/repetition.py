@@ -8,7 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from fitting.ligament.joint_fit import Equations, fit_joint
+from fitting.ligament.equations import Equations
+from fitting.ligament.joint_fit import fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines
 from fitting.ligament.ligament import LigamentFit, coupling_units
 from fitting.model.symmetric import join, split
@@ -68,11 +69,7 @@ class Repetitions:
     def _equations(self, rng: Generator) -> Equations:
         """Return the equations with what is known of the coupling beforehand drawn around the fitted one."""
         equations = self._ligament.equations
-        known = equations.precision_root > 0.0
-        mean = equations.mean.copy()
-        spread = rng.standard_normal(int(np.sum(known))) / equations.precision_root[known]
-        mean[known] = self._start[known] + spread
-        return replace(equations, mean=mean)
+        return replace(equations, prior=equations.prior.draw(self._start, rng))
 
 
 def _turned(lines: JointLines, errors: Array, motion: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

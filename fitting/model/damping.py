@@ -54,6 +54,10 @@ class DampingLaw:
         """Whether the exponent is an unknown of a fit."""
         return self.law.search is not None
 
+    def with_exponent(self, exponent: float) -> DampingLaw:
+        """Return the law with another exponent, within what it allows."""
+        return DampingLaw(self.name, float(np.clip(exponent, 1e-3, 2.0 - 1e-3)))
+
     @property
     def unknowns(self) -> int:
         """Number of unknowns of a fit that the law adds."""

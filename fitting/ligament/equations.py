@@ -1,0 +1,210 @@
+"""Which equations of motion a joint fit solves, and what is unknown in them.
+
+Per line the residual is ``e = Z E dq - w^2 (P - Y Q) M q_s`` with ``Z = c (K + s D) - w^2 M_f``: c and M_f
+are 1 and 0 unless a further term (a fluid on the deflection, a drift of the stiffness) changes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.ligament.joint_lines import DOFS, JointLines
+from fitting.ligament.prior import Prior
+from fitting.model.damping import DampingLaw
+from fitting.model.symmetric import split
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Term:
+    """One further unknown of a joint fit: a fluid, a delay between the bodies, a mass at the head ...
+
+    Attributes
+    ----------
+    name : str
+    apply : callable
+        (value, lines, equations) -> (lines, equations) with the term in them; 0 changes nothing.
+    unit : float
+        SI over the unit of the fit's parameter, in which the term is of order one.
+    sd : float
+        What is known beforehand, in units of the parameter; 0: nothing.
+    """
+
+    name: str
+    apply: Callable[[float, JointLines, Equations], tuple[JointLines, Equations]]
+    unit: float
+    sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Equations of motion and their unknowns: K, D, the law's, Y, shapes, terms, and after them the shared
+    errors.
+
+    Attributes
+    ----------
+    difference : ndarray, (n, 6)
+        E: deflections that K and D act on, of scaled dq.
+    loaded : ndarray, (n, 6)
+        P: rows of the mass matrix.
+    coupled : ndarray, (c, 6)
+        Q: rows of the mass matrix that Y multiplies; c = 0 without unknown coupling.
+    shapes : ndarray, (s, n, 6)
+        Changes of E by further unknowns.
+    law : DampingLaw
+    prior : Prior
+        Of the parameters ahead of the shared errors, scaled.
+    terms : tuple of Term
+    fluid : ndarray, (n, n), or None
+        M_f, scaled.
+    factor : ndarray, (lines,), or None
+        c.
+    """
+
+    difference: Array
+    loaded: Array
+    coupled: Array
+    shapes: Array
+    law: DampingLaw
+    prior: Prior
+    terms: tuple[Term, ...] = ()
+    fluid: Array | None = None
+    factor: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of equations a line."""
+        return len(self.difference)
+
+    @property
+    def entries(self) -> int:
+        """Number of entries of K and D."""
+        return self.n * (self.n + 1)
+
+    @property
+    def coupling(self) -> slice:
+        """Where Y, row by row, lies among the parameters."""
+        start = self.entries + self.law.unknowns
+        return slice(start, start + self.n * len(self.coupled))
+
+    @property
+    def shape(self) -> slice:
+        """Where the factors of the shapes lie among the parameters."""
+        return slice(self.coupling.stop, self.coupling.stop + len(self.shapes))
+
+    @property
+    def term(self) -> slice:
+        """Where the terms lie among the parameters."""
+        return slice(self.shape.stop, self.shape.stop + len(self.terms))
+
+    @property
+    def unknowns(self) -> int:
+        """Number of parameters ahead of the shared errors."""
+        return self.term.stop
+
+    def difference_at(self, parameters: Array) -> Array:
+        """Return E with the shapes among the parameters, (n, 6)."""
+        if not len(self.shapes):
+            return self.difference
+        return self.difference + np.einsum("k,kij->ij", parameters[self.shape], self.shapes)
+
+    def law_at(self, parameters: Array) -> DampingLaw:
+        """Return the damping law with the exponent among the parameters."""
+        if not self.law.estimated:
+            return self.law
+        return self.law.with_exponent(float(parameters[self.entries]))
+
+    def with_terms(self, terms: tuple[Term, ...]) -> Equations:
+        """Return the equations with further unknown terms."""
+        precision = np.array([0.0 if term.sd == 0.0 else 1.0 / term.sd for term in terms])
+        return replace(self, terms=(*self.terms, *terms), prior=self.prior.extended(precision))
+
+    def applied(self, lines: JointLines, parameters: Array) -> tuple[JointLines, Equations]:
+        """Return lines and equations with the terms among the parameters in them."""
+        made: tuple[JointLines, Equations] = (lines, self)
+        for term, value in zip(self.terms, parameters[self.term], strict=True):
+            made = term.apply(float(value), *made)
+        return made
+
+
+def dynamic(equations: Equations, parameters: Array, omega: Array) -> ComplexArray:
+    """Return Z, (lines, n, n)."""
+    stiffness, damping = split(parameters[: equations.entries], equations.n)
+    factor = equations.law_at(parameters).factor(omega)
+    made: Any = stiffness + factor[:, None, None] * damping
+    if equations.factor is not None:
+        made = made * equations.factor[:, None, None]
+    if equations.fluid is not None:
+        made = made - (omega**2)[:, None, None] * equations.fluid
+    return np.asarray(made)
+
+
+def mass_at(lines: JointLines, errors: Array) -> Array:
+    """Return the scaled mass matrix with its shared errors, (6, 6)."""
+    if not lines.errors:
+        return lines.mass
+    return lines.mass + np.tensordot(errors, lines.mass_changes, 1)
+
+
+def inertia_rows(equations: Equations, parameters: Array) -> Array:
+    """Return P - Y Q, (n, 6)."""
+    if not len(equations.coupled):
+        return equations.loaded
+    coupling = parameters[equations.coupling].reshape(equations.n, -1)
+    return equations.loaded - coupling @ equations.coupled
+
+
+def operator_of(lines: JointLines, equations: Equations, parameters: Array) -> ComplexArray:
+    """Return B without errors of the motion, (lines, n, 12), of lines and equations that have their terms."""
+    elastic = dynamic(equations, parameters, lines.omega) @ equations.difference_at(parameters)
+    inertia = inertia_rows(equations, parameters) @ mass_at(lines, parameters[equations.unknowns :])
+    operator = np.empty((lines.count, equations.n, 2 * DOFS), dtype=complex)
+    operator[:, :, :DOFS] = elastic - (lines.omega**2)[:, None, None] * inertia
+    operator[:, :, DOFS:] = -elastic
+    return operator
+
+
+def turned(lines: JointLines, errors: Array) -> ComplexArray | None:
+    """Return the map (2, 6, 6) of the motions of both bodies by their shared errors; None without errors."""
+    if not lines.errors:
+        return None
+    return np.asarray(np.eye(DOFS) + lines.maps @ errors)
+
+
+def times_turn(rows: ComplexArray, turn: ComplexArray | None) -> ComplexArray:
+    """Return rows (..., 12) of both bodies times the map of their motions."""
+    if turn is None:
+        return rows
+    return np.concatenate([rows[..., :DOFS] @ turn[0], rows[..., DOFS:] @ turn[1]], axis=-1)
+
+
+def moved_motion(motion: ComplexArray, turn: ComplexArray | None, shift: ComplexArray | None) -> ComplexArray:
+    """Return motions (lines, 12) of both bodies with their shared errors."""
+    if turn is not None:
+        motion = np.concatenate([motion[:, :DOFS] @ turn[0].T, motion[:, DOFS:] @ turn[1].T], axis=1)
+    return motion if shift is None else motion + shift
+
+
+def term_operators(
+    lines: JointLines, equations: Equations, parameters: Array, step: float = 1e-4
+) -> ComplexArray:
+    """Return the derivatives of B, as it acts on the motion as measured, by the terms, (t, lines, n, 12)."""
+    found = []
+    errors = parameters[equations.unknowns :]
+    for place in range(equations.term.start, equations.term.stop):
+        ends = []
+        for sign in (1.0, -1.0):
+            near = parameters.copy()
+            near[place] += sign * step
+            there, changed = equations.applied(lines, near)
+            made = times_turn(operator_of(there, changed, near), turned(there, errors))
+            ends.append(made if there.factors is None else made * there.factors[:, None, :])
+        found.append((ends[0] - ends[1]) / (2.0 * step))
+    return np.array(found)
