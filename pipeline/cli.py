@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from pipeline.command_options import StudyOptions
 from stapeskit.command import Outcome, run
 from stapeskit.faults import StapeskitError
-from stapeskit.option_kinds import FLAG, FOLDER, at_least, files
 from stapeskit.option_parser import Given, Parser
-from stapeskit.options import OptionTable, Rule, option
 
 if TYPE_CHECKING:
     from pipeline.results import StudyResult
@@ -31,51 +29,8 @@ Exit code 0: done; 2: the input is at fault, with what to do; 1: a bug.
 examples:
   scan2kd --template > study.toml
   scan2kd study.toml
-  scan2kd ears/*.toml --jobs 2 --out cohort"""
-
-
-@dataclass(frozen=True)
-class StudyOptions(OptionTable):
-    """The options of ``scan2kd``."""
-
-    title = "scan2kd"
-    rules = (
-        Rule(
-            lambda v: not v.studies and not v.template,
-            "scan2kd",
-            "given a study file",
-            "none",
-            "scan2kd --template prints one to start from",
-        ),
-        Rule(
-            lambda v: len(set(v.studies)) < len(v.studies),
-            "the study files",
-            "all different",
-            "one of them twice",
-            "Name each once",
-        ),
-    )
-
-    studies: tuple[Path, ...] = option(
-        files("TOML file", "scan2kd --template prints one to start from"),
-        "one study file per ear",
-        (),
-        positional=True,
-        metavar="STUDY.toml",
-    )
-    template: bool = option(FLAG, "print a commented study file and leave", False)
-    out: Path | None = option(
-        FOLDER,
-        "default <study name>_out for one study; cohort_out, with a subfolder each, for several",
-        example="cohort",
-    )
-    jobs: int = option(at_least(1), "studies that run at a time", 1)
-    force: bool = option(
-        FLAG,
-        "make every stage anew; replace files at the names of outputs that scan2kd did not write, or that "
-        "were edited",
-        False,
-    )
+  scan2kd ears/*.toml --jobs 2 --out cohort
+  scan2kd ears/*.toml --scheduler tcp://10.0.0.1:8786 --covariates age,sex"""
 
 
 def parser() -> Parser:
@@ -131,14 +86,17 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
 
 
 def _several(given: Given) -> Outcome:
-    from pipeline.several import run_studies
+    from pipeline.cohort.cohort_laws import planned_law
+    from pipeline.several import CohortChoices, run_studies
 
     def tell(line: str) -> None:
         if not given.quiet:
             sys.stderr.write(f"{line}\n")
 
     out = Path("cohort_out") if given.out is None else given.out
-    result = run_studies(given.studies, out, given.jobs, given.force, tell)
+    planned = tuple(planned_law(text) for text in given.laws)
+    choices = CohortChoices(given.mix, given.covariates, planned, given.export)
+    result = run_studies(given.studies, out, given.jobs, given.force, tell, given.scheduler, choices)
     if result.faults:
         raise _failure(result)
     return Outcome(

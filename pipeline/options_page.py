@@ -7,7 +7,7 @@ import sys
 from ct_inertia.options import MassOptions, MassOutputs
 from fitting.options import KDFiles, KDOptions
 from kinematics.options import LdvOptions, PointsFiles
-from pipeline.cli import StudyOptions
+from pipeline.command_options import StudyOptions
 from pipeline.study import About
 from stapeskit.option_docs import page
 from stapeskit.option_parser import Terminal

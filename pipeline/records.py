@@ -104,7 +104,7 @@ def fingerprint(
     hashes : Hashes
         Of the files of this run.
     """
-    made = {"stapeskit": _code(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
+    made = {"stapeskit": code_hash(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
     for role, path in inputs.items():
         for place, file in enumerate(() if path is None else _with_data(path)):
             made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
@@ -129,7 +129,7 @@ def _with_data(path: Path) -> list[Path]:
     return [path, *sorted(others)]
 
 
-def _code(rooms: Iterable[str]) -> str:
+def code_hash(rooms: Iterable[str]) -> str:
     """Hash the source of packages."""
     import xxhash
 

@@ -1,30 +1,48 @@
-"""Several studies, each in a process of its own, so that none of them can take the others down."""
+"""Several studies: a folder for each, and the cohort of those that were finished."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import threading
-import time
+import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from pipeline.cohort.about import about_of
+from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.ears import Ear, read_ear
-from pipeline.cohort.files import cohort_outputs, write_cohort
-from pipeline.cohort.study_of_ears import study_ears_or_say_why
+from pipeline.cohort.files import LOG_FILE, cohort_outputs, write_cohort
+from pipeline.cohort_log import CohortLog
+from pipeline.runners.process import End, Task
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet
 
-_PATIENCE_S = 20.0
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+@dataclass(frozen=True)
+class CohortChoices:
+    """What a cohort is made of beside its studies.
+
+    Attributes
+    ----------
+    mix : bool
+    covariates : tuple of str
+    planned : tuple of (response, predictor)
+        Empty: the default family.
+    exports : tuple of str
+        Names of `pipeline.cohort.exports.EXPORTS`.
+    """
+
+    mix: bool = False
+    covariates: tuple[str, ...] = ()
+    planned: tuple[tuple[str, str], ...] = ()
+    exports: tuple[str, ...] = ()
+
+    def for_laws(self) -> dict[str, object]:
+        """Return the arguments of `cohort_laws`."""
+        planned = {"planned": self.planned} if self.planned else {}
+        return {"mix": self.mix, "covariates": self.covariates, **planned}
 
 
 @dataclass(frozen=True)
@@ -50,23 +68,19 @@ class CohortResult:
     files: tuple[Path, ...]
 
 
-@dataclass
-class _Job:
-    name: str
-    process: subprocess.Popen[str]
-    output: dict[str, str] = field(default_factory=dict)
-    readers: list[threading.Thread] = field(default_factory=list)
-
-
 def folder_names(studies: Sequence[Path]) -> list[str]:
-    """Name a folder for each study: the stem of its file, or its folder's name where stems coincide."""
+    """Name a folder for each study: the stem of its file, or its folder's name where stems coincide.
+
+    Leading dots are left out: ``..`` would be another folder, and hidden ones are the program's.
+    """
     stems = Counter(path.stem for path in studies)
     names = [path.stem if stems[path.stem] == 1 else path.resolve().parent.name for path in studies]
     made: list[str] = []
     for name in names:
-        number, unique = 2, name
+        plain = name.lstrip(".") or "study"
+        number, unique = 2, plain
         while unique in made:
-            unique, number = f"{name}-{number}", number + 1
+            unique, number = f"{plain}-{number}", number + 1
         made.append(unique)
     return made
 
@@ -77,6 +91,8 @@ def run_studies(
     jobs: int = 1,
     force: bool = False,
     tell: Callable[[str], None] | None = None,
+    scheduler: str | None = None,
+    choices: CohortChoices | None = None,
 ) -> CohortResult:
     """Run several studies, and compare those that were finished.
 
@@ -84,169 +100,95 @@ def run_studies(
     ----------
     studies : sequence of Path
     out : Path
-        Gets one subfolder per study, cohort.csv, cohort.html and cohort.json.
+        Gets one subfolder per study and the files of the cohort.
     jobs : int
-        How many run at a time.
+        How many run at a time on this machine.
     force : bool
         Make every stage anew, and replace files at the names of outputs that are not known as made here.
     tell : callable, optional
         Gets the lines of progress.
+    scheduler : str, optional
+        Address of a dask scheduler whose workers run the studies.
+    choices : CohortChoices, optional
 
     Raises
     ------
     StapeskitError
-        An output of one study is an input of another, or cohort.csv or cohort.html cannot be replaced.
+        An output of one study is an input of another, an output of the cohort cannot be replaced, or the
+        scheduler does not answer.
     """
-    out = Path(out).absolute()
-    names = folder_names(studies)
-    outputs = _checked_outputs(dict(zip(names, studies, strict=True)), out, force)
-    ends = _run_all(dict(zip(names, studies, strict=True)), out, jobs, force, tell or (lambda _line: None))
-    faults = {name: end["fault"] for name, end in ends.items() if end["code"]}
-    codes = {name: int(end["code"]) for name, end in ends.items() if end["code"]}
-    ears = tuple(
-        replace(read_ear(out / name, ends[name]["name"]), about=about_of(read_study(path).study))
-        for name, path in zip(names, studies, strict=True)
-        if name not in faults
-    )
-    files: list[Path] = []
-    if ears:
-        records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
-        with outputs.staged() as fresh:
-            cohort = study_ears_or_say_why(ears, faults)
-            write_cohort(fresh, cohort, {"studies": [ear.folder for ear in ears]}, records)
-        files = [out / name for name in outputs.names]
+    out, choices = Path(out).absolute(), choices or CohortChoices()
+    named = dict(zip(folder_names(studies), (Path(path).absolute() for path in studies), strict=True))
+    outputs = _checked_outputs(named, out, force, choices.exports)
+    with CohortLog(out, len(named), tell) as log:
+        ends = _run_all(named, out, jobs, force, log, scheduler)
+        faults = {name: end.fault for name, end in ends.items() if end.code}
+        codes = {name: end.code for name, end in ends.items() if end.code}
+        ears = tuple(
+            replace(read_ear(out / name, ends[name].name), about=about_of(read_study(path).study))
+            for name, path in named.items()
+            if name not in faults
+        )
+        files: list[Path] = []
+        if ears:
+            log.keep()
+            records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
+            with outputs.staged() as fresh:
+                cohort = cohort_laws_or_notice(ears, faults, **choices.for_laws())
+                written = write_cohort(
+                    fresh, cohort, {"studies": [ear.folder for ear in ears]}, records, faults, choices.exports
+                )
+                log.tell("", f"laws and page: {len(cohort.laws)} laws over {len(ears)} ears")
+                shutil.copyfile(log.path, fresh / LOG_FILE)
+            files = [out / name for name in (*written, LOG_FILE)]
     return CohortResult(out, ears, faults, codes, tuple(files))
 
 
-def _checked_outputs(studies: Mapping[str, Path], out: Path, force: bool) -> OutputSet:
+def _checked_outputs(
+    studies: Mapping[str, Path], out: Path, force: bool, exports: Sequence[str]
+) -> OutputSet:
     """Return the outputs of the cohort, after a look whether any study would write over what another reads.
 
-    What is wrong with a study file itself is told when its turn comes.
+    A fault of a study file itself is reported when the study runs.
     """
     from pipeline.scan2kd import output_set
 
     sets: list[OutputSet] = []
     for name, path in studies.items():
         with suppress(StapeskitError):
-            sets.append(output_set(Path(path), read_study(path), out / name, force))
+            sets.append(output_set(path, read_study(path), out / name, force))
     read = tuple(dict.fromkeys(path for one in sets for path in (*studies.values(), *one.inputs)))
-    outputs = cohort_outputs(out, read, force)
+    outputs = cohort_outputs(out, read, force, exports)
     raise_all(StapeskitError, [fault for one in sets for fault in replace(one, inputs=read).clashes()])
     outputs.check()
     return outputs
 
 
 def _run_all(
-    studies: Mapping[str, Path], out: Path, jobs: int, force: bool, tell: Callable[[str], None]
-) -> dict[str, dict[str, Any]]:
-    """Keep ``jobs`` processes at work until all studies have ended; stop them when interrupted."""
-    waiting, running = list(studies.items()), list[_Job]()
-    ends: dict[str, dict[str, Any]] = {}
-    threads = str(max(1, (os.cpu_count() or 1) // jobs))
-    environment = os.environ | dict.fromkeys(_THREADS, threads)
+    studies: Mapping[str, Path], out: Path, jobs: int, force: bool, log: CohortLog, scheduler: str | None
+) -> dict[str, End]:
+    """Run all studies, here or on a cluster; an interruption names those that were finished."""
+    tasks = [Task(name, path, out / name, force) for name, path in studies.items()]
+    ends: dict[str, End] = {}
+
+    def ended(name: str, end: End) -> None:
+        ends[name] = end
+        log.ended(name, end)
+
     try:
-        while waiting or running:
-            while waiting and len(running) < jobs:
-                name, path = waiting.pop(0)
-                running.append(_start(name, path, out / name, force, environment, tell))
-            for job in [one for one in running if one.process.poll() is not None]:
-                running.remove(job)
-                ends[job.name] = _end(job)
-                tell(f"{job.name}: {'done' if not ends[job.name]['code'] else 'failed'}")
-            time.sleep(0.02)
+        if scheduler is None:
+            from pipeline.runners.local import run_here
+
+            run_here(tasks, jobs, log.tell, ended)
+        else:
+            from pipeline.runners.cluster import run_on_cluster
+
+            run_on_cluster(tasks, scheduler, log.path.parent, log.tell, ended)
     except KeyboardInterrupt as stop:
-        _stop(running)
-        done = [name for name, end in ends.items() if not end["code"]]
+        done = [name for name, end in ends.items() if not end.code]
         if not done:
             raise
+        log.keep()
         text = f"interrupted; the finished studies stand in {out}: {', '.join(done)}."
         raise KeyboardInterrupt(text) from stop
-    except BaseException:
-        _stop(running)
-        raise
     return {name: ends[name] for name in studies}
-
-
-def _start(
-    name: str,
-    study: Path,
-    folder: Path,
-    force: bool,
-    environment: Mapping[str, str],
-    tell: Callable[[str], None],
-) -> _Job:
-    """Start a study in its own session, so that an interruption reaches it once, from here."""
-    words = [sys.executable, "-P", "-m", "pipeline.child", str(Path(study).absolute()), str(folder)]
-    process = subprocess.Popen(
-        [*words, *(["--force"] if force else [])],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=dict(environment) | {"PYTHONPATH": _search_path(environment)},
-        start_new_session=True,
-    )
-    job = _Job(name, process)
-
-    def forward() -> None:
-        lines = []
-        for line in process.stderr or ():
-            lines.append(line)
-            tell(f"{name}: {line.rstrip()}")
-        job.output["stderr"] = "".join(lines[-20:])
-
-    def keep() -> None:
-        job.output["stdout"] = process.stdout.read() if process.stdout else ""
-
-    for work in (forward, keep):
-        thread = threading.Thread(target=work, daemon=True)
-        thread.start()
-        job.readers.append(thread)
-    return job
-
-
-def _search_path(environment: Mapping[str, str]) -> str:
-    """Return where the child finds these packages."""
-    root = str(Path(__file__).resolve().parents[1])
-    return os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
-
-
-def _end(job: _Job) -> dict[str, Any]:
-    """Return how a study ended; one that died without a word is named as such."""
-    _closed(job)
-    with suppress(ValueError, IndexError):
-        end: dict[str, Any] = json.loads(job.output["stdout"].strip().splitlines()[-1])
-        return end
-    code = job.process.returncode
-    how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    return {"code": 1, "fault": f"the process of this study ended by {how}.\n{job.output['stderr']}".strip()}
-
-
-def _stop(running: Sequence[_Job]) -> None:
-    """Ask the studies at work to clean up and leave, again each second, and end those that do not.
-
-    Once is not enough: an exception that a signal raises within a callback of the import machinery is lost.
-    """
-    deadline = time.monotonic() + _PATIENCE_S
-    left = list(running)
-    while left and time.monotonic() < deadline:
-        for job in left:
-            job.process.terminate()
-        pause = time.monotonic() + 1.0
-        while left and time.monotonic() < pause:
-            time.sleep(0.02)
-            left = [job for job in left if job.process.poll() is None]
-    for job in left:
-        job.process.kill()
-    for job in running:
-        _closed(job)
-
-
-def _closed(job: _Job) -> None:
-    """Wait for a process to end and close what it wrote to."""
-    job.process.wait()
-    for thread in job.readers:
-        thread.join()
-    for stream in (job.process.stdout, job.process.stderr):
-        if stream is not None:
-            stream.close()

@@ -110,6 +110,10 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
         raise PipelineError(
             Fault("the study file", "valid TOML", fault, name, "Texts and paths stand in quotes")
         ) from fault
+    except RecursionError as fault:
+        raise PipelineError(
+            Fault("the study file", "valid TOML", "values nested too deep to be read", name)
+        ) from fault
     faults = [_unknown(key, name) for key in tables if key not in TABLES]
     read: dict[str, Any] = {}
     for key, kind in TABLES.items():
@@ -123,7 +127,12 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
             read[key], wrong = read_table(kind, values, name, folder, TABLES.values(), check_files)
             faults += [in_words(fault, words(key)) for fault in wrong]
     raise_all(PipelineError, faults)
-    return Study(**read)
+    study = Study(**read)
+    sides = {study.study.side, study.scan.side} - {None}
+    if len(sides) > 1:
+        got = f"{study.study.side} in [study] and {study.scan.side} in [scan]"
+        raise PipelineError(Fault("the side of the ear", "stated once or alike", got, name))
+    return study
 
 
 def words(table: str) -> Callable[[str], str]:

@@ -451,6 +451,17 @@ def several(*known: str) -> Kind:
     return Kind(f"all, or a list out of {', '.join(known)}", "LIST|all", read, choices=known)
 
 
+def _names(value: Any) -> tuple[str, ...]:
+    parts = value.split(",") if isinstance(value, str) else value
+    _require(isinstance(parts, list | tuple) and all(isinstance(part, str) for part in parts))
+    names = tuple(part.strip() for part in parts)
+    _require(all(names) and (bool(names) or not isinstance(value, str)))
+    return names
+
+
+NAMES = Kind("names separated by commas", "LIST", _names)
+
+
 def number(expected: str, fits: Callable[[float], bool], step: str = "") -> Kind:
     """Return the kind of a finite number within limits that the words name."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.cohort.about import about_of
-from pipeline.cohort.study_of_ears import CohortLaws
+from pipeline.cohort.cohort_laws import CohortLaws
 from stapeskit.results import Result, extended
 
 if TYPE_CHECKING:
@@ -46,8 +46,18 @@ class Cohort(CohortLaws, Result):
 
         return laws_figure(self)
 
-    def write(self, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
-        """Write cohort.csv, cohort.html and cohort.json into a folder.
+    def write(
+        self, folder: Path | str, *, force: bool = False, export: Sequence[str] = ()
+    ) -> tuple[Path, ...]:
+        """Write cohort.csv, cohort.html, cohort.json and exports into a folder.
+
+        Parameters
+        ----------
+        folder : Path or str
+        force : bool
+            Replace files that are not known as written here.
+        export : sequence of str
+            Further forms: names of `pipeline.cohort.exports.EXPORTS`.
 
         Raises
         ------
@@ -56,11 +66,12 @@ class Cohort(CohortLaws, Result):
         """
         from pipeline.cohort.files import cohort_outputs, write_cohort
 
-        outputs = cohort_outputs(Path(folder), (), force)
+        outputs = cohort_outputs(Path(folder), (), force, export)
         outputs.check()
         with outputs.staged() as fresh:
-            write_cohort(fresh, self, {"ears": [ear.folder for ear in self.ears]})
-        return tuple(outputs.folder / name for name in outputs.names)
+            settings = {"ears": [ear.folder for ear in self.ears]}
+            names = write_cohort(fresh, self, settings, exports=export)
+        return tuple(outputs.folder / name for name in names)
 
     def to_frame(self) -> Any:
         """Return the laws as a pandas table."""
@@ -74,6 +85,8 @@ def cohort(
     *,
     about: Mapping[str, Mapping[str, Any]] | None = None,
     mix: bool = False,
+    covariates: Sequence[str] = (),
+    laws: Sequence[str] = (),
 ) -> Cohort:
     """Fit laws over finished studies: how K and D follow the inertia and the size of the stapes.
 
@@ -86,19 +99,24 @@ def cohort(
         cochlea ... A result of `scan2kd` brings what its study says.
     mix : bool
         Put ears together that were fitted or prepared in different ways.
+    covariates : sequence of str
+        What is known of the ears, by name, that laws are adjusted for: numbers, or names of groups.
+    laws : sequence of str
+        The planned laws, at most six, as ``"K11~mass"``; all others are exploratory.
 
     Raises
     ------
     PipelineError
-        A folder holds no finished study, or the ears do not belong together.
+        A folder holds no finished study, the ears do not belong together, a covariate is missing, or a law
+        is unknown.
 
     Examples
     --------
     >>> ears = cohort(["ear1_out", "ear2_out", "ear3_out", "ear4_out", "ear5_out"])  # doctest: +SKIP
     >>> ears.law("K11", "mass").law.interval  # doctest: +SKIP
     """
+    from pipeline.cohort.cohort_laws import PRIMARY, cohort_laws, planned_law
     from pipeline.cohort.ears import Ear, read_ear
-    from pipeline.cohort.study_of_ears import study_ears
     from pipeline.errors import PipelineError
     from stapeskit.faults import Fault, StapeskitError, raise_all
 
@@ -114,7 +132,8 @@ def cohort(
             continue
         ears.append(replace(ear, about={**known, **(about or {}).get(folder.name, {})}))
     raise_all(PipelineError, faults)
-    return extended(Cohort, study_ears(ears, mix=mix))
+    planned = tuple(planned_law(text) for text in laws) or PRIMARY
+    return extended(Cohort, cohort_laws(ears, mix=mix, covariates=covariates, planned=planned))
 
 
 def _place(study: str | os.PathLike[str] | StudyResult) -> tuple[Path, str, dict[str, Any]]:

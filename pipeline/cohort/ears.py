@@ -16,6 +16,8 @@ from stapeskit.tables.text_cells import as_text_cell
 
 Array = NDArray[np.float64]
 
+SHARED_SOURCES = ("density", "voxel_size", "mass")
+"""Sources of the mass's errors that ears can share."""
 # Under a mirror image in the x-y plane (a left ear against a right one, with x anterior and y lateral in
 # both), entries that couple an odd with an even of these degrees of freedom change their sign.
 _ODD = ("z", "alpha", "beta")
@@ -61,6 +63,8 @@ class Quantity:
         NaN where an ear has none.
     turns : bool
         Whether a right ear has the other sign than its mirror image on the left.
+    own : ndarray, (ears,), optional
+        Standard deviations without errors that all ears share; ``deviations`` when left out.
     """
 
     name: str
@@ -68,6 +72,7 @@ class Quantity:
     values: Array
     deviations: Array
     turns: bool = False
+    own: Array | None = None
 
     @property
     def mean(self) -> float:
@@ -81,21 +86,21 @@ class Quantity:
         return float(np.std(good, ddof=1)) if len(good) > 1 else float("nan")
 
     def homogeneity(self) -> tuple[float, int, float]:
-        """Return Cochran's Q, its degrees of freedom and the p-value of "all ears are alike".
+        """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
 
         Notes
         -----
-        Q = sum w (x - xw)^2 with w = 1/sd^2 and xw the weighted mean (Cochran 1954, doi:10.2307/3001666).
-        It takes the errors of different ears as independent; a density taken over from the literature is
-        an error that they share, and then Q is too small.
+        Q = sum w (x - xw)^2 with w = 1/sd^2 and xw the weighted mean (Cochran 1954, doi:10.2307/3001666),
+        from the errors of each ear alone: an error that all ears share makes them differ in nothing.
         """
         from scipy.special import chdtrc
 
-        good = np.isfinite(self.values) & np.isfinite(self.deviations) & (self.deviations > 0.0)
+        sd = self.deviations if self.own is None else self.own
+        good = np.isfinite(self.values) & np.isfinite(sd) & (sd > 0.0)
         count = int(np.sum(good)) - 1
         if count < 1:
             return float("nan"), 0, float("nan")
-        weight = self.deviations[good] ** -2.0
+        weight = sd[good] ** -2.0
         middle = np.sum(weight * self.values[good]) / np.sum(weight)
         q = float(np.sum(weight * (self.values[good] - middle) ** 2))
         return q, count, float(chdtrc(count, q))
@@ -111,7 +116,17 @@ def read_ear(folder: Path, name: str) -> Ear:
 
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears."""
-    found = [_quantity(ears, "mass", "kg", lambda ear: ear.mass["mass_kg"], lambda ear: _mass_sd(ear.mass))]
+    common = _common_sources(ears)
+    found = [
+        _quantity(
+            ears,
+            "mass",
+            "kg",
+            lambda ear: ear.mass["mass_kg"],
+            lambda ear: _mass_sd(ear.mass),
+            shared=lambda ear: _mass_shared(ear.mass, common),
+        )
+    ]
     dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for row, first in enumerate(dof):
@@ -125,6 +140,7 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
                         lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_si", a, b),
                         lambda ear, k=key, a=first, b=second: _entry(ear.kd, f"{k}_sd_si", a, b),
                         turns=(first in _ODD) != (second in _ODD),
+                        shared=lambda ear, k=letter, a=first, b=second: _entry_shared(ear, common, k, a, b),
                     )
                 )
     for mode in range(max(len(ear.kd["modes"]) for ear in ears)):
@@ -143,11 +159,56 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     return found
 
 
+def source_id(ear: Ear, source: str) -> str:
+    """Name a source of errors so that ears which share the error have one name for it."""
+    provenance = ear.mass.get("provenance") or {}
+    if source == "density":
+        known = ear.mass.get("mass_known_by")
+        if known == "calibration":
+            return f"calibration {((provenance.get('inputs') or {}).get('calibration') or {}).get('hash')}"
+        return (
+            f"density {ear.mass.get('density_kg_m3'):.6g}" if known == "density" else f"mass of {ear.folder}"
+        )
+    if source == "voxel_size":
+        stated = (provenance.get("parameters") or {}).get("voxel_size_sd", "")
+        return f"voxel size of scanner {ear.about.get('scanner', '')} {stated}".strip()
+    return f"{source} of {ear.folder}"
+
+
+def _common_sources(ears: Sequence[Ear]) -> tuple[str, ...]:
+    """Return the sources of the mass's errors that all ears share."""
+    return tuple(one for one in SHARED_SOURCES if len({source_id(ear, one) for ear in ears}) == 1)
+
+
+def _mass_shared(mass: Mapping[str, Any], common: Sequence[str]) -> float:
+    """Return the variance of the mass by common sources."""
+    parts = mass["inertial_parameters"].get("contributions_si") or {}
+    return float(sum(parts[source][0][0] for source in common if source in parts))
+
+
+def _entry_shared(ear: Ear, common: Sequence[str], letter: str, first: str, second: str) -> float:
+    """Return the variance of an entry of K or D by common sources."""
+    dof, budget = list(ear.kd["dof"]), ear.kd.get("budget") or {}
+    if first not in dof or second not in dof:
+        return 0.0
+    name = f"{letter}{dof.index(first) + 1}{dof.index(second) + 1}"
+    return float(sum((budget.get(f"mass.{source}", {}).get(name) or 0.0) ** 2 for source in common))
+
+
 def _quantity(
-    ears: Sequence[Ear], name: str, unit: str, value: Any, deviation: Any, turns: bool = False
+    ears: Sequence[Ear],
+    name: str,
+    unit: str,
+    value: Any,
+    deviation: Any,
+    turns: bool = False,
+    shared: Any = None,
 ) -> Quantity:
-    numbers = [[_float(read(ear)) for ear in ears] for read in (value, deviation)]
-    return Quantity(name, unit, np.array(numbers[0]), np.array(numbers[1]), turns)
+    numbers = [np.array([_float(read(ear)) for ear in ears]) for read in (value, deviation)]
+    own = None
+    if shared is not None:
+        own = np.sqrt(np.maximum(numbers[1] ** 2 - np.array([shared(ear) for ear in ears]), 0.0))
+    return Quantity(name, unit, numbers[0], numbers[1], turns, own)
 
 
 def _float(value: float | None) -> float:

@@ -7,26 +7,59 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.ears import write_cohort_csv
+from pipeline.cohort.exports import EXPORTS
 from pipeline.cohort.page import write_cohort_page
-from pipeline.cohort.study_of_ears import CohortLaws
 from stapeskit.own_files import OutputSet
 from stapeskit.provenance import record
 
 COHORT_FILES = ("cohort.csv", "cohort.html", "cohort.json")
+LOG_FILE = "cohort.log"
 
 
-def cohort_outputs(folder: Path, inputs: Sequence[Path], force: bool) -> OutputSet:
+def cohort_outputs(
+    folder: Path, inputs: Sequence[Path], force: bool, exports: Sequence[str] = ()
+) -> OutputSet:
     """Return the outputs of a cohort, which replace no input and nothing of another origin."""
-    return OutputSet("scan2kd", Path(folder), COHORT_FILES, tuple(inputs), force)
+    names = [*COHORT_FILES, LOG_FILE, *(name for one in exports for name in EXPORTS[one].files)]
+    others = [name for entry in EXPORTS.values() for name in entry.files if name not in names]
+    return OutputSet("scan2kd", Path(folder), tuple(names), tuple(inputs), force, leftovers=tuple(others))
 
 
 def write_cohort(
-    folder: Path, cohort: CohortLaws, parameters: Mapping[str, Any], files: Mapping[str, Path] | None = None
-) -> None:
-    """Write the table, the page and the record of a cohort into an empty folder."""
-    failed = dict(cohort.excluded)
+    folder: Path,
+    cohort: CohortLaws,
+    parameters: Mapping[str, Any],
+    files: Mapping[str, Path] | None = None,
+    failed: Mapping[str, str] | None = None,
+    exports: Sequence[str] = (),
+) -> list[str]:
+    """Write the table, the page, the record and the exports of a cohort into an empty folder.
+
+    Parameters
+    ----------
+    folder : Path
+    cohort : CohortLaws
+    parameters : mapping
+        For the provenance.
+    files : mapping of str to Path, optional
+        What the cohort was made from.
+    failed : mapping of str to str, optional
+        Studies without a result, by folder, and why.
+    exports : sequence of str
+        Names of `EXPORTS`.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+    """
+    failed = failed or {}
     content = cohort.as_json(record(files or {}, parameters))
     write_cohort_csv(folder / "cohort.csv", cohort.ears, failed)
     write_cohort_page(folder / "cohort.html", cohort.ears, failed, cohort)
     (folder / "cohort.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    for name in exports:
+        EXPORTS[name].write(folder, cohort, content)
+    return [*COHORT_FILES, *(name for one in exports for name in EXPORTS[one].files)]

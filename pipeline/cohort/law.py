@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.cohort.likelihood import HIGHEST, LOWEST, RestrictedLikelihood
-from pipeline.cohort.newton import Minimum, minimise
+from pipeline.cohort.minimise import Minimum, minimise
 from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.scatter import scatter_interval
 
@@ -92,8 +92,7 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> Law:
     """
     if pairs.degrees < 1:
         raise ValueError(f"a law of {2 + pairs.covariates.shape[1]} unknowns needs more ears; got {pairs.n}")
-    centred = pairs.centred()
-    profile = Profile(centred)
+    profile = Profile(pairs.centred().without_common_errors())
     best = profile.best
     from scipy.special import stdtr, stdtrit
 

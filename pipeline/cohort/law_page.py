@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
 from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
-from pipeline.cohort.study_of_ears import CohortLaw, CohortLaws
 from stapeskit.page import page
 from stapeskit.page.page import Section
 

@@ -61,7 +61,8 @@ class RestrictedLikelihood:
         means = np.concatenate([np.ones((n, 1)), pairs.covariates], axis=1)
         fixed = np.einsum("nc,ij->nicj", means, np.eye(2)).reshape(n, 2, -1)
         columns = np.concatenate([fixed, pairs.shared], axis=2)
-        self._ridge = np.diag(np.r_[np.zeros(fixed.shape[2]), np.ones(s)])
+        self._fixed = fixed.shape[2]
+        self._ridge = np.diag(np.r_[np.zeros(self._fixed), np.ones(s)])
         self._groups = list(_grouped(pairs, columns))
         self._paired = pairs.has_pairs()
 
@@ -87,21 +88,32 @@ class RestrictedLikelihood:
         pieces = [self._piece(parameters[k : k + size])[0] for k in range(0, len(parameters), size)]
         return np.concatenate(pieces)
 
-    def means(self, parameters: Array) -> tuple[Array, Array, Array]:
+    def means(self, parameters: Array, covariates: Array | None = None) -> tuple[Array, Array, Array]:
         """Return the value, the estimated means of (x, y) and their covariance at each row of parameters.
+
+        Parameters
+        ----------
+        parameters : ndarray, (g, 3) or (g, 4)
+        covariates : ndarray, (c,), optional
+            Where the means are asked for; zero, the mean over the ears, when left out.
 
         Returns
         -------
         value : ndarray, (g,)
         mean : ndarray, (g, 2)
-            At covariates of zero.
         covariance : ndarray, (g, 2, 2)
         """
         parameters = np.atleast_2d(parameters)
         size = max(1, _BATCH_BLOCKS // self.pairs.n)
         pieces = [self._piece(parameters[k : k + size]) for k in range(0, len(parameters), size)]
-        value, mean, covariance = (np.concatenate(part) for part in zip(*pieces, strict=True))
-        return value, mean, covariance
+        value, effects, covariance = (np.concatenate(part) for part in zip(*pieces, strict=True))
+        at = np.zeros(self._fixed // 2)
+        at[0] = 1.0
+        if covariates is not None:
+            at[1:] = covariates
+        design = np.kron(at, np.eye(2))
+        fixed = slice(0, self._fixed)
+        return value, effects[:, fixed] @ design.T, design @ covariance[:, fixed, fixed] @ design.T
 
     def _piece(self, parameters: Array) -> tuple[Array, Array, Array]:
         psi = covariance_between_ears(parameters)
@@ -114,11 +126,10 @@ class RestrictedLikelihood:
             log_det += logs.sum(axis=1)
         information = sums[:, : p * p].reshape(g, p, p) + self._ridge
         score, square = sums[:, p * p : -1], sums[:, -1]
-        covariance = np.linalg.inv(information)
+        covariance, log_information = _inverted(information)
         solution = np.matmul(covariance, score[:, :, None])[:, :, 0]
         square = square - np.sum(score * solution, axis=1)
-        value = 0.5 * (log_det + np.linalg.slogdet(information)[1] + square)
-        return value, solution[:, :2], covariance[:, :2, :2]
+        return 0.5 * (log_det + log_information + square), solution, covariance
 
 
 def covariance_between_ears(parameters: Array) -> Array:
@@ -165,14 +176,20 @@ def _inverse(psi: Array, rho: Array, group: _Group) -> tuple[Array, Array]:
     """Return inverses (g, k, 2m, 2m) and logarithms of determinants (g, k) of the blocks of a group."""
     m = group.ears
     if m == 1:
-        block = psi[:, None] + group.own[None]
-        determinant = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
-        inverse = np.empty_like(block)
-        inverse[..., 0, 0] = block[..., 1, 1] / determinant
-        inverse[..., 1, 1] = block[..., 0, 0] / determinant
-        inverse[..., 0, 1] = inverse[..., 1, 0] = -block[..., 0, 1] / determinant
-        return inverse, np.log(determinant)
+        return _inverted(psi[:, None] + group.own[None])
     alike = np.eye(m) + rho[:, None, None] * (1.0 - np.eye(m))
     between = np.einsum("gij,gab->giajb", alike, psi).reshape(len(psi), 2 * m, 2 * m)
-    block = between[:, None] + group.own[None]
-    return np.linalg.inv(block), np.linalg.slogdet(block)[1]
+    return _inverted(between[:, None] + group.own[None])
+
+
+def _inverted(block: Array) -> tuple[Array, Array]:
+    """Return inverses and logarithms of determinants of positive definite matrices (..., p, p)."""
+    if block.shape[-1] > 2:
+        return np.asarray(np.linalg.inv(block)), np.asarray(np.linalg.slogdet(block)[1])
+    a, b, c = block[..., 0, 0], block[..., 0, 1], block[..., 1, 1]
+    determinant = a * c - b**2
+    inverse = np.empty_like(block)
+    inverse[..., 0, 0] = c / determinant
+    inverse[..., 1, 1] = a / determinant
+    inverse[..., 0, 1] = inverse[..., 1, 0] = -b / determinant
+    return inverse, np.log(determinant)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.ears import Ear, Quantity, labels, quantities
 from pipeline.cohort.law_page import law_sections
-from pipeline.cohort.study_of_ears import CohortLaws
 from stapeskit.page import page
 from stapeskit.page.drawings import plain
 from stapeskit.page.numbers import plus_minus
@@ -139,18 +139,19 @@ def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
         if one.turns and mixed:
             continue
         q, count, p = one.homogeneity()
-        own = float(np.sqrt(np.nanmean(one.deviations**2))) if np.any(np.isfinite(one.deviations)) else np.nan
+        sd = one.deviations if one.own is None else one.own
+        own = float(np.sqrt(np.nanmean(sd**2))) if np.any(np.isfinite(sd)) else np.nan
         test = f"{q:.3g} ({count}), p = {p:.2g}" if count else "–"
         numbers = (f"{value:.4g}" if np.isfinite(value) else "–" for value in (one.mean, one.spread, own))
         rows.append((_headed(one), *numbers, test))
-    header = ("quantity", "mean", "sd between ears", "sd of one ear (rms)", "Q (n − 1)")
+    header = ("quantity", "mean", "sd between ears", "own sd of one ear (rms)", "Q (n − 1)")
     blocks = [
         page.table(header, rows),
         page.text(
-            "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954). It "
-            "takes these as independent between ears; a shared error, such as one density from the "
-            "literature for all, makes Q too small. No correction is made for the number of rows. The mean "
-            "is unweighted. Modes are compared in the order of their frequencies."
+            "Q tests whether the ears could be equal within their own standard deviations (Cochran 1954), "
+            "without errors that all ears share, such as one density from the literature. No correction is "
+            "made for the number of rows. The mean is unweighted. Modes are compared in the order of their "
+            "frequencies."
         ),
     ]
     if mixed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,19 @@ class LogPairs:
         """Return whether any subject has more than one ear."""
         return len(np.unique(self.subject)) < self.n
 
+    def covariates_are_independent(self) -> bool:
+        """Return whether no covariate follows from the others or is the same in all ears."""
+        design = np.column_stack([np.ones(self.n), self.covariates])
+        return int(np.linalg.matrix_rank(design, tol=1e-9)) == design.shape[1]
+
+    def without_common_errors(self) -> LogPairs:
+        """Return the same ears without shared errors whose effect is the same on all.
+
+        Such an error moves the means only: no exponent, scatter or test depends on it.
+        """
+        common = np.all(np.abs(self.shared - self.shared[:1]) < 1e-12, axis=(0, 1))
+        return replace(self, shared=self.shared[:, :, ~common])
+
     def select(self, keep: NDArray[np.bool_]) -> LogPairs:
         """Return some of the ears; ``keep`` is (n,)."""
         return LogPairs(
@@ -93,11 +106,4 @@ class LogPairs:
 
     def centred(self) -> LogPairs:
         """Return the same ears with x and y about their means, which no exponent depends on."""
-        return LogPairs(
-            self.x - self.x.mean(),
-            self.y - self.y.mean(),
-            self.own,
-            self.shared,
-            self.subject,
-            self.covariates,
-        )
+        return replace(self, x=self.x - self.x.mean(), y=self.y - self.y.mean())

@@ -21,22 +21,33 @@ _PRIOR_EXPONENT = 5.0
 # Points of less than this share of the weight are left out.
 _LEAST_WEIGHT = 2e-5
 # Ears up to which the law is refitted without each person.
-_REFITTED = 60
+_REFITTED = 30
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where ln y of a further ear lies.
+    """Where the response y of a further ear lies.
 
     Attributes
     ----------
     median : float
+        Of ln y.
     interval : tuple of float
-        95 %.
+        95 %, of ln y.
     """
 
     median: float
     interval: tuple[float, float]
+
+    @property
+    def value_si(self) -> float:
+        """The median of y."""
+        return float(np.exp(self.median))
+
+    @property
+    def interval_si(self) -> tuple[float, float]:
+        """The 95 % interval of y."""
+        return float(np.exp(self.interval[0])), float(np.exp(self.interval[1]))
 
 
 class Predictor:
@@ -54,19 +65,25 @@ class Predictor:
 
     def __init__(self, pairs: LogPairs) -> None:
         self._origin = (float(pairs.x.mean()), float(pairs.y.mean()))
-        centred = pairs.centred()
+        centred = pairs.centred().without_common_errors()
         profile = Profile(centred)
         grid, weight = _grid(centred, profile)
-        likelihood = RestrictedLikelihood(centred)
+        likelihood = profile.likelihood
         value = np.concatenate([likelihood(part) for part in np.array_split(grid, 8)])
         log_weight = np.log(weight) - value - 0.5 * (grid[:, 1] / _PRIOR_EXPONENT) ** 2
         weight = np.exp(log_weight - log_weight.max())
         keep = weight > _LEAST_WEIGHT * weight.sum()
         self._points, self._weight = grid[keep], weight[keep] / weight[keep].sum()
-        _, self._means, self._covariance = likelihood.means(self._points)
+        self._likelihood = likelihood
         self._psi = covariance_between_ears(self._points)
 
-    def predict(self, x: float, own_variance: float = 0.0, shared_variance: float = 0.0) -> Prediction:
+    def predict(
+        self,
+        x: float,
+        own_variance: float = 0.0,
+        shared_variance: float = 0.0,
+        covariates: Array | None = None,
+    ) -> Prediction:
         """Predict ln y of an ear.
 
         Parameters
@@ -78,10 +95,13 @@ class Predictor:
         shared_variance : float
             Variance of what all ears' ln y have in common (density, voxel scale), where the true y is asked
             for and not what these laboratories would measure.
+        covariates : ndarray, (c,), optional
+            Of the ear; the mean over the cohort when left out.
         """
-        psi, extra = self._psi, self._covariance
+        _, means, extra = self._likelihood.means(self._points, covariates)
+        psi = self._psi
         gain = (psi[:, 0, 1] + extra[:, 0, 1]) / (psi[:, 0, 0] + own_variance + extra[:, 0, 0])
-        mean = self._means[:, 1] + gain * (x - self._origin[0] - self._means[:, 0])
+        mean = means[:, 1] + gain * (x - self._origin[0] - means[:, 0])
         variance = psi[:, 1, 1] + extra[:, 1, 1] - gain * (psi[:, 0, 1] + extra[:, 0, 1]) + shared_variance
         sd = np.sqrt(np.maximum(variance, 1e-300))
         low, median, high = (self._quantile(mean, sd, p) for p in (0.025, 0.5, 0.975))
@@ -89,8 +109,9 @@ class Predictor:
 
     def tolerance(self) -> tuple[float, float]:
         """Return the 95 % range of ln y of ears of this population, whatever their predictor."""
-        sd = np.sqrt(self._psi[:, 1, 1] + self._covariance[:, 1, 1])
-        low, high = (self._quantile(self._means[:, 1], sd, p) for p in (0.025, 0.975))
+        _, means, extra = self._likelihood.means(self._points)
+        sd = np.sqrt(self._psi[:, 1, 1] + extra[:, 1, 1])
+        low, high = (self._quantile(means[:, 1], sd, p) for p in (0.025, 0.975))
         return low + self._origin[1], high + self._origin[1]
 
     def _quantile(self, mean: Array, sd: Array, share: float) -> float:
@@ -139,7 +160,7 @@ def _grid(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
 
 def left_out_errors(pairs: LogPairs) -> Array:
     """Return ln y of every ear less its prediction from the ears of all other persons, (n,)."""
-    centred = pairs.centred()
+    centred = pairs.centred().without_common_errors()
     whole = Profile(centred).best.point
     if pairs.n > _REFITTED:
         return _left_out_of_many(centred, whole)
@@ -147,28 +168,34 @@ def left_out_errors(pairs: LogPairs) -> Array:
     for subject in np.unique(pairs.subject):
         out = pairs.subject == subject
         rest = centred.select(~out)
-        if rest.degrees < 2:
+        if rest.degrees < 2 or not rest.covariates_are_independent():
             continue
         point = Profile(rest.centred(), whole[: 4 if rest.has_pairs() else 3]).best.point
-        mean = RestrictedLikelihood(rest).means(point)[1][0]
-        errors[out] = _residual(centred, point, mean)[out]
+        likelihood = RestrictedLikelihood(rest)
+        rows = centred.covariates[out]
+        means = np.concatenate([likelihood.means(point, row)[1] for row in rows])
+        errors[out] = _residuals(centred.select(out), point, means)
     return errors
 
 
 def _left_out_of_many(pairs: LogPairs, point: Array) -> Array:
     """Return the same with tau, b and sigma of all ears, which one of many hardly changes."""
     weight = np.linalg.inv(covariance_between_ears(point[None])[0] + pairs.own)
-    weighted = np.einsum("nij,nj->ni", weight, pairs.values)
-    errors = np.empty(pairs.n)
-    for subject in np.unique(pairs.subject):
-        out = pairs.subject == subject
-        mean = np.linalg.solve(weight[~out].sum(axis=0), weighted[~out].sum(axis=0))
-        errors[out] = _residual(pairs.select(out), point, mean)
-    return errors
+    design = np.einsum("nc,ij->nicj", np.column_stack([np.ones(pairs.n), pairs.covariates]), np.eye(2))
+    design = design.reshape(pairs.n, 2, -1)
+    weighted = np.einsum("nia,nij->naj", design, weight)
+    subjects, place = np.unique(pairs.subject, return_inverse=True)
+    information = np.zeros((len(subjects), design.shape[2], design.shape[2]))
+    score = np.zeros((len(subjects), design.shape[2]))
+    np.add.at(information, place, weighted @ design)
+    np.add.at(score, place, np.einsum("naj,nj->na", weighted, pairs.values))
+    rest = information.sum(axis=0) - information, score.sum(axis=0) - score
+    effects = np.linalg.solve(rest[0], rest[1][:, :, None])[:, :, 0][place]
+    return _residuals(pairs, point, np.einsum("nia,na->ni", design, effects))
 
 
-def _residual(pairs: LogPairs, point: Array, mean: Array) -> Array:
-    """Return ln y less its expectation at the measured ln x, (n,)."""
+def _residuals(pairs: LogPairs, point: Array, means: Array) -> Array:
+    """Return ln y less its expectation at the measured ln x, (k,), with the means (k, 2) of x and y."""
     psi = covariance_between_ears(point[None])[0]
     gain = psi[0, 1] / (psi[0, 0] + pairs.own[:, 0, 0])
-    return np.asarray(pairs.y - mean[1] - gain * (pairs.x - mean[0]))
+    return np.asarray(pairs.y - means[:, 1] - gain * (pairs.x - means[:, 0]))

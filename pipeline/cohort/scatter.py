@@ -44,21 +44,3 @@ def _scatter_at(pairs: LogPairs, exponent: float, target: float) -> float:
 
     high = 100.0 * float(np.var(residual)) * pairs.n / target + 1e-12
     return float(np.sqrt(brentq(lambda variance: q(variance) - target, 0.0, high, xtol=1e-14)))
-
-
-def cochran(values: Array, own_variances: Array) -> tuple[float, int, float]:
-    """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
-
-    Only errors of each ear alone may stand in the variances: an error common to all ears makes them differ in
-    nothing (Cochran 1954, doi:10.2307/3001666).
-    """
-    from scipy.special import chdtrc
-
-    good = np.isfinite(values) & np.isfinite(own_variances) & (own_variances > 0.0)
-    count = int(np.sum(good)) - 1
-    if count < 1:
-        return float("nan"), 0, float("nan")
-    weight = 1.0 / own_variances[good]
-    middle = np.sum(weight * values[good]) / np.sum(weight)
-    q = float(np.sum(weight * (values[good] - middle) ** 2))
-    return q, count, float(chdtrc(count, q))

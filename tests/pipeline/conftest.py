@@ -12,7 +12,7 @@ from tests.pipeline.ears import make_ear
 def settle(patch):
     """Draw by matplotlib, the same on every machine, and take the code as one that nobody edits meanwhile."""
     patch.setenv("STAPESKIT_OFFSCREEN", "0")
-    patch.setattr("pipeline.records._code", lambda rooms: "code of " + " ".join(rooms))
+    patch.setattr("pipeline.records.code_hash", lambda rooms: "code of " + " ".join(rooms))
 
 
 @pytest.fixture(autouse=True)

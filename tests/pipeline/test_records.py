@@ -5,7 +5,7 @@ import pytest
 from pipeline import records
 from stapeskit.provenance import Hashes
 
-CODE = records._code
+CODE = records.code_hash
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "a.py").write_text("x = 1\n")
     monkeypatch.setattr(records, "__file__", str(tmp_path / "pipeline" / "records.py"))
-    monkeypatch.setattr(records, "_code", CODE)
+    monkeypatch.setattr(records, "code_hash", CODE)
     return tmp_path
 
 

@@ -209,3 +209,15 @@ def test_a_byte_order_mark_is_read_and_other_encodings_are_refused(tmp_path):
     path.write_bytes(b"\xff\xfe[\x00")
     with pytest.raises(PipelineError, match="must be UTF-8 text"):
         read_study(path)
+
+
+def test_values_nested_too_deep_are_a_fault(tmp_path):
+    assert "nested too deep" in fault("a = " + "[" * 50_000, tmp_path)
+
+
+def test_contradicting_sides_are_a_fault(tmp_path):
+    sides = '[study]\nside = "left"\n' + GOOD.replace("[ldv]", 'side = "right"\n[ldv]')
+    with pytest.raises(PipelineError) as caught:
+        parsed(sides, tmp_path)
+    assert caught.value.faults[0].thing == "the side of the ear"
+    assert parsed(sides.replace("right", "left"), tmp_path).study.side == "left"

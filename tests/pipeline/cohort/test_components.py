@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.cohort.components import independent_parameters
-from pipeline.cohort.many_tests import false_discovery
+from pipeline.cohort.false_discovery import false_discovery
 
 
 @pytest.mark.parametrize(("n", "least"), [(16, 10), (40, 10)])

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from pipeline.cohort.ears import Ear, Quantity, labels, quantities, read_ear, write_cohort_csv
 from pipeline.cohort.page import write_cohort_page
+from pipeline.runners.process import Task
 from pipeline.several import folder_names, run_studies
 from stapeskit.faults import StapeskitError
 
@@ -50,6 +52,8 @@ def test_homogeneity_is_cochrans():
         sd = rng.uniform(0.5, 2.0, 6)
         p.append(Quantity("a", "", 3.0 + sd * rng.standard_normal(6), sd).homogeneity()[2])
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=0.015)
+    shared = Quantity("a", "", np.array([1.0, 1.2]), np.array([0.2, 0.2]), own=np.array([0.1, 0.1]))
+    assert shared.homogeneity()[0] == pytest.approx(2.0)
     far = Quantity("a", "", np.array([1.0, 2.0]), np.array([0.1, 0.1])).homogeneity()
     assert far[0] == pytest.approx(50.0)
     assert far[1] == 1
@@ -101,7 +105,16 @@ def test_folders_are_named_by_file_or_by_place():
     assert names == ["left", "b", "c", "c-2"]
 
 
-def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
+def test_no_folder_is_a_parent_or_hidden():
+    assert folder_names([Path("...toml"), Path(".stapeskit.toml"), Path("../..toml")]) == [
+        "study",
+        "stapeskit",
+        "study-2",
+    ]
+
+
+def test_one_failed_study_does_not_lose_the_other(ear, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.several.Task", partial(Task, program="tests.pipeline.settled_child"))
     study, out = ear
     (tmp_path / "all").mkdir()
     out.rename(tmp_path / "all" / "ear1")
@@ -124,6 +137,9 @@ def test_one_failed_study_does_not_lose_the_other(ear, tmp_path):
     assert "Did you mean [fit]?" in failed["error"]
     assert "broken" in (tmp_path / "all" / "cohort.html").read_text(encoding="utf-8")
     assert any(line.startswith("ear1: fit") for line in lines)
+    log = (tmp_path / "all" / "cohort.log").read_text(encoding="utf-8").splitlines()
+    assert any(line.endswith("ear1: done (2 of 2 ears)") or "(1 of 2 ears)" in line for line in log)
+    assert {"cohort.csv", "cohort.html", "cohort.json", "cohort.log"} == {file.name for file in result.files}
 
 
 def test_no_study_writes_over_what_another_reads(ear, tmp_path):

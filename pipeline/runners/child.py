@@ -1,18 +1,36 @@
-"""One study of several, run as ``python -m pipeline.child STUDY OUT [--force]``.
+"""One study of several, run as ``python -m pipeline.runners.child STUDY OUT [--force]``.
 
-Progress goes to standard error, one line a stage; the end is one JSON object on standard output.
+Progress goes to standard error, one line a stage; the end is one JSON object on standard output. The process
+ends when the one that started it does, so that a study never runs twice at a time.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
+import threading
+import time
 import traceback
 from pathlib import Path
 from typing import Any, NoReturn
 
 from stapeskit.faults import StapeskitError
+
+_PARENT_CHECK_S = 0.2  # how long an orphan may live; a study takes seconds before it writes
+
+
+def end_with_parent() -> None:
+    """Leave at once when the parent process is gone, whatever this process does then."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _stop(_signal: int, _frame: object) -> NoReturn:
@@ -20,7 +38,7 @@ def _stop(_signal: int, _frame: object) -> NoReturn:
 
 
 def run_child(words: list[str]) -> dict[str, Any]:
-    """Run a study and say how it ended: ``code``, and its ``name`` or, when it failed, ``fault``."""
+    """Run a study and return how it ended: ``code``, and its ``name`` or, when it failed, ``fault``."""
     from pipeline.progress import Progress
     from pipeline.scan2kd import run_study
 
@@ -41,7 +59,8 @@ def run_child(words: list[str]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     signal.signal(signal.SIGTERM, _stop)
     given = sys.argv[1:]
-    sys.argv = ["scan2kd", *(Path(word).name for word in given[:1])]  # what provenance shall say
+    sys.argv = ["scan2kd", *(Path(word).name for word in given[:1])]  # the command in the provenance
     sys.stdout.write(json.dumps(run_child(given)) + "\n")

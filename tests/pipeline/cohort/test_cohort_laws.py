@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from pipeline.cohort.api import Cohort
+from pipeline.cohort.cohort_laws import cohort_laws, cohort_laws_or_notice, planned_law
+from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.ears import Ear
-from pipeline.cohort.logarithms import log_table
+from pipeline.cohort.law import fit_law
+from pipeline.cohort.log_table import log_table
 from pipeline.cohort.page import write_cohort_page
-from pipeline.cohort.study_of_ears import study_ears, study_ears_or_say_why
 from pipeline.errors import PipelineError
 from stapeskit.results import extended
 
@@ -80,7 +82,7 @@ def ears():
 
 @pytest.fixture(scope="module")
 def studied(ears):
-    return extended(Cohort, study_ears(ears))
+    return extended(Cohort, cohort_laws(ears))
 
 
 def test_the_planted_law_comes_back(studied):
@@ -116,7 +118,7 @@ def test_the_state_of_the_density_changes_no_exponent(ears, studied):
         kd["covariance_si"] = (0.25 * np.array(kd["covariance_si"])).tolist()
         kd["budget"] = {s: {k: 0.5 * v for k, v in e.items()} for s, e in kd["budget"].items()}
         halved.append(replace(one, mass=mass, kd=kd))
-    other = study_ears(halved).law("K11", "mass").law
+    other = fit_law(log_table(halved).pairs("K11", "mass")[0])
     assert other.exponent == pytest.approx(studied.law("K11", "mass").law.exponent, abs=1e-5)
 
 
@@ -146,6 +148,10 @@ def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
         low, high = studied.predict(other.mass, "K11").interval
         inside += low <= np.log(other.kd["stiffness_si"][0][0]) <= high
     assert inside >= 17
+    alone = studied.predict(other.mass)
+    assert alone.interval_si[0] < alone.value_si < alone.interval_si[1]
+    elsewhere = {**other.mass, "density_kg_m3": 1800.0}
+    assert np.ptp(studied.predict(elsewhere).interval) > np.ptp(alone.interval)
     low, high = studied.tolerance("K11")
     assert low < np.log(1700.0) < high
 
@@ -154,7 +160,11 @@ def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
     ("change", "thing"),
     [
         (lambda e: [*e, e[0]], "an ear"),
-        (lambda e: [*e, replace(e[0], folder="copy")], "ears"),
+        (lambda e: [*e, replace(e[0], folder="copy")], "an ear"),
+        (lambda e: [*e, replace(e[0], folder="copy", kd={**e[0].kd, "provenance": {}})], "an ear"),
+        (lambda e: [replace(e[0], about=e[1].about), *e[1:]], "an ear"),
+        (lambda e: [replace(e[0], about={"side": "right"}), *e[1:]], "the side of ear 0"),
+        (lambda _: [], "the cohort"),
         (lambda e: [*e[:-1], replace(e[-1], kd={**e[-1].kd, "estimator": "pinv"})], "the estimator"),
         (lambda e: [*e[:-1], replace(e[-1], about={"cochlea": "open"})], "the cochlea"),
         (lambda e: [*e[:-1], replace(e[-1], kd={**e[-1].kd, "dof": ["y"]})], "the degrees of freedom"),
@@ -162,22 +172,44 @@ def test_an_unmeasured_ear_is_predicted_from_its_scan(studied):
 )
 def test_what_does_not_mix_is_refused(ears, change, thing):
     with pytest.raises(PipelineError) as refused:
-        study_ears(change(ears))
+        cohort_laws(change(ears))
     assert refused.value.faults[0].thing == thing
-    told = study_ears_or_say_why(change(ears), {})
+    told = cohort_laws_or_notice(change(ears), {})
     assert [notice.code for notice in told.notices] == ["cohort_mixed"]
     assert not told.laws
 
 
 def test_a_mixture_that_is_asked_for_is_allowed(ears):
     mixed = [*ears[:5], replace(ears[5], kd={**ears[5].kd, "estimator": "pinv"})]
-    assert study_ears(mixed, mix=True).laws
+    assert faults_of_cohort(mixed)
+    assert not faults_of_cohort(mixed, mix=True)
 
 
 def test_few_ears_stand_side_by_side_only(ears):
-    few = study_ears(ears[:3], {"ear9": "its scan holds no stapes"})
+    few = cohort_laws(ears[:3], {"ear9": "its scan holds no stapes"})
     assert [notice.code for notice in few.notices] == ["cohort_too_small"]
     assert few.as_json({})["excluded"] == [{"ear": "ear9", "reason": "its scan holds no stapes"}]
+
+
+def test_an_ear_without_standard_deviations_enters_no_law(ears):
+    covariance = np.array(ears[0].kd["covariance_si"])
+    covariance[0, 0] = np.nan
+    blind = replace(ears[0], kd={**ears[0].kd, "covariance_si": covariance.tolist()})
+    none = replace(ears[1], kd={**ears[1].kd, "covariance_si": None})
+    assert list(ears_without_sd([blind, none, *ears[2:]])) == ["ear0", "ear1"]
+    few = cohort_laws([blind, *ears[1:5]])
+    assert [notice.code for notice in few.notices] == ["ear_without_sd", "cohort_too_small"]
+    assert [name for name, _ in few.excluded] == ["ear 0"]
+    assert len(few.ears) == 5
+
+
+@pytest.mark.parametrize(
+    ("laws", "thing"), [(["K11~colour"], "{laws}"), ([f"K11~J{k}" for k in range(7)], "{laws}")]
+)
+def test_planned_laws_that_cannot_be_are_refused(ears, laws, thing):
+    with pytest.raises(PipelineError) as refused:
+        cohort_laws(ears[:5], planned=[planned_law(text) for text in laws])
+    assert refused.value.faults[0].thing == thing
 
 
 def test_an_unknown_law_names_those_there_are(studied):

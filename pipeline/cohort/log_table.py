@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.covariates import Covariates
+from pipeline.cohort.ears import SHARED_SOURCES, Ear, source_id
 from pipeline.cohort.pairs import LogPairs
 from stapeskit.warnings import Notice
 
@@ -37,7 +38,6 @@ _LENGTHS = {
 }
 # Standard deviation of lengths read off a scan, in voxels, where mass.json states none.
 _LENGTH_SD_VOXELS = 0.5
-_SHARED = ("density", "voxel_size", "mass")
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class LogTable:
         Names of the shared errors.
     subject : ndarray of int, (n,)
     notices : tuple of Notice
+    covariates : Covariates
     """
 
     predictors: tuple[str, ...]
@@ -67,6 +68,7 @@ class LogTable:
     sources: tuple[str, ...]
     subject: NDArray[np.int64]
     notices: tuple[Notice, ...]
+    covariates: Covariates
 
     def column(self, name: str) -> int:
         """Return the column of a quantity.
@@ -104,18 +106,20 @@ class LogTable:
                 self.own[keep][:, columns][:, :, columns],
                 self.shared[keep][:, columns],
                 self.subject[keep],
+                self.covariates.columns[keep],
             ),
             keep,
         )
 
 
-def log_table(ears: Sequence[Ear]) -> LogTable:
+def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogTable:
     """Take the logarithms of the predictors and responses of all ears and split their errors.
 
     Parameters
     ----------
     ears : sequence of Ear
         Of the same degrees of freedom.
+    covariates : Covariates, optional
     """
     dof = list(ears[0].kd["dof"])
     responses = tuple(f"{letter}{k}{k}" for letter in "KD" for k in range(1, len(dof) + 1))
@@ -143,6 +147,7 @@ def log_table(ears: Sequence[Ear]) -> LogTable:
         sources,
         np.array([known.index(person) for person in persons]),
         tuple(dict.fromkeys(notice for row in rows for notice in row.notices)),
+        Covariates((), np.zeros((len(ears), 0))) if covariates is None else covariates,
     )
 
 
@@ -168,14 +173,14 @@ def _ear_logs(ear: Ear, responses: tuple[str, ...]) -> _EarLogs:
     for source, covariance in parts.items():
         relative = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         response = kd_parts.get(f"mass.{source}", np.zeros(len(kd_values)))
-        if source in _SHARED:
+        if source in SHARED_SOURCES:
             effect = np.concatenate([relative, np.zeros(len(lengths)), response])
             if source == "voxel_size":
                 scale = relative[0] / _VOXEL_POWERS["mass_kg"] if relative[0] else relative[1] / 2.0
                 powers = [_VOXEL_POWERS[name] for name in PREDICTORS[a:b]]
                 effect[a:b] = scale * np.array(powers)
             own[b:, b:] -= np.outer(response, response)
-            shared[_source_id(ear, source)] = shared.get(_source_id(ear, source), 0.0) + effect
+            shared[source_id(ear, source)] = shared.get(source_id(ear, source), 0.0) + effect
             continue
         own[:a, :a] += covariance
         # Noise and grey levels of the scan scale the whole body: K follows the error of the mass.
@@ -225,9 +230,9 @@ def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, .
         values.append(np.log(float(value) * factor) if value is not None and float(value) > 0.0 else np.nan)
         size = float(np.sqrt(value)) if name.endswith("area_m2") and value else float(value or np.inf)
         variances.append((length_sd_mm / size * _VOXEL_POWERS[name]) ** 2)
-    text = "Lengths of the footplate have no stated standard deviation: half a voxel was taken for each."
-    notices = (Notice("predictor_error_assumed", text),) if voxels is not None else ()
-    return np.array(values), np.diag(variances), notices
+    assumed = "half a voxel was taken for each" if voxels is not None else "those of meshes count as exact"
+    text = f"Lengths of the footplate have no stated standard deviation: {assumed}."
+    return np.array(values), np.diag(variances), (Notice("predictor_error_assumed", text),)
 
 
 def _response_logs(
@@ -286,21 +291,6 @@ def _symmetric(entries: Array, n: int) -> Array:
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = entries
     return matrix + np.triu(matrix, 1).T
-
-
-def _source_id(ear: Ear, source: str) -> str:
-    """Name an error so that ears which share it have one name for it."""
-    parameters = (ear.mass.get("provenance") or {}).get("parameters") or {}
-    if source == "density":
-        known = ear.mass.get("mass_known_by")
-        if known == "calibration":
-            file = ((ear.mass.get("provenance") or {}).get("inputs") or {}).get("calibration") or {}
-            return f"calibration {file.get('hash')}"
-        return f"density {ear.mass.get('density_kg_m3'):.6g}" if known == "density" else f"mass of {ear.name}"
-    if source == "voxel_size":
-        scanner = ear.about.get("scanner", "")
-        return f"voxel size of scanner {scanner} {parameters.get('voxel_size_sd', '')}".strip()
-    return f"{source} of {ear.folder}"
 
 
 def _positive(matrix: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -100,22 +101,25 @@ def _descend(
     return Minimum(point, value, curvature)
 
 
+@cache
+def _stencil(p: int) -> tuple[list[tuple[int, int]], Array]:
+    """Return the pairs of p parameters, and the steps (points, p) of central differences."""
+    step = np.eye(p)
+    pairs = list(combinations(range(p), 2))
+    crosses = [
+        sign_a * step[a] + sign_b * step[b] for a, b in pairs for sign_a in (1, -1) for sign_b in (1, -1)
+    ]
+    return pairs, np.array([np.zeros(p), *step, *-step, *crosses])
+
+
 def _derivatives(
     function: Callable[[Array], Array], point: Array, scales: Array
 ) -> tuple[float, Array, Array]:
     """Return value, gradient (p,) and second derivatives (p, p) by central differences."""
     p = len(point)
     h = 1e-3 * scales
-    step = np.diag(h)
-    pairs = list(combinations(range(p), 2))
-    crosses = [
-        sign_a * step[a] + sign_b * step[b] for a, b in pairs for sign_a in (1, -1) for sign_b in (1, -1)
-    ]
-    values = function(
-        np.concatenate(
-            [[point], point + step, point - step, *([point + np.array(crosses)] if crosses else [])]
-        )
-    )
+    pairs, stencil = _stencil(p)
+    values = function(point + stencil * h)
     up, down = values[1 : p + 1], values[p + 1 : 2 * p + 1]
     gradient = (up - down) / (2.0 * h)
     curvature = np.diag((up - 2.0 * values[0] + down) / h**2)

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.components import Components, independent_parameters
-from pipeline.cohort.ears import Ear
+from pipeline.cohort.covariates import covariates_of, stated
+from pipeline.cohort.ears import Ear, labels
+from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.law import Law, fit_law
-from pipeline.cohort.logarithms import LogTable, log_table
-from pipeline.cohort.many_tests import false_discovery
+from pipeline.cohort.log_table import LogTable, log_table
+from pipeline.cohort.mass_content import mass_content
 from pipeline.cohort.prediction import Prediction, Predictor, left_out_errors
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all
@@ -32,6 +35,7 @@ PRIMARY = (
     ("K11", "footplate_length_m"),
     ("K11", "gap_m"),
 )
+MOST_PLANNED = 6
 # A law has four unknowns besides the mean of x: with five ears one degree of freedom more than none is left.
 LEAST_EARS = 5
 
@@ -89,9 +93,9 @@ class CohortLaws:
     Attributes
     ----------
     ears : tuple of Ear
-        Those that are used.
+        All finished ones.
     excluded : tuple of (str, str)
-        Name and reason of the others.
+        Name and reason of each ear that enters no law: its study failed, or it has no standard deviation.
     table : LogTable or None
         None when there are no ears.
     laws : tuple of CohortLaw
@@ -126,42 +130,70 @@ class CohortLaws:
         known = ", ".join(sorted({f"{one.response} ~ {one.predictor}" for one in self.laws})) or "none"
         raise PipelineError(Fault("the law", f"one of {known}", f"{response} ~ {predictor}"))
 
-    def predict(self, mass: Mapping[str, Any], response: str = "K11", predictor: str = "mass") -> Prediction:
-        """Predict the natural logarithm of a response of an ear from its CT alone.
+    def predict(
+        self,
+        mass: object,
+        response: str = "K11",
+        predictor: str = "mass",
+        about: Mapping[str, Any] | None = None,
+    ) -> Prediction:
+        """Predict a response of an ear from its CT alone.
 
         Parameters
         ----------
-        mass : mapping
-            Content of its mass.json.
+        mass : MassResult, StudyResult, path or mapping
+            The result of its scan, its mass.json or the content of it.
         response, predictor : str
+        about : mapping, optional
+            Covariates of the ear, where the cohort was adjusted for some.
 
         Raises
         ------
         PipelineError
-            There is no such law, or the scan lacks the predictor.
+            There is no such law, or the scan lacks the predictor, or a covariate is missing.
         """
         law = self.law(response, predictor)
-        assert_table = self.table
-        if assert_table is None:
-            raise PipelineError(Fault("the cohort", "of at least five ears", "none"))
-        key = (law.response, law.predictor)
-        pairs, _ = assert_table.pairs(*key)
-        if key not in self._predictors:
-            self._predictors[key] = Predictor(pairs)
-        alone = log_table([replace(self.ears[0], mass=mass)])
-        column = alone.column(law.predictor)
-        x, variance = float(alone.values[0, column]), float(alone.own[0, column, column])
-        if not np.isfinite(x):
-            raise PipelineError(Fault(law.predictor, "in mass.json", "none"))
+        table = self._table()
+        pairs, _ = table.pairs(law.response, law.predictor)
+        content = mass_content(mass)
+        ear = replace(self.ears[0], mass=content, about=about or {}, side=content["frames"].get("side") or "")
+        alone = log_table([ear])
+        try:
+            column = alone.column(law.predictor)
+        except KeyError:
+            raise PipelineError(Fault(law.predictor, "in mass.json", "none")) from None
+        # What the ear shares with the cohort is in its law; what it shares with none of it is its own error.
+        foreign = [k for k, source in enumerate(alone.sources) if source not in table.sources]
+        variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
         shared = float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
-        return self._predictors[key].predict(x, variance, shared)
+        columns = table.covariates.of_ear(stated(ear))
+        x = float(alone.values[0, column])
+        return self._predictor(law).predict(x, float(variance), shared, columns)
 
     def tolerance(self, response: str, predictor: str = "mass") -> tuple[float, float]:
         """Return the 95 % range of ln of a response over ears of this population: "is this ear normal"."""
-        law = self.law(response, predictor)
+        return self._predictor(self.law(response, predictor)).tolerance()
+
+    def _predictor(self, law: CohortLaw) -> Predictor:
+        """Return the predictive distribution of a law, computed once."""
+        key = (law.response, law.predictor)
+        if key not in self._predictors:
+            self._predictors[key] = Predictor(self._table().pairs(*key)[0])
+        return self._predictors[key]
+
+    def _table(self) -> LogTable:
         if self.table is None:
-            raise PipelineError(Fault("the cohort", "of at least five ears", "none"))
-        return Predictor(self.table.pairs(law.response, law.predictor)[0]).tolerance()
+            raise PipelineError(Fault("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears)))
+        return self.table
+
+    def normal_ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the 95 % range (SI) of each response over ears of this population, by its planned law."""
+        ranges: dict[str, tuple[float, float]] = {}
+        for one in self.laws:
+            if one.family == "primary" and one.response not in ranges:
+                low, high = self.tolerance(one.response, one.predictor)
+                ranges[one.response] = (float(np.exp(low)), float(np.exp(high)))
+        return ranges
 
     def as_json(self, provenance: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of cohort.json."""
@@ -179,79 +211,117 @@ class CohortLaws:
                 "sd_log": count.sd.tolist(),
                 "loadings_log": count.loadings.tolist(),
             },
+            "covariates": [] if self.table is None else list(self.table.covariates.names),
+            "normal_ranges_95_si": {name: list(ends) for name, ends in self.normal_ranges().items()},
             "shared_errors": [] if self.table is None else list(self.table.sources),
             "warnings": [notice.as_json() for notice in self.notices],
             "provenance": dict(provenance),
         }
 
 
-def study_ears(ears: Sequence[Ear], failed: Mapping[str, str] | None = None, mix: bool = False) -> CohortLaws:
-    """Fit every law of response on predictor that the ears allow.
+def cohort_laws(
+    ears: Sequence[Ear],
+    failed: Mapping[str, str] | None = None,
+    *,
+    mix: bool = False,
+    covariates: Sequence[str] = (),
+    planned: Sequence[tuple[str, str]] = PRIMARY,
+) -> CohortLaws:
+    """Fit every law of a response on a predictor that the ears allow.
 
     Parameters
     ----------
     ears : sequence of Ear
     failed : mapping of str to str, optional
-        Ears without a result, and why.
+        Studies without a result, and why.
     mix : bool
         Put ears together that were fitted or prepared in different ways.
+    covariates : sequence of str
+        What [study] states of the ears, by name, that laws are adjusted for.
+    planned : sequence of (response, predictor)
+        The primary family, at most six laws; names may be shortened (``mass``).
 
     Raises
     ------
     PipelineError
-        The ears do not belong together: fits by different estimators or damping laws, other degrees of
-        freedom, a cochlea open in some and closed in others, an ear twice. ``mix`` allows all but the last
-        two.
+        The ears do not belong together, a covariate is missing, or a planned law is unknown; all of it in
+        one error.
     """
-    faults = _not_together(ears, mix)
+    faults = faults_of_cohort(ears, mix)
+    faults += [] if ears else [Fault("the cohort", "of at least one ear", "none")]
     raise_all(PipelineError, faults)
-    excluded = tuple((failed or {}).items())
-    if len(ears) < LEAST_EARS:
-        text = (
-            f"Laws need at least {LEAST_EARS} ears; there are {len(ears)}. The ears stand side by side only."
-        )
-        return CohortLaws(tuple(ears), excluded, None, (), None, (Notice("cohort_too_small", text),))
-    table = log_table(ears)
+    reasons = ears_without_sd(ears)
+    names = dict(zip((ear.folder for ear in ears), labels(ears), strict=True))
+    excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))
+    used = [ear for ear in ears if ear.folder not in reasons]
+    notices = [
+        Notice("ear_without_sd", f"{names[folder]} enters no law: {why}.") for folder, why in reasons.items()
+    ]
+    if len(used) < LEAST_EARS:
+        text = f"Laws need at least {LEAST_EARS} ears; there are {len(used)}. The ears are only listed."
+        notices.append(Notice("cohort_too_small", text))
+        return CohortLaws(tuple(ears), excluded, None, (), None, tuple(notices))
+    table = log_table(used, covariates_of(used, covariates))
+    family = _planned(table, planned)
     laws = [
-        _law(table, response, predictor) for response in table.responses for predictor in table.predictors
+        _law(table, response, predictor, (response, predictor) in family)
+        for response in table.responses
+        for predictor in table.predictors
     ]
     kept = [law for law in laws if law is not None]
     with_q: list[CohortLaw] = []
-    for family in ("primary", "exploratory"):
-        members = [law for law in kept if law.family == family]
+    for name in ("primary", "exploratory"):
+        members = [law for law in kept if law.family == name]
         q_values = false_discovery(np.array([law.law.p_value for law in members]))
         with_q += [replace(law, q_value=float(q)) for law, q in zip(members, q_values, strict=True)]
-    components = _components(table)
-    return CohortLaws(
-        tuple(ears), excluded, table, tuple(with_q), components, (*table.notices, *_doubts(with_q))
-    )
+    notices += [*table.notices, *_unresolved(with_q)]
+    return CohortLaws(tuple(ears), excluded, table, tuple(with_q), _components(table), tuple(notices))
 
 
-def study_ears_or_say_why(ears: Sequence[Ear], failed: Mapping[str, str]) -> CohortLaws:
+def cohort_laws_or_notice(ears: Sequence[Ear], failed: Mapping[str, str], **choices: Any) -> CohortLaws:
     """Fit every law, or return a cohort without laws and with the reason as its warning."""
     try:
-        return study_ears(ears, failed)
+        return cohort_laws(ears, failed, **choices)
     except PipelineError as fault:
         reason = str(fault).replace("\n", " ")
-        return CohortLaws(
-            tuple(ears),
-            tuple(failed.items()),
-            None,
-            (),
-            None,
-            (Notice("cohort_mixed", f"No laws: {reason}"),),
-        )
+        notice = Notice("cohort_mixed", f"No laws: {reason}")
+        return CohortLaws(tuple(ears), tuple(failed.items()), None, (), None, (notice,))
 
 
-def _law(table: LogTable, response: str, predictor: str) -> CohortLaw | None:
+def planned_law(text: str) -> tuple[str, str]:
+    """Return response and predictor of a law written as ``K11~mass``."""
+    response, _, predictor = text.partition("~")
+    return response.strip(), predictor.strip()
+
+
+def _planned(table: LogTable, planned: Sequence[tuple[str, str]]) -> set[tuple[str, str]]:
+    """Return the planned laws by full names; those of the default that the ears lack are left out."""
+    faults, family = list[Fault](), set[tuple[str, str]]()
+    if len(set(planned)) > MOST_PLANNED:
+        step = "The others are fitted as exploratory laws"
+        faults.append(Fault("{laws}", f"at most {MOST_PLANNED} laws", len(set(planned)), "", step))
+    for response, predictor in planned:
+        try:
+            family.add((table.full_name(response), table.full_name(predictor)))
+        except KeyError as name:
+            if tuple(planned) != PRIMARY:
+                known = f"responses {', '.join(table.responses)}, predictors {', '.join(table.predictors)}"
+                faults.append(Fault("{laws}", f"RESPONSE~PREDICTOR out of {known}", name.args[0]))
+    raise_all(PipelineError, faults)
+    return family
+
+
+def _law(table: LogTable, response: str, predictor: str, planned: bool) -> CohortLaw | None:
     """Fit one law; None where too few ears have both quantities or the predictor is the same in all."""
     pairs, _ = table.pairs(response, predictor)
-    if pairs.n < LEAST_EARS or float(np.ptp(pairs.x)) < 1e-9 or float(np.ptp(pairs.y)) < 1e-9:
+    if pairs.n < LEAST_EARS or pairs.degrees < LEAST_EARS - 2:
+        return None
+    if min(float(np.ptp(pairs.x)), float(np.ptp(pairs.y))) < 1e-9 or not pairs.covariates_are_independent():
         return None
     errors = left_out_errors(pairs)
     known = errors[np.isfinite(errors)]
     error = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
-    family = "primary" if (response, predictor) in PRIMARY else "exploratory"
+    family = "primary" if planned else "exploratory"
     return CohortLaw(response, predictor, fit_law(pairs), family, error)
 
 
@@ -268,46 +338,8 @@ def _components(table: LogTable) -> Components | None:
     return independent_parameters(values, own)
 
 
-def _not_together(ears: Sequence[Ear], mix: bool) -> list[Fault]:
-    """List why ears are no cohort."""
-    faults: list[Fault] = []
-    folders = [ear.folder for ear in ears]
-    twice = sorted({name for name in folders if folders.count(name) > 1})
-    if twice:
-        faults.append(Fault("an ear", "in a cohort once", f"{', '.join(twice)} twice", "", "Leave one out"))
-    hashes = [_measurement(ear) for ear in ears]
-    same = sorted({ear.name for ear, one in zip(ears, hashes, strict=True) if one and hashes.count(one) > 1})
-    if same:
-        faults.append(
-            Fault("ears", "measured one by one", f"the same motion in {', '.join(same)}", "", "Leave one out")
-        )
-    checks: list[tuple[str, list[str]]] = [
-        ("degrees of freedom", [",".join(ear.kd["dof"]) for ear in ears]),
-    ]
-    if not mix:
-        checks += [
-            ("estimator", [str(ear.kd["estimator"]) for ear in ears]),
-            ("damping law", [str(ear.kd["model"].get("damping_law")) for ear in ears]),
-            ("cochlea", [str(ear.about.get("cochlea", "")) for ear in ears]),
-            ("incus", [str(ear.about.get("incus", "")) for ear in ears]),
-        ]
-    for what, values in checks:
-        if len(set(values)) > 1:
-            listed = ", ".join(
-                f"{ear.name}: {value or 'not stated'}" for ear, value in zip(ears, values, strict=True)
-            )
-            step = "Make a cohort of each kind, or allow a mixed one"
-            faults.append(Fault(f"the {what}", "the same in all ears of a cohort", listed, "", step))
-    return faults
-
-
-def _measurement(ear: Ear) -> str:
-    inputs = (ear.kd.get("provenance") or {}).get("inputs") or {}
-    return str((inputs.get("motion") or {}).get("hash") or "")
-
-
-def _doubts(laws: Sequence[CohortLaw]) -> list[Notice]:
-    """Return warnings about laws that the data cannot settle."""
+def _unresolved(laws: Sequence[CohortLaw]) -> list[Notice]:
+    """Return a warning about planned laws that the data cannot settle."""
     open_laws = [
         f"{one.response} ~ {one.predictor}" for one in laws if one.law.unbounded and one.family == "primary"
     ]

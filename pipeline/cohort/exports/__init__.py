@@ -1,0 +1,36 @@
+"""The table of exports of a cohort: each is a module of this folder and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from pipeline.cohort.cohort_laws import CohortLaws
+
+
+class Export(NamedTuple):
+    """An entry: the module that writes, the files that it writes, and a summary for the help."""
+
+    module: str
+    files: tuple[str, ...]
+    summary: str
+
+    def write(self, folder: Path, cohort: CohortLaws, content: Mapping[str, Any]) -> None:
+        """Write the files into a folder.
+
+        Parameters
+        ----------
+        folder : Path
+        cohort : CohortLaws
+        content : mapping
+            Of cohort.json.
+        """
+        import_module(f"pipeline.cohort.exports.{self.module}").write(folder, cohort, content)
+
+
+EXPORTS = {
+    "csv": Export("laws_csv", ("cohort_laws.csv",), "table of the laws"),
+}

@@ -1,0 +1,46 @@
+"""Studies on this machine, several at a time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+
+from pipeline.runners.process import End, Task, run_task
+
+_POLL_S = 0.1
+
+
+def run_here(
+    tasks: Sequence[Task],
+    jobs: int,
+    tell: Callable[[str, str], None],
+    ended: Callable[[str, End], None],
+) -> None:
+    """Keep ``jobs`` studies at work until all have ended; give them up when interrupted.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    jobs : int
+    tell : callable
+        Gets the name of a study and a line of its progress.
+    ended : callable
+        Gets the name of a study and its end, one at a time.
+    """
+    stop = threading.Event()
+
+    def run(task: Task) -> End:
+        if stop.is_set():
+            return End(130, fault="interrupted")
+        return run_task(task, lambda line: tell(task.name, line), stop.is_set)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        waiting: dict[Future[End], str] = {pool.submit(run, task): task.name for task in tasks}
+        try:
+            while waiting:
+                done, _ = wait(waiting, _POLL_S, FIRST_COMPLETED)
+                for future in done:
+                    ended(waiting.pop(future), future.result())
+        finally:
+            stop.set()

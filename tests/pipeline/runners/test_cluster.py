@@ -1,0 +1,123 @@
+"""A cluster on loopback: a scheduler and two workers, one of which is killed in the middle of its study."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from distributed import KilledWorker
+
+from pipeline.errors import PipelineError
+from pipeline.records import code_hash
+from pipeline.runners.cluster import _end_of, _Order, _refusal, run_on_cluster
+from pipeline.runners.local import run_here
+from tests.pipeline.runners.helpers import Report, results, tasks
+
+ROOT = Path(__file__).parents[3]
+
+
+@contextmanager
+def processes(folder, workers=2):
+    """Run a scheduler and workers; yield the address and the processes, the scheduler first."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "DASK_TEMPORARY_DIRECTORY": str(folder)}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": folder}
+    file = folder / "scheduler.json"
+    common = [sys.executable, "-m", "dask"], ["--no-dashboard", "--scheduler-file", str(file)]
+
+    def start(*words):
+        return subprocess.Popen([*common[0], *words, *common[1]], **quiet)
+
+    started = [start("scheduler", "--host", "127.0.0.1", "--port", "0")]
+    started += [start("worker", "--nthreads", "1", "--no-nanny", "--name", f"w{k}") for k in range(workers)]
+    try:
+        wait_for("scheduler.json", folder)
+        yield json.loads(file.read_text())["address"], started
+    finally:
+        for process in started:
+            process.kill()
+        for process in started:
+            process.wait()
+
+
+def wait_for(pattern, folder, count=1):
+    for _ in range(1500):
+        if len(list(folder.glob(pattern))) >= count:
+            return
+        time.sleep(0.02)
+    raise AssertionError(pattern)
+
+
+class Asked(Report):
+    """A cohort that runs on a cluster, in a thread."""
+
+    def __init__(self, folder, plans, address):
+        super().__init__()
+        arguments = (tasks(folder, plans), address, folder / "out", self.tell, self.ended)
+        self.thread = threading.Thread(target=run_on_cluster, args=arguments)
+        self.thread.start()
+
+    def codes(self):
+        self.thread.join(60)
+        assert not self.thread.is_alive()
+        return {name: end.code for name, end in self.ends.items()}
+
+
+def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.records.code_hash", code_hash)
+    plans = {"a": "seconds = 1", "b": "seconds = 1.0", "c": "", "d": 'fails = "input"'}
+    folder, quiet = tmp_path / "there", tmp_path / "here"
+    folder.mkdir()
+    quiet.mkdir()
+    with processes(tmp_path) as (address, (scheduler, first, _)):
+        cohort = Asked(folder, plans, address)
+        wait_for("started-[ab]-*", folder / "out", 2)
+        first.send_signal(signal.SIGKILL)
+        run_here(tasks(quiet, plans), 4, Report().tell, Report().ended)
+        assert cohort.codes() == {"a": 0, "b": 0, "c": 0, "d": 2}
+        assert results(folder) == results(quiet)
+        assert len(list((folder / "out").glob("started-[ab]-*"))) == 3
+        assert ("c", "scan 0.1 s") in cohort.lines
+        more = Asked(folder, {"h": "seconds = 20"}, address)
+        wait_for("started-h-*", folder / "out")
+        scheduler.kill()
+        assert more.codes() == {"h": 2}
+    assert "scheduler was lost" in more.ends["h"].fault
+    assert not list((folder / "out").glob("cluster-*"))
+    rest = Report()
+    run_here(tasks(folder, {"a": "", "c": "", "h": ""}), 3, rest.tell, rest.ended)
+    assert [rest.ends[name].name for name in "ach"] == ["reused", "reused", "h"]
+
+
+def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.runners.cluster._CONNECT_S", 0.3)
+    with pytest.raises(PipelineError) as refused:
+        run_on_cluster([], "tcp://127.0.0.1:9", tmp_path, print, print)
+    assert refused.value.faults[0].thing == "{scheduler}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_study_that_takes_its_workers_down_is_named():
+    fault = KilledWorker("a", SimpleNamespace(address="tcp://10.0.0.2:1"), 3)
+    end = _end_of(SimpleNamespace(status="error", exception=lambda: fault), lost=False)
+    assert end.code == 2
+    assert "tcp://10.0.0.2:1" in end.fault
+
+
+@pytest.mark.parametrize("wrong", ["versions", "mark", "study"])
+def test_a_worker_refuses_what_it_cannot_do_alike(wrong, tmp_path):
+    task = tasks(tmp_path, {"a": ""})[0]
+    order = _Order(task, {"numpy": "0"} if wrong == "versions" else {}, tmp_path, "topic")
+    if wrong == "mark":
+        order = _Order(task, {}, tmp_path / "elsewhere", "topic")
+    if wrong == "study":
+        task.study.unlink()
+    assert _refusal(order)
+    (tmp_path / "a.toml").touch()
+    assert not _refusal(_Order(task, {}, tmp_path, "topic"))
