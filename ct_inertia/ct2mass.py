@@ -30,6 +30,7 @@ from stapeskit.background import Later
 from stapeskit.faults import Fault
 from stapeskit.frames import vector_from_rotation
 from stapeskit.records.mass_record import MassMatrix
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     if options.labels is not None:
         if not Path(options.labels).exists():
             raise CtInertiaError(
-                Fault("--labels", "an existing label volume", options.labels, next_step="Check the path")
+                Fault("{labels}", "an existing label volume", options.labels, next_step="Check the path")
             )
         spacing = options.spacing_mm if volume is None else tuple(float(v) for v in volume.spacing_mm)
         labels = read_labels(options.labels, spacing, options.mirror)
@@ -283,7 +284,7 @@ def _no_plate(bodies: Bodies | None) -> tuple[Notice, ...]:
         return ()
     text = (
         "No plate was found beside the stapes: there is no plate frame, and no mass matrix in its axes. If "
-        "the scan holds one, give --plate-fiducials, or label it (--labels)."
+        f"the scan holds one, give {named('plate_fiducials')}, or label it ({named('labels')})."
     )
     return (Notice("plate_not_found", text),)
 

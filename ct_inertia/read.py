@@ -18,6 +18,7 @@ from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume, check_axis
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 
@@ -68,7 +69,8 @@ def read_volume(
     name = (volume.source or path).name
     text = (
         f"Nothing in {name} confirms that its slices are in right-handed order: if they are not, the "
-        f"ear is a mirror image. Check a known asymmetry in the report; --mirror x, y or z undoes it."
+        f"ear is a mirror image. Check a known asymmetry in the report; {named('mirror')} x, y or z "
+        "undoes it."
     )
     return replace(volume, notices=(*volume.notices, Notice("handedness_unconfirmed", text)))
 
@@ -134,6 +136,6 @@ def _check_finite(array: NDArray[Any], where: str) -> None:
                 "finite",
                 f"{bad} voxels of NaN or infinity",
                 where,
-                "Replace them, or let them count as air with --nan-as-air",
+                "Replace them, or let them count as air with {nan_as_air}",
             )
         )

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
-from stapeskit.faults import Fault
+from stapeskit.faults import Fault, worded
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion
+from stapeskit.vocabulary import as_keyword
 
 if TYPE_CHECKING:
     from fitting.results import KDResult
@@ -27,6 +28,7 @@ class HasMotion(Protocol):
         """The motion of the bodies."""
 
 
+@worded(as_keyword)
 def dof2kd(
     motion: str | os.PathLike[str] | RigidMotion | HasMotion,
     *,

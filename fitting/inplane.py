@@ -21,6 +21,7 @@ from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names
 from fitting.uncertainty.identifiability import relative_sizes
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class InplaneChoice:
                 "neglected_motion",
                 f"The measured motion {', '.join(self.dof)} is significant but left out; it moves "
                 f"{self.entry} by {100.0 * (self.largest_effect or 0.0):.2g} % of "
-                "sqrt(Xii Xjj). Use --inplane load.",
+                f"sqrt(Xii Xjj). Use {named('inplane')} load.",
             )
         ]
 
@@ -91,10 +92,10 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         if choice == LOAD:
             raise FittingError(
                 Fault(
-                    "--inplane load",
-                    "given with measured motion outside --dof",
+                    "{inplane} load",
+                    "given with measured motion outside {dof}",
                     "none",
-                    next_step="Run points2dof with --dof all, or use --inplane ignore",
+                    next_step="Run points2dof with {dof} all, or use {inplane} ignore",
                 )
             )
         return without, InplaneChoice(False, (), "no motion outside the model was measured")
@@ -102,10 +103,10 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         if choice == LOAD:
             raise FittingError(
                 Fault(
-                    "--inplane load",
+                    "{inplane} load",
                     "given with the mass matrix of all six degrees of freedom",
                     "one of the chosen ones only",
-                    next_step="Give --mass mass.json, or use --inplane ignore",
+                    next_step="Give --mass mass.json, or use {inplane} ignore",
                 )
             )
         return without, InplaneChoice(
@@ -121,7 +122,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     if needed and not significant:
         reason += ", but the fit needs it"
     if choice != AUTO:
-        reason = f"asked for with --inplane {choice}; {reason}"
+        reason = f"asked for with {named('inplane')} {choice}; {reason}"
     made = InplaneChoice(used, others, reason, statistic, threshold, effect, entry, *levels)
     return (problem if used else without), made
 

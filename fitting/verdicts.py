@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def physics(fit: KDFit) -> list[Notice]:
             Notice(
                 "unstable",
                 f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. "
-                "No passive ligament does this; use --estimator ml.",
+                f"No passive ligament does this; use {named('estimator')} ml.",
             )
         )
     stiffness, damping = fit.passive
@@ -143,7 +144,7 @@ def _bias(fit: KDFit) -> list[Notice]:
             "attenuation_bias",
             f"{fit.options.estimator} is biased by the noise of its regressor however many lines there are: "
             f"{fit.parameters[worst]} by about {100.0 * relative[worst]:+.2g} % of sqrt(Xii Xjj). "
-            "--estimator ml is not.",
+            f"{named('estimator')} ml is not.",
         )
     ]
 
@@ -209,6 +210,6 @@ def _mass(fit: KDFit) -> list[Notice]:
             "implausible_mass",
             f"The mass matrix gives the {fit.options.structure} {mass_mg:.3g} mg; human ones weigh 2 to 4.5 "
             "mg. K and D grow in proportion to it: check that M is in SI units (kg, kg m, kg m2), or name "
-            "the body by --structure if it is no stapes.",
+            f"the body by {named('structure')} if it is no stapes.",
         )
     ]

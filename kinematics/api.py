@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stapeskit.faults import worded
+from stapeskit.vocabulary import as_keyword
+
 if TYPE_CHECKING:
     from kinematics.results import MotionResult
     from stapeskit.records.measured_mass import MassInput
 
 
+@worded(as_keyword)
 def points2dof(
     ldv: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,

@@ -258,7 +258,7 @@ def mirror_sign(axis: str) -> tuple[float, float, float]:
         The axis is not x, y or z.
     """
     if axis not in MIRRORS:
-        raise KinematicsError(Fault("--mirror", "x, y or z", axis))
+        raise KinematicsError(Fault("{mirror}", "x, y or z", axis))
     return MIRRORS[axis]
 
 

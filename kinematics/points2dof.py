@@ -40,6 +40,7 @@ from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -86,11 +87,11 @@ class Options:
     def __post_init__(self) -> None:
         faults = []
         if self.robust not in ROBUST:
-            faults.append(Fault("--robust", f"one of {', '.join(ROBUST)}", self.robust))
+            faults.append(Fault("{robust}", f"one of {', '.join(ROBUST)}", self.robust))
         if self.repeats not in REPEATS:
-            faults.append(Fault("--repeats", f"one of {', '.join(REPEATS)}", self.repeats))
+            faults.append(Fault("{repeats}", f"one of {', '.join(REPEATS)}", self.repeats))
         if not 0.0 <= self.reference_noise < 1.0:
-            faults.append(Fault("--reference-noise", "from 0 to below 1", f"{self.reference_noise:g}"))
+            faults.append(Fault("{reference_noise}", "from 0 to below 1", f"{self.reference_noise:g}"))
         if not self.dof or tuple(name for name in DOF_NAMES if name in self.dof) != self.dof:
             faults.append(Fault("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
         raise_all(KinematicsError, faults)
@@ -326,7 +327,7 @@ def _check_determined(motion: RigidMotion) -> None:
     faults = []
     for number, body in enumerate(motion.bodies):
         if not np.any(np.isfinite(motion.q[:, number].real)):
-            step = "Measure more channels at the same frequencies, or fit fewer with --dof"
+            step = f"Measure more channels at the same frequencies, or fit fewer with {named('dof')}"
             expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
             faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
     raise_all(KinematicsError, faults)
@@ -340,7 +341,8 @@ def _far_away(placed: Measurement) -> list[Notice]:
             text = (
                 f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, "
                 "farther than a stapes reaches: their coordinates look like those of another frame. Tie it "
-                "to the footplate with --fiducials, or name it with --frame; the motion is told about a "
+                f"to the footplate with {named('fiducials')}, or name it with {named('frame')}; the "
+                "motion is told about a "
                 "point far from the bone."
             )
             return [Notice("far_from_footplate", text)]

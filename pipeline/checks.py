@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pipeline.errors import PipelineError
-from pipeline.options import faults_in_study_words
 from pipeline.stages import measurement_of
-from pipeline.study import Study
+from pipeline.study import Study, words
 from pipeline.workspace import Workspace
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, StapeskitError, raise_all, worded
 
 
 def check_inputs(study: Study, work: Workspace) -> None:
@@ -19,9 +18,10 @@ def check_inputs(study: Study, work: Workspace) -> None:
         Every fault of the options and of the vibrometer's files.
     """
     try:
-        _check_measurement(study, work)
-    except StapeskitError as fault:
-        raise PipelineError(*faults_in_study_words(fault.faults, "ldv")) from fault
+        with worded(words("ldv")):
+            _check_measurement(study, work)
+    except StapeskitError as error:
+        raise PipelineError(*error.faults) from error
 
 
 def _check_measurement(study: Study, work: Workspace) -> None:

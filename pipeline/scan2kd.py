@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from pipeline.checks import check_inputs
 from pipeline.errors import PipelineError
-from pipeline.options import faults_in_study_words, in_study_words, section_in_study_words
 from pipeline.progress import Progress
 from pipeline.records import (
     FOLDER,
@@ -23,9 +21,9 @@ from pipeline.records import (
 )
 from pipeline.results import StageRun, StudyResult
 from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
-from pipeline.study import Study, read_study
+from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import StapeskitError, worded
 from stapeskit.own_files import OutputSet
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import unique
@@ -149,15 +147,12 @@ def _stage(
             runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
             return read_told(work.find(told_name(stage.name)))
         try:
-            names, told = stage.run(study, work)
+            with worded(words(stage.table)):
+                names, told = stage.run(study, work)
         except PipelineError:
             raise
-        except StapeskitError as fault:
-            raise PipelineError(*faults_in_study_words(fault.faults, stage.table)) from fault
-        told = Told(
-            tuple(section_in_study_words(one, stage.table) for one in told.sections),
-            tuple(replace(n, text=in_study_words(n.text, stage.table)) for n in told.notices),
-        )
+        except StapeskitError as error:
+            raise PipelineError(*error.faults) from error
         write_told(work.fresh, stage.name, told)
         record = StageRecord(
             stage.name,

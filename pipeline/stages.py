@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kinematics.measure_motion import MeasurementInputs
 
 MOTION_FILES, KD_FILE = ("dof.csv", "dof.h5", "dof.channels.csv"), "kd.json"
-_OWN_CODE = ("pipeline/stages.py", "pipeline/workspace.py", "pipeline/options.py")
+_OWN_CODE = ("pipeline/stages.py", "pipeline/workspace.py")
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, in_words, raise_all
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice
-from stapeskit.options import OptionTable, declared, in_words, option, read_table, vocabulary
+from stapeskit.options import OptionTable, declared, option, read_table, vocabulary
 
 
 @dataclass(frozen=True)

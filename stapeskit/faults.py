@@ -5,13 +5,11 @@ A fault reads ``<thing> must be <expected>; got <value> (<file, row>). <what to 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-Vocabulary = Callable[[str], str]
-"""How the reader of a message writes the option of that name: ``box`` as `--box`, `scan.box_mm`."""
+from stapeskit.vocabulary import Vocabulary, named, using, written
 
 LONGEST = 4000
 """Characters of a message at most: what fits on a screen or two."""
@@ -21,8 +19,6 @@ FEW = 5
 
 _FIELD = 500  # characters of one text of a fault where the whole is too long: five fit into LONGEST - _REST
 _REST = 1000  # characters kept for the line that counts the rest
-
-_REFERENCE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 
 
 @dataclass(frozen=True)
@@ -86,30 +82,30 @@ class Fault:
         return render(self)
 
 
-def as_command(name: str) -> str:
-    """Write the name of an option as on the command line."""
-    return "--" + name.replace("_", "-")
+def in_words(fault: Fault, vocabulary: Vocabulary) -> Fault:
+    """Return a fault whose references to options are written by a vocabulary."""
+    texts = (written(text, vocabulary) for text in (fault.thing, fault.expected, fault.next_step))
+    thing, expected, step = texts
+    return replace(fault, thing=thing, expected=expected, next_step=step)
 
 
-def render(fault: Fault, vocabulary: Vocabulary = as_command) -> str:
+def render(fault: Fault, vocabulary: Vocabulary = named) -> str:
     """Write a fault as a sentence.
 
     Parameters
     ----------
     fault : Fault
     vocabulary : callable
-        Takes the name of an option, returns what the reader calls it.
+        Takes the name of an option, returns what the reader calls it; default that of the edge.
     """
 
-    def words(text: str) -> str:
-        return _REFERENCE.sub(lambda match: vocabulary(match[1]), text)
-
+    fault = in_words(fault, vocabulary)
     if not fault.expected:
-        return words(fault.thing)
+        return fault.thing
     place = f" ({fault.where})" if str(fault.where) else ""
-    step = words(fault.next_step.rstrip("."))
+    step = fault.next_step.rstrip(".")
     stop = "" if not step or step.endswith("?") else "."
-    sentence = f"{words(fault.thing)} must be {words(fault.expected)}; got {fault.got}{place}."
+    sentence = f"{fault.thing} must be {fault.expected}; got {fault.got}{place}."
     return f"{sentence} {step}{stop}" if step else sentence
 
 
@@ -151,6 +147,17 @@ def raise_all(error: type[StapeskitError], faults: Iterable[Fault]) -> None:
 
 
 @contextmanager
+def worded(vocabulary: Vocabulary) -> Iterator[None]:
+    """Write the names of options in texts and errors of the block by a vocabulary."""
+    with using(vocabulary):
+        try:
+            yield
+        except StapeskitError as error:
+            error.faults = tuple(in_words(fault, vocabulary) for fault in error.faults)
+            raise
+
+
+@contextmanager
 def collecting(faults: list[Fault]) -> Iterator[None]:
     """Add the faults raised inside the block to a list, and go on after the block."""
     try:
@@ -159,7 +166,7 @@ def collecting(faults: list[Fault]) -> Iterator[None]:
         faults += error.faults
 
 
-def message(faults: Sequence[Fault], vocabulary: Vocabulary = as_command) -> str:
+def message(faults: Sequence[Fault], vocabulary: Vocabulary = named) -> str:
     """Write faults one a line, in `LONGEST` characters at most.
 
     More than `FEW` faults that differ in their row and value only become one sentence with ranges of rows.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 _ROTATION_TOLERANCE = 1e-6
@@ -83,7 +84,7 @@ def transform_faults(matrix: Array, name: str, where: str = "") -> list[Fault]:
         step = "Give a rigid transform without scale or shear"
         return [Fault(f"the rotation of {name}", "orthonormal", rotation.tolist(), where, step)]
     if np.linalg.det(rotation) < 0.0:
-        step = "Undo the mirrored axis with --mirror x, y or z"
+        step = f"Undo the mirrored axis with {named('mirror')} x, y or z"
         return [Fault(name, "right-handed (determinant +1)", "a reflection", where, step)]
     return []
 

@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Iterable, Mapping
 
 from stapeskit.option_kinds import toml
-from stapeskit.options import Option, OptionTable, declared, referring
+from stapeskit.options import Option, OptionTable, declared
+from stapeskit.vocabulary import written
 
 _WIDTH = 100
 _INTRODUCTION = """\
@@ -83,7 +84,7 @@ def _row(one: Option) -> str:
     key = f"`{one.place}`" if one.table else ""
     usual = one.default in (None, False, "", (), {})
     default = "" if usual else f"`{', '.join(one.kind.words(one.default))}`"
-    text = referring(one.help, lambda name: "--" + name.replace("_", "-"))
+    text = written(one.help, lambda name: "--" + name.replace("_", "-"))
     return f"| {flag} | {value} | {key} | {default} | {_cell(text)} |"
 
 
@@ -98,4 +99,4 @@ def _of_study(table: type[OptionTable]) -> list[Option]:
 def _study_help(one: Option, table: type[OptionTable]) -> str:
     """Return the help of a key; other options of the table by their keys."""
     keys = {other.name: other.key for other in declared(table)}
-    return referring(one.help, lambda name: keys.get(name, name))
+    return written(one.help, lambda name: keys.get(name, name))

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
 from stapeskit.option_kinds import FLAG, file
-from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, in_words, option, referring
+from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
+from stapeskit.vocabulary import written
 
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
 
@@ -229,7 +230,7 @@ def add_arguments(parser: argparse.ArgumentParser, options: Iterable[Option]) ->
 
 def help_of(one: Option, flags: Mapping[str, str]) -> str:
     """Return the help of an option with its default, references to others as the command writes them."""
-    text = referring(one.help, lambda name: flags.get(name, name))
+    text = written(one.help, lambda name: flags.get(name, name))
     if one.default in (None, False, "", (), {}):
         return text
     return f"{text} (default {', '.join(one.kind.words(one.default))})"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,6 @@ from stapeskit.option_kinds import Kind
 _DECLARED = "option"
 _WRITING = ("out", "force", "no_report", "export", "smooth", "faces", "sha256", "quiet", "json")
 _WRITE = "Write files with .write(folder) of the result"
-_REFERENCE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 Table = TypeVar("Table", bound="OptionTable")
 
 
@@ -378,19 +376,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def referring(text: str, vocabulary: Callable[[str], str]) -> str:
-    """Return a text whose references ``{name}`` to options are written as the reader writes them."""
-    return _REFERENCE.sub(lambda match: vocabulary(match[1]), text)
-
-
-def in_words(fault: Fault, vocabulary: Callable[[str], str]) -> Fault:
-    """Return a fault whose references to options are written as the reader writes them."""
-    thing, expected, step = (
-        referring(text, vocabulary) for text in (fault.thing, fault.expected, fault.next_step)
-    )
-    return dataclasses.replace(fault, thing=thing, expected=expected, next_step=step)
 
 
 def vocabulary(*tables: type[OptionTable]) -> Callable[[str], str]:

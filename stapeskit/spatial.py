@@ -20,7 +20,7 @@ PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", 
 _TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
-def parse_dof(text: str, option: str = "--dof") -> tuple[str, ...]:
+def parse_dof(text: str, option: str = "{dof}") -> tuple[str, ...]:
     """Read a comma list of degrees of freedom and return it in the fixed order.
 
     ``all`` stands for the six of them.

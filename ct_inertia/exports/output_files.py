@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stapeskit.vocabulary import named
+
 if TYPE_CHECKING:
     from ct_inertia.options import MassOptions
     from stapeskit.own_files import OutputSet
@@ -68,5 +70,5 @@ def output_set(
     names = (*result_names(labels_name(folder, options.labels)), *more, *files_of(exports))
     leftovers = tuple(name for name in (REPORT, DISPLAY, *FILES) if name not in names)
     read = tuple(path for path in (*options.inputs.values(), config) if path is not None)
-    hint = f"Measure corrected labels with --labels {folder / LABELS}, which stay as they are"
+    hint = f"Measure corrected labels with {named('labels')} {folder / LABELS}, which stay as they are"
     return OutputSet("ct2mass", folder, names, read, force, leftovers, hints={LABELS: hint})

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ class AnatomyHints:
             if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
                 raise CtInertiaError(
                     Fault(
-                        "--anterior",
+                        "{anterior}",
                         "a non-zero direction X,Y,Z in scan axes",
                         direction.tolist(),
                         next_step="Give the direction from posterior to anterior",
@@ -59,7 +60,7 @@ class AnatomyHints:
             object.__setattr__(self, "anterior", direction / np.linalg.norm(direction))
         if self.side not in (None, "left", "right"):
             raise CtInertiaError(
-                Fault("--side", "left or right", self.side, next_step="Give --side left or --side right")
+                Fault("{side}", "left or right", self.side, next_step="Give {side} left or {side} right")
             )
         points = {name: np.asarray(point, dtype=float) for name, point in self.landmarks.items()}
         for name, point in points.items():
@@ -80,8 +81,8 @@ class AnatomyHints:
                 Fault(
                     f"landmark {min(sideways)}",
                     "given together with the side of the ear",
-                    "no --side",
-                    next_step="Add --side left or --side right, or an anterior landmark",
+                    "no {side}",
+                    next_step="Add {side} left or {side} right, or an anterior landmark",
                 )
             )
 
@@ -134,7 +135,8 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
         sign = _scan_sign(x_axis)
         text = (
             "Nothing says where anterior is: +x of the footplate frame is the sense of its long axis with "
-            "the positive component along scan x (ties: y, z). Give --anterior or an anterior landmark."
+            f"the positive component along scan x (ties: y, z). Give {named('anterior')} or an anterior "
+            "landmark."
         )
         return Orientation(sign, "no hint: scan x", (*notices, Notice("anterior_not_given", text)))
     signs = {sign for sign, _ in votes}
@@ -145,7 +147,7 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
                 "the anatomical hints",
                 "of one mind about which end of the footplate is anterior",
                 told,
-                next_step="Correct the wrong one; a wrong --side or a mirrored scan (--mirror) does this to "
+                next_step="Correct the wrong one; a wrong {side} or a mirrored scan ({mirror}) does this to "
                 "superior and inferior",
             )
         )
@@ -170,7 +172,7 @@ def _votes(
         if angle > _SQUARE_DEG:
             raise CtInertiaError(
                 Fault(
-                    "--anterior",
+                    "{anterior}",
                     f"within {_SQUARE_DEG:.0f} degrees of the long axis of the footplate",
                     f"{angle:.0f} degrees (long axis {_listed(x_axis)} in scan axes)",
                     next_step="Give the direction from the posterior to the anterior end of the footplate",
@@ -178,10 +180,11 @@ def _votes(
             )
         if angle > _WEAK_DEG:
             text = (
-                f"--anterior stands {angle:.0f} degrees off the long axis of the footplate; its sign is weak."
+                f"{named('anterior')} stands {angle:.0f} degrees off the long axis of the footplate; "
+                "its sign is weak."
             )
             notices.append(Notice("anterior_weak", text))
-        votes.append((float(np.sign(hints.anterior @ x_axis)), "--anterior"))
+        votes.append((float(np.sign(hints.anterior @ x_axis)), named("anterior")))
     z_of_superior = {"left": 1.0, "right": -1.0}.get(hints.side or "")
     for name, axis, sense in (
         ("anterior", x_axis, 1.0),
@@ -193,7 +196,7 @@ def _votes(
         if point is None:
             continue
         if sense is None:
-            text = f"Landmark {name} is not used: it needs --side left or --side right."
+            text = f"Landmark {name} is not used: it needs {named('side')} left or {named('side')} right."
             notices.append(Notice("side_not_given", text))
             continue
         offset = float((point - origin_mm) @ axis)

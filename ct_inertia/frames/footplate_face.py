@@ -161,7 +161,7 @@ def _no_face(found: str) -> CtInertiaError:
             "the surface",
             "a stapes with a footplate: a near-planar face at one end",
             f"no object that can be a stapes: {found}",
-            next_step="Check the segmentation or the mesh, or correct it with --seed or --labels",
+            next_step="Check the segmentation or the mesh, or correct it with {seed} or {labels}",
         )
     )
 

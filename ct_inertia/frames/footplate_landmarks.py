@@ -11,7 +11,7 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _HEAD_MM = 1.0
-_LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or --mirror"
+_LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or {mirror}"
 
 
 def check_head(vertices_mm: Array, faces: NDArray[np.integer], hints: AnatomyHints) -> None:

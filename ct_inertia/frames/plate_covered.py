@@ -11,6 +11,7 @@ from ct_inertia.bodies import PlateFace
 from ct_inertia.frames.plane_faces import PlaneFace
 from ct_inertia.frames.plane_fit import fitted_to_grey
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 # Cosine and distance up to which the face beside the stapes is the same as that of the plate.
@@ -57,6 +58,6 @@ def covered_face(
     text = (
         "The plate's face could not be fitted to the grey values (bone, glue or fluid covers it): its "
         f"place is uncertain by {1e3 * _COVERED_MM:.0f} um, its normal by "
-        f"{np.degrees(_COVERED_RAD):.1f} degrees (standard deviation). Give --plate-fiducials."
+        f"{np.degrees(_COVERED_RAD):.1f} degrees (standard deviation). Give {named('plate_fiducials')}."
     )
     return replace(main, covariance=main.covariance + doubt), (Notice("plate_face_covered", text),)

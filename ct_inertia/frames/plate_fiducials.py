@@ -15,6 +15,7 @@ from stapeskit.alignment.registration import fit_rigid
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
 from stapeskit.tables.csv_table import read_table
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
         if missing:
             raise CtInertiaError(
                 Fault(
-                    "the columns of --plate-fiducials",
+                    "the columns of {plate_fiducials}",
                     "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm",
                     f"no {', '.join(missing)}",
                     file,
@@ -82,7 +83,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     if len(set(names)) != len(names):
         raise CtInertiaError(
             Fault(
-                "the names of --plate-fiducials",
+                "the names of {plate_fiducials}",
                 "different",
                 ", ".join(names),
                 path.name,
@@ -92,7 +93,7 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     if len(names) < 3:
         raise CtInertiaError(
             Fault(
-                "--plate-fiducials",
+                "{plate_fiducials}",
                 "at least 3 points",
                 len(names),
                 path.name,
@@ -153,7 +154,7 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     if size[1] < 1e-3 * size[0]:
         raise CtInertiaError(
             Fault(
-                "the points of --plate-fiducials",
+                "the points of {plate_fiducials}",
                 "corners of a face",
                 "points on a line",
                 next_step="Add a point off that line",
@@ -175,7 +176,8 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     notices = [
         Notice(
             "plate_axis_sign",
-            f"x of the plate frame is the longest side between the --plate-fiducials in the sense with the "
+            f"x of the plate frame is the longest side between the {named('plate_fiducials')} in the "
+            "sense with the "
             f"positive component along scan x, [{listed}] in scan axes.",
         )
     ]
@@ -183,7 +185,8 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
         notices.append(
             Notice(
                 "plate_axis_ambiguous",
-                "Two sides between the --plate-fiducials are nearly equally long: which of them is x is "
+                f"Two sides between the {named('plate_fiducials')} are nearly equally long: which of them "
+                "is x is "
                 "ambiguous. Give their x_ref_mm, y_ref_mm, z_ref_mm.",
             )
         )

@@ -23,6 +23,7 @@ from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform, axes_matrix, vector_from_rotation
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -156,7 +157,7 @@ def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
             "the plate",
             "a solid with a plane face towards the stapes",
             f"{len(faces)} plane faces, none of which has the stapes on its outer side",
-            next_step="Check the segmentation in the report, or give --plate-fiducials",
+            next_step="Check the segmentation in the report, or give {plate_fiducials}",
         )
     )
 
@@ -286,7 +287,7 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
                 "the sides of the plate",
                 "planes around its face",
                 "planes that leave nothing of it",
-                next_step="Check the segmentation in the report, or give --plate-fiducials",
+                next_step="Check the segmentation in the report, or give {plate_fiducials}",
             )
         )
     return polygon, owners
@@ -359,13 +360,14 @@ def _notices(found: _Found, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
     if found.along < 0:
         text = (
             "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, "
-            "and its turn about y says nothing about the plate. Give --plate-fiducials."
+            f"and its turn about y says nothing about the plate. Give {named('plate_fiducials')}."
         )
         notices.append(Notice("plate_edges_not_visible", text))
     else:
         text = (
             f"x of the plate frame is the longest edge of the plate in the sense with the positive component "
-            f"along scan x, [{listed}] in scan axes. Check it against the plate, or give --plate-fiducials."
+            f"along scan x, [{listed}] in scan axes. Check it against the plate, or give "
+            f"{named('plate_fiducials')}."
         )
         notices.append(Notice("plate_axis_sign", text))
         own = found.owners == found.along
@@ -379,13 +381,13 @@ def _notices(found: _Found, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
         if ratio > _AMBIGUOUS:
             text = (
                 f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "
-                "ambiguous. Give --plate-fiducials."
+                f"ambiguous. Give {named('plate_fiducials')}."
             )
             notices.append(Notice("plate_axis_ambiguous", text))
     if any(side.at_border for side in sides):
         text = (
             "The scan crops the plate: the origin of the plate frame is the centroid of the part in view, no "
-            "point of the plate itself. Give --plate-fiducials to tie it to the plate."
+            f"point of the plate itself. Give {named('plate_fiducials')} to tie it to the plate."
         )
         notices.append(Notice("plate_cropped", text))
     return tuple(notices)

@@ -16,6 +16,7 @@ from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import eroded, labelled
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -36,10 +37,6 @@ _SOLID = 0.8
 _LEAST_CUT_MM2 = 0.003
 # Above this share of the volume the place of a cut is worth a warning of its own.
 _WEAK_SHARE = 3e-3
-_CUT_TEXT = (
-    "The stapes was cut off other bone that it touches, over {:.3f} mm2. Check the cut in the report; "
-    "labels drawn by hand (--labels) correct it."
-)
 
 
 @dataclass(frozen=True)
@@ -199,7 +196,12 @@ class ThroughBone:
         """Say that the stapes was cut off other bone, and when little shows where it ends."""
         if self.place_mm is None or self.area_mm2 < _LEAST_CUT_MM2:
             return []
-        told = [Notice("cut_through_bone", _CUT_TEXT.format(self.area_mm2))]
+        text = (
+            f"The stapes was cut off other bone that it touches, over {self.area_mm2:.3f} mm2. Check the "
+            "cut in "
+            f"the report; labels drawn by hand ({named('labels')}) correct it."
+        )
+        told = [Notice("cut_through_bone", text)]
         share = float(np.sqrt(self.covariance[0, 0])) / volume_mm3
         if self.at_neck or share > _WEAK_SHARE:
             where = "at a neck, the narrowest section near its end" if self.at_neck else "across bridges"
@@ -208,7 +210,7 @@ class ThroughBone:
                 f"Little shows where the stapes ends: {self.full_mm2:.3f} mm2 of the cut run through solid "
                 f"bone, {where}, the largest patch around {place} mm (scan), and leave its volume uncertain "
                 f"by {100.0 * share:.2g} %. Look at the cut in the report; where the stapes ends elsewhere, "
-                f"draw it (--labels)."
+                f"draw it ({named('labels')})."
             )
             told.append(Notice("separation_weak", text))
         return told

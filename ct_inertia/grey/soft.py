@@ -17,6 +17,7 @@ from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.mask_statistics import every_nth
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -224,6 +225,6 @@ def soft_notices(soft: Soft, own: NDArray[np.bool_], volume: Volume, moments: Mo
         f"Something neither air nor bone lies against the stapes (ligament, fluid, glue or mucosa, about "
         f"{100.0 * soft.level:.0f} % as bright as bone): {100.0 * share:.2g} % of the volume were taken off "
         f"for it, and the budget holds what is not known of that (surroundings). Its own mass is left out: "
-        f"name it with --add-mass; dry or clean the sample to be sure."
+        f"name it with {named('add_mass')}; dry or clean the sample to be sure."
     )
     return [Notice("soft_surroundings", text)]

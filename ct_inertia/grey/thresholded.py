@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.grey.partial_volume import sensitivity, with_contribution
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -59,7 +60,8 @@ def with_threshold(moments: Moments, surface: Surface, voxel_mm: float) -> tuple
     share = 100.0 * shift * float(area.sum()) / moments.volume_mm3
     text = (
         f"Around the stapes the scan holds no more than {_FEW_VALUES} grey values: it was thresholded, or is "
-        f"a label volume (then give it with --labels). Where its surface lies within a voxel is lost, which "
+        f"a label volume (then give it with {named('labels')}). Where its surface lies within a voxel is "
+        "lost, which "
         f"makes volume and mass uncertain by {share:.1f} %. Give the grey values as they were reconstructed."
     )
     return with_contribution(moments, "threshold", np.outer(step, step)), Notice("scan_thresholded", text)

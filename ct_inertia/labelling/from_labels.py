@@ -28,6 +28,7 @@ from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions, coat: Coat
     """
     labels = options.labels
     if labels is None:
-        raise CtInertiaError(Fault("the label volume", "given", "none", "", "Give it with --labels"))
+        raise CtInertiaError(Fault("the label volume", "given", "none", "", "Give it with {labels}"))
     numbers = body_numbers(labels, options.stapes_label, options.plate_label)
     _check_labels(labels, numbers[0])
     stapes, islands = without_islands(labels, numbers[0])
@@ -78,7 +79,7 @@ def _check_labels(labels: Volume, number: int) -> None:
                 "whole numbers, one for each body",
                 "grey values",
                 name,
-                "Give the scan as the first argument and its segmentation with --labels",
+                "Give the scan as the first argument and its segmentation with {labels}",
             )
         )
     count = sum(int(np.count_nonzero(piece == number)) for piece in array)
@@ -90,7 +91,7 @@ def _check_labels(labels: Volume, number: int) -> None:
                 f"one with voxels of the stapes (number {number})",
                 f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
                 name,
-                "Name the stapes' number with --stapes-label",
+                "Name the stapes' number with {stapes_label}",
             )
         )
 
@@ -107,7 +108,8 @@ def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
     rest = np.asarray(labels.array != 0) & ~stapes & ~plate
     text = (
         "The bodies come from labels alone: without grey values their surfaces are known to the voxel only, "
-        "and a threshold's bias of some percent in volume stays unseen. Give the scan together with --labels."
+        "and a threshold's bias of some percent in volume stays unseen. Give the scan together with "
+        f"{named('labels')}."
     )
     return Bodies(
         volume=labels,
@@ -244,7 +246,7 @@ def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
             f"on the voxels of the scan ({_grid(volume)})",
             _grid(labels),
             "" if labels.source is None else Path(labels.source).name,
-            "Resample it onto the scan, or give --labels alone",
+            "Resample it onto the scan, or give {labels} alone",
         )
     )
 

@@ -63,19 +63,19 @@ def read_calibration(path: Path) -> Calibration:
     path = Path(path)
     if not path.is_file():
         raise CtInertiaError(
-            Fault("--calibration", "an existing TOML file", path, next_step="Check the path")
+            Fault("{calibration}", "an existing TOML file", path, next_step="Check the path")
         )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
         raise CtInertiaError(
-            Fault("--calibration", "valid TOML", fault, path.name, next_step="Correct the file")
+            Fault("{calibration}", "valid TOML", fault, path.name, next_step="Correct the file")
         ) from fault
     unknown = sorted(set(table) - set(_KEYS))
     if unknown:
         raise CtInertiaError(
             Fault(
-                "a key of --calibration",
+                "a key of {calibration}",
                 f"one of {', '.join(_KEYS)}",
                 unknown[0],
                 path.name,
@@ -86,7 +86,7 @@ def read_calibration(path: Path) -> Calibration:
     if mineral == ("points" in table):
         raise CtInertiaError(
             Fault(
-                "--calibration",
+                "{calibration}",
                 "a file with either points or points_mg_ha_cm3",
                 "both" if mineral else "neither",
                 path.name,
@@ -171,7 +171,7 @@ def from_calibration(
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
             Fault(
-                "--calibration",
+                "{calibration}",
                 "a line that gives the stapes a density of 500 to 4000 kg/m3",
                 f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})",
                 next_step="Check the grey values and units of its points",

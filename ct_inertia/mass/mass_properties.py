@@ -42,7 +42,7 @@ class PointMass:
         if not (np.isfinite(self.mass_kg) and self.mass_kg > 0.0):
             raise CtInertiaError(
                 Fault(
-                    "--add-mass",
+                    "{add_mass}",
                     "a positive mass in mg",
                     f"{self.mass_kg * 1e6:g} mg",
                     next_step="Give X,Y,Z,MG with MG above 0",
@@ -123,7 +123,7 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
     if not PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
             Fault(
-                "--density",
+                "{density}",
                 "between 500 and 4000 kg/m3",
                 f"{density_kg_m3:g}",
                 next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
@@ -161,7 +161,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
         raise CtInertiaError(
             Fault(
-                "--mass-mg",
+                "{mass_mg}",
                 f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
                 "(500 to 4000 kg/m3)",
                 f"{mass_kg * 1e6:g} mg, that is {density:.4g} kg/m3",

@@ -14,6 +14,7 @@ from ct_inertia.mass.mass_properties import MassProperties, from_density, from_m
 from ct_inertia.surface.moments import Moments
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -110,10 +111,10 @@ def masses_by_way(
         if bodies is None or bodies.levels is None or calibration is None:
             raise CtInertiaError(
                 Fault(
-                    "--calibration",
+                    "{calibration}",
                     "used with grey values",
                     "labels alone",
-                    next_step="Give the scan as well, or --density",
+                    next_step="Give the scan as well, or {density}",
                 )
             )
         from ct_inertia.grey.bone_shape import shape_moments
@@ -163,8 +164,8 @@ def not_stated(contributions: Mapping[str, Any], way: str) -> list[Notice]:
     if way in contributions:
         return []
     thing, option = {
-        "density": ("the density", "--density RHO+-SD"),
-        "mass": ("the mass", "--mass-mg M+-SD"),
+        "density": ("the density", f"{named('density')} RHO+-SD"),
+        "mass": ("the mass", f"{named('mass_mg')} M+-SD"),
         "calibration": ("the calibration", "sd_kg_m3 in its file"),
     }[way]
     text = f"No standard deviation of {thing} was given ({option}): {way} not included in the budget."

@@ -11,6 +11,7 @@ from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.graphs import graph_pieces
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 # Real ones: 2.9 to 3.9 mm high, footplate 2.4 to 3.4 by 1.1 to 1.7 mm, 0.9 to 2.6 mm3.
@@ -49,8 +50,9 @@ def unsuitable(found: Sequence[str], notices: Sequence[Notice]) -> CtInertiaErro
     """Return the refusal of a body that nobody named, with what the notices tell of the scan's border."""
     border = [notice.text for notice in notices if notice.code == "touches_border"]
     step = (
-        "Name the stapes with --seed X,Y,Z (a point inside it, scan mm) or --labels, leave other bone out "
-        "with --box or --threshold, and check the voxel spacing"
+        f"Name the stapes with {named('seed')} X,Y,Z (a point inside it, scan mm) or {named('labels')}, "
+        "leave other bone out "
+        f"with {named('box')} or {named('threshold')}, and check the voxel spacing"
     )
     return CtInertiaError(
         Fault(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -61,10 +62,10 @@ def settle_spacing(
         if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
             raise CtInertiaError(
                 Fault(
-                    "--spacing",
+                    "{spacing}",
                     "one or three positive numbers in mm (H or DX,DY,DZ)",
                     values.tolist(),
-                    next_step="Give it in mm, for example --spacing 0.018",
+                    next_step="Give it in mm, for example {spacing} 0.018",
                 )
             )
         spacing = np.broadcast_to(values, 3).copy()
@@ -81,7 +82,7 @@ def settle_spacing(
                 "in the file or given",
                 f"none{': ' + known if known else ''}",
                 name,
-                "Give it in mm with --spacing H or --spacing DX,DY,DZ",
+                "Give it in mm with {spacing} H or {spacing} DX,DY,DZ",
             )
         )
     return np.asarray(from_file, dtype=float), ()
@@ -195,7 +196,7 @@ def density_notice(name: str, scaling: float, slope: float, intercept: float, un
     text = (
         f"{name} says density = {slope:.6g} * grey value / {scaling:.6g} + {intercept:.6g} "
         f"{unit or 'mg HA/ccm'}. For a density of every voxel write points_mg_ha_cm3 = [{points}] into the "
-        f"file of --calibration."
+        f"file of {named('calibration')}."
     )
     return [Notice("density_in_header", text)]
 

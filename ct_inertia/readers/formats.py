@@ -128,6 +128,6 @@ def format_of(path: Path, raw: RawLayout | None = None) -> Format:
             "the scan",
             f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
             path.name,
-            next_step="Export it in one of these formats, or as raw voxels with --shape and --dtype",
+            next_step="Export it in one of these formats, or as raw voxels with {shape} and {dtype}",
         )
     )

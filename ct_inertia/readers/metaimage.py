@@ -177,7 +177,7 @@ def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> l
                 "raw voxels",
                 pictures[0] if pictures else "an empty list",
                 path.name,
-                "Give the folder of slices itself, with --spacing",
+                "Give the folder of slices itself, with {spacing}",
             )
         )
     return [(path.parent / name, skip) for name in names]

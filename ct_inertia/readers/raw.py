@@ -10,6 +10,7 @@ from ct_inertia.readers.formats import FORMATS, ReadOptions, format_of
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 
 
 def read(path: Path, options: ReadOptions) -> Volume:
@@ -33,10 +34,10 @@ def read(path: Path, options: ReadOptions) -> Volume:
     stored = path.stat().st_size - layout.header_bytes
     if stored != needed:
         shape = " x ".join(str(int(n)) for n in layout.shape)
-        guess = "Check --shape, --dtype and --header-bytes"
+        guess = f"Check {named('shape')}, {named('dtype')} and {named('header_bytes')}"
         if stored > needed:
             surplus = layout.header_bytes + stored - needed
-            guess += f"; --header-bytes {surplus} would fit if the surplus is a header"
+            guess += f"; {named('header_bytes')} {surplus} would fit if the surplus is a header"
         raise CtInertiaError(
             Fault(
                 "the raw file",
@@ -74,9 +75,9 @@ def _layout_missing(path: Path) -> CtInertiaError:
     return CtInertiaError(
         Fault(
             "raw voxels",
-            "beside a header (.mhd, .nhdr, .vgi) or described by --shape and --dtype",
+            "beside a header (.mhd, .nhdr, .vgi) or described by {shape} and {dtype}",
             "neither",
             path.name,
-            "Give --shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N] --spacing H",
+            "Give {shape} NX,NY,NZ {dtype} uint16 [{byte_order} big] [{header_bytes} N] {spacing} H",
         )
     )

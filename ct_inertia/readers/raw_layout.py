@@ -9,6 +9,7 @@ import numpy as np
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
 from stapeskit.option_kinds import VOXEL_TYPE
+from stapeskit.vocabulary import named
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,15 @@ class RawLayout:
         if len(self.shape) != 3 or min(self.shape) < 2 or any(int(n) != n for n in self.shape):
             raise CtInertiaError(
                 Fault(
-                    "--shape",
+                    "{shape}",
                     "three whole numbers NX,NY,NZ of at least 2",
                     ",".join(f"{n:g}" for n in self.shape),
                     next_step="Give the number of voxels along x (runs fastest), y and z",
                 )
             )
         for option, value, known in (
-            ("--dtype", self.dtype, VOXEL_TYPE.choices),
-            ("--byte-order", self.byte_order, ("little", "big")),
+            (named("dtype"), self.dtype, VOXEL_TYPE.choices),
+            (named("byte_order"), self.byte_order, ("little", "big")),
         ):
             if value not in known:
                 raise CtInertiaError(
@@ -57,7 +58,7 @@ class RawLayout:
                 )
         if self.header_bytes < 0:
             raise CtInertiaError(
-                Fault("--header-bytes", "0 or more", self.header_bytes, next_step="Count from the start")
+                Fault("{header_bytes}", "0 or more", self.header_bytes, next_step="Count from the start")
             )
 
     @property

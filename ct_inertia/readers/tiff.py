@@ -15,6 +15,7 @@ from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def _notices(tif: tifffile.TiffFile, path: Path) -> list[Notice]:
     if meta and float(meta.get("spacing") or 1.0) < 0.0:
         text = (
             f"{path.name} has a negative slice distance; its size was used and the order of slices kept. "
-            f"Reverse them with --mirror z if the ear is a mirror image."
+            f"Reverse them with {named('mirror')} z if the ear is a mirror image."
         )
         notices.append(Notice("negative_slice_distance", text))
     return notices

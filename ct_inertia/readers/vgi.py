@@ -14,6 +14,7 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
@@ -158,7 +159,7 @@ def _notices(sections: Sections, path: Path) -> list[Notice]:
     if any(word not in ("0", "0.0") for word in mirrored):
         text = (
             f"{path.name} is shown mirrored in VGStudio (mirror = {' '.join(mirrored)}); its voxels were "
-            f"read as they are stored. Use --mirror if the ear is a mirror image."
+            f"read as they are stored. Use {named('mirror')} if the ear is a mirror image."
         )
         return [Notice("mirrored_display", text)]
     return []

@@ -22,6 +22,7 @@ from stapeskit.frames import RigidTransform
 from stapeskit.page import page
 from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
 from stapeskit.spatial import DOF_NAMES
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, from_json
 
 if TYPE_CHECKING:
@@ -300,7 +301,8 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
         section.add(page.subheading("Evidence"), page.table(("", "found"), rows, words=True))
     section.add(
         page.text(
-            "Where the cut looks wrong: --seed, --threshold and --box correct it, and --labels takes a label "
+            f"Where the cut looks wrong: {named('seed')}, {named('threshold')} and {named('box')} correct "
+            f"it, and {named('labels')} takes a label "
             "volume corrected in 3D Slicer or ITK-SNAP: labels.nrrd, edited where it lies, or a copy of it. "
             "It is never written over."
         )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, Piece
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
                 "the scan",
                 "a scan with one body that can be the stapes",
                 f"{len(rivals)}: {'; '.join(rivals[:_SHOWN])}",
-                next_step="Name one with --seed X,Y,Z (a point inside it, scan mm) or --box",
+                next_step="Name one with {seed} X,Y,Z (a point inside it, scan mm) or {box}",
             )
         )
 
@@ -55,7 +56,7 @@ def doubts(piece: Piece) -> tuple[Notice, ...]:
     elif piece.surrounds >= MOST_SURROUNDED:
         text = (
             f"The body taken for the stapes ({piece.volume_mm3:.2f} mm3) surrounds other bone, as the bone "
-            f"around the oval window does. Check it in the report, or name the stapes with --seed."
+            f"around the oval window does. Check it in the report, or name the stapes with {named('seed')}."
         )
         found.append(Notice("stapes_uncertain", text))
     elif piece.oddness > USUAL:

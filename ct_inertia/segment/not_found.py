@@ -36,7 +36,7 @@ def nothing_found(scan: CoarseScan, tried: Sequence[Sight], seeded: bool) -> Fau
         "the scan",
         "one with a body that can be a stapes (0.3 to 6 mm3, 2.2 to 5.8 mm long)",
         listed,
-        next_step="Name it with --seed X,Y,Z (scan mm), give --threshold, or correct it with --labels",
+        next_step="Name it with {seed} X,Y,Z (scan mm), give {threshold}, or correct it with {labels}",
     )
 
 
@@ -55,7 +55,7 @@ def _by_size(tried: Sequence[Sight]) -> Fault | None:
                     "the voxel spacing",
                     "right: a stapes is 3 to 4 mm high",
                     f"a body of its shape {piece.length_mm:.3g} mm high",
-                    next_step=f"Correct it with --spacing (about {1.0 / scale:.3g} times the present one)",
+                    next_step=f"Correct it with {{spacing}} (about {1.0 / scale:.3g} times the present one)",
                 )
     return None
 

@@ -98,10 +98,10 @@ def readings(levels: Array, threshold: float | None) -> list[tuple[float, float 
         if below.size == 0 or above.size == 0:
             raise CtInertiaError(
                 Fault(
-                    "--threshold",
+                    "{threshold}",
                     f"between the grey levels of air and bone ({levels[0]:.6g} and {levels[-1]:.6g})",
                     f"{threshold:g}",
-                    next_step="Read the two levels off the viewer, or leave --threshold out",
+                    next_step="Read the two levels off the viewer, or leave {threshold} out",
                 )
             )
         plastic = float(below[-1]) if below.size > 1 else None

@@ -130,7 +130,7 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
                 "the grey values",
                 "finite",
                 f"{int(bad.sum())} voxels of NaN or infinity",
-                next_step="Replace them, or let them count as air with --nan-as-air",
+                next_step="Replace them, or let them count as air with {nan_as_air}",
             )
         )
     grey[bad] = np.median(grey[~bad][::7]) if np.any(~bad) else 0.0
@@ -193,7 +193,7 @@ def material_levels(scan: CoarseScan) -> Array:
                 "the scan",
                 "a picture of bone in air",
                 "one material only, and noise",
-                next_step="Check that this is the reconstructed volume, or give --threshold",
+                next_step="Check that this is the reconstructed volume, or give {threshold}",
             )
         )
     return levels

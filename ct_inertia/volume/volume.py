@@ -72,7 +72,7 @@ class Volume:
                     "three positive numbers in mm",
                     spacing.tolist(),
                     where,
-                    "Give it with --spacing",
+                    "Give it with {spacing}",
                 )
             )
         origin = np.array(self.origin_mm, dtype=float)
@@ -135,7 +135,7 @@ class Volume:
             far = self.scan_points(self.size - 1)
             raise CtInertiaError(
                 Fault(
-                    "--box",
+                    "{box}",
                     f"a box that overlaps the scan ({_listed(self.origin_mm)} to {_listed(far)} mm)",
                     f"{_listed(corners[0])} to {_listed(corners[1])} mm",
                     next_step="Give two corners in scan coordinates, mm",
@@ -196,7 +196,7 @@ def check_axis(axis: str) -> None:
     CtInertiaError
     """
     if axis not in tuple(_AXES):
-        raise CtInertiaError(Fault("--mirror", "x, y or z", axis, next_step="Name one of the three axes"))
+        raise CtInertiaError(Fault("{mirror}", "x, y or z", axis, next_step="Name one of the three axes"))
 
 
 def _listed(values: Array) -> str:
@@ -259,7 +259,7 @@ def _right_handed(direction: Array, where: str) -> Array:
                 f"the left-handed {np.round(direction, 6).tolist()}",
                 where,
                 "Export the volume with right-handed axes, or, when its slice order is what is wrong, "
-                "reverse it with --mirror x, y or z",
+                "reverse it with {mirror} x, y or z",
             )
         )
     # Headers hold six digits or so; the nearest rotation makes the matrix orthonormal to rounding.

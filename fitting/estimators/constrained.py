@@ -206,7 +206,7 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
             "the bounds",
             "wide enough for positive semidefinite K and D",
             "bounds that exclude them",
-            next_step="Widen --lower or --upper",
+            next_step="Widen {lower} or {upper}",
         )
     )
 

@@ -251,7 +251,7 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
                 "the motions",
                 "such that K and D have a likelihood",
                 "none, for any start",
-                next_step="Check the noise variances, or give fewer degrees of freedom with --dof",
+                next_step="Check the noise variances, or give fewer degrees of freedom with {dof}",
             )
         )
     reached = [minimise(expansion, value, start, lines.n, 1e-5) for start in usable[: len(starts)]]

@@ -84,7 +84,7 @@ def nearest(
                 "the equations",
                 "numerically solvable for K >= 0 and D >= 0",
                 "equations that rounding makes singular",
-                next_step="Measure more lines, or fit fewer degrees of freedom with --dof",
+                next_step="Measure more lines, or fit fewer degrees of freedom with {dof}",
             )
         ) from fault
 

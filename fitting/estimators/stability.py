@@ -156,7 +156,7 @@ def stable_start(problem: Objective, begin: Array) -> Array:
             "the bounds",
             "wide enough for a stable model",
             "bounds that leave none",
-            next_step="Widen --lower or --upper",
+            next_step="Widen {lower} or {upper}",
         )
     )
 

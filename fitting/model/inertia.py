@@ -102,9 +102,9 @@ def inertia_of(mass: MassMatrix | Array, dof: tuple[str, ...]) -> Inertia:
         raise FittingError(
             Fault(
                 "the mass matrix",
-                f"{n} x {n} for --dof {','.join(dof)}",
+                f"{n} x {n} for {{dof}} {','.join(dof)}",
                 shape,
-                next_step="Give M in the order of --dof, or change --dof",
+                next_step="Give M in the order of {dof}, or change {dof}",
             )
         )
     check_mass(matrix)

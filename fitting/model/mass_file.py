@@ -80,10 +80,10 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
         raise FittingError(
             Fault(
                 "M.csv",
-                f"{n} x {n} for --dof {','.join(dof)}",
+                f"{n} x {n} for {{dof}} {','.join(dof)}",
                 f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
                 path.name,
-                "Give M in the order of --dof, or change --dof",
+                "Give M in the order of {dof}, or change {dof}",
             )
         )
     return np.array(values)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from stapeskit.faults import Fault, raise_all
 from stapeskit.records.motion import RigidMotion
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -151,7 +152,7 @@ def _gather(
     inside: NDArray[np.bool_],
 ) -> Observation:
     """Gather the chosen columns of all runs, without lines at which one of them is missing."""
-    first, second = motion.body(structure, "--structure"), motion.body(base, "--base")
+    first, second = motion.body(structure), motion.body(base, "{base}")
     places = [motion.dof.index(name) for name in (*dof, *load_dof)]
     count = len(motion.dof)
     columns = np.array([*places, *(count + motion.dof.index(name) for name in dof)])
@@ -200,16 +201,16 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
     faults = []
     if structure == base:
         faults.append(
-            Fault("--structure and --base", "two different bodies", structure, "", "Name both bodies")
+            Fault("{structure} and {base}", "two different bodies", structure, "", "Name both bodies")
         )
     missing = [name for name in dof if name not in motion.dof]
     if missing:
         faults.append(
             Fault(
-                "--dof",
+                "{dof}",
                 f"degrees of freedom that were measured ({', '.join(motion.dof)})",
                 ", ".join(missing),
-                next_step="Choose others with --dof or run points2dof with more",
+                next_step="Choose others with {dof} or run points2dof with more",
             )
         )
     for name, value, wanted in (
@@ -230,7 +231,7 @@ def _check_lines(
     if lines == 0:
         where = f"{observation.dropped} lines have missing values" if observation.dropped else ""
         if band_hz is not None or exclude_hz:
-            step = "Widen --band, exclude less or use another file"
+            step = f"Widen {named('band')}, exclude less or use another file"
         else:
             step = "Measure structure and base at common frequencies"
         raise FittingError(Fault("the band", "one with measured lines of both bodies", "none", where, step))
@@ -240,7 +241,7 @@ def _check_lines(
                 "the data",
                 f"at least {n * (n + 1)} equations at 2 or more frequencies for {n * (n + 1)} unknowns",
                 f"{2 * n * lines} equations at {len(np.unique(observation.freq_hz))} frequencies",
-                next_step="Measure more lines or fit fewer degrees of freedom with --dof",
+                next_step="Measure more lines or fit fewer degrees of freedom with {dof}",
             )
         )
     _check_deflection(observation)
@@ -282,11 +283,11 @@ def _check_deflection(observation: Observation) -> None:
     if not still:
         return
     rest = ",".join(name for name in observation.dof if name not in still)
-    step = f"Give --dof {rest}, or excite" if rest else "Excite"
+    step = f"Give {named('dof')} {rest}, or excite" if rest else "Excite"
     raise FittingError(
         Fault(
             "the motion of structure and base",
-            "different in every degree of freedom of --dof",
+            "different in every degree of freedom of {dof}",
             f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable",
             next_step=f"{step} the base so that the suspension is deflected there",
         )

@@ -44,7 +44,7 @@ def check_motion(observation: Observation) -> None:
                 f"of a size like at the other lines, {middle[column]:.3g} {unit} in the median",
                 f"{size[line, column]:.3g} {unit}",
                 f"{observation.freq_hz[line]:.6g} Hz{run}",
-                "Correct this line, or leave it out by --exclude",
+                "Correct this line, or leave it out by {exclude}",
             )
         )
     raise_all(FittingError, faults)

@@ -23,6 +23,7 @@ from fitting.model.lines import Lines, backward, evaluate, forward, motion_rows,
 from fitting.model.symmetric import basis, split
 from fitting.options import USUAL_BANDS
 from fitting.uncertainty.covariance import chi2, degrees, invert, joined_mass_sources, motion_moves_mass
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -68,8 +69,9 @@ class FrequencyDependence:
             return []
         text = (
             f"One K and one D do not hold over the whole band (p = {self.p_value:.1g}): {self.words()}. A "
-            "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try --damping "
-            "compare, or fit parts with --band."
+            "viscoelastic ligament does this, and so does a wrong mass matrix or damping law; try "
+            f"{named('damping')} "
+            f"compare, or fit parts with {named('band')}."
         )
         return [Notice("frequency_dependent", text)]
 
@@ -105,7 +107,8 @@ def fewer_bands(lines: int, bands: int) -> list[Notice]:
     now = f"in {made} parts of the band" if made > 1 else "in no parts of the band"
     text = (
         f"K and D are compared {now}, not in the {bands} that were asked for: a part holds at least "
-        f"{_FEWEST_LINES} of the {lines} lines. Leave --bands at {USUAL_BANDS}, or measure more lines."
+        f"{_FEWEST_LINES} of the {lines} lines. Leave {named('bands')} at {USUAL_BANDS}, or measure more "
+        "lines."
     )
     return [Notice("fewer_bands", text)]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault
 from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 UNOBSERVABLE = 1e-5
@@ -202,7 +203,9 @@ def _refuse(body: str, arms: Array, directions: Array, dof: tuple[str, ...]) -> 
     blind = "; ".join(_described(vector, dof) for vector in _blind(arms, directions, dof, UNOBSERVABLE))
     subset = observable_subset(arms, directions)
     step = (
-        f"Choose --dof {','.join(subset)} or measure with more beams" if subset else "Measure with more beams"
+        f"Choose {named('dof')} {','.join(subset)} or measure with more beams"
+        if subset
+        else "Measure with more beams"
     )
     raise KinematicsError(
         Fault(

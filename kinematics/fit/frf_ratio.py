@@ -35,11 +35,11 @@ def parse_reference(text: str, bodies: tuple[str, ...], dof: tuple[str, ...]) ->
     if body not in bodies or name not in dof:
         raise KinematicsError(
             Fault(
-                "--reference",
+                "{reference}",
                 f"BODY:DOF with a body out of {', '.join(bodies)} and a fitted degree of freedom "
                 f"out of {', '.join(dof)}",
                 text,
-                next_step=f"Write for example --reference {bodies[-1]}:{dof[0]}",
+                next_step=f"Write for example {{reference}} {bodies[-1]}:{dof[0]}",
             )
         )
     return bodies.index(body), dof.index(name)

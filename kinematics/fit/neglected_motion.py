@@ -10,6 +10,7 @@ from kinematics.fit.beams import WEAK, BeamSet, beam_set, observability
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels
 from stapeskit.spatial import DOF_NAMES, dof_indices
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -156,7 +157,7 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     return [
         f"measured motion in {', '.join(extra)} is left out of the fit and changes {changes} (rms): "
         f"{', '.join(parts)}; without such motion the probability of these "
-        f"data is {odds}; fit it with --dof {','.join(wide)}"
+        f"data is {odds}; fit it with {named('dof')} {','.join(wide)}"
     ]
 
 

@@ -112,25 +112,25 @@ def _unused(options: InputOptions, formats: Sequence[Format]) -> list[Fault]:
     if options.series is not None and options.series.channels is not None:
         if not any(entry.series == "channels" for entry in formats):
             want = "left out: no file holds time series that need it"
-            faults.append(Fault("--channels", want, options.series.channels.name))
+            faults.append(Fault("{channels}", want, options.series.channels.name))
     elif options.series is not None and not any(entry.series == "described" for entry in formats):
-        faults.append(Fault(SERIES, "given with --channels FILE", "alone"))
+        faults.append(Fault(SERIES, "given with {channels} FILE", "alone"))
     if options.mapping is not None and (listed or not any("mapping" in entry.options for entry in formats)):
         want = "left out: no MATLAB or HDF5 file with spectra is read"
-        faults.append(Fault("--mapping", want, options.mapping.name))
+        faults.append(Fault("{mapping}", want, options.mapping.name))
     return faults
 
 
 def _refuse_options(options: InputOptions, path: Path) -> None:
     columns = {
-        "--body": "column body says it",
-        "--run": "column run says it",
-        "--beam": "columns of the direction say it",
-        "--amplitude": "units of its columns say it",
-        "--length-unit": "columns x_mm, y_mm, z_mm say it",
-        "--n-avg": "column n_avg says it",
-        "--mapping": "header says it",
-        "--channels": "columns say it (those of time series have time_s)",
+        "{body}": "column body says it",
+        "{run}": "column run says it",
+        "{beam}": "columns of the direction say it",
+        "{amplitude}": "units of its columns say it",
+        "{length_unit}": "columns x_mm, y_mm, z_mm say it",
+        "{n_avg}": "column n_avg says it",
+        "{mapping}": "header says it",
+        "{channels}": "columns say it (those of time series have time_s)",
         SERIES: "columns say it (those of time series have time_s)",
     }
     step = "Leave it out"

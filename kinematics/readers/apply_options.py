@@ -15,6 +15,7 @@ from kinematics.readers.unit_labels import LENGTHS
 from kinematics.readers.value_checks import scaled
 from kinematics.tidy.points_csv import Points
 from stapeskit.faults import Fault, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 DEFAULT_RUN = "1"
@@ -31,23 +32,28 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
     """
     made: list[Entry] = []
     notices: list[Notice] = []
-    silent = {"--beam": False, "--amplitude": False, "--length-unit": False, "--n-avg": False}
+    silent = {
+        "{beam}": False,
+        "{amplitude}": False,
+        "{length_unit}": False,
+        "{n_avg}": False,
+    }
     for one in files:
         notices += one.notices
         placed = any(np.all(np.isfinite(r.position_mm)) for r in one.recordings)
         absolute = any(not r.per for r in one.recordings)
         if not one.length_stated and placed:
-            silent["--length-unit"] = True
+            silent["{length_unit}"] = True
             if not options.length_unit:
                 notices.append(_metres(one))
         if not one.amplitude_stated and absolute:
-            silent["--amplitude"] = True
+            silent["{amplitude}"] = True
             if not options.amplitude:
                 text = f"{one.file} does not say whether amplitudes are peak or rms: they were taken as peak."
                 notices.append(Notice("amplitude_assumed", text))
         for recording in one.recordings:
-            silent["--beam"] |= bool(np.any(np.isnan(recording.direction)))
-            silent["--n-avg"] |= recording.n_avg is None and recording.sd is None
+            silent["{beam}"] |= bool(np.any(np.isnan(recording.direction)))
+            silent["{n_avg}"] |= recording.n_avg is None and recording.sd is None
             made.append((one.file, _said(recording, one, options)))
     step = "Leave it out, or correct the file"
     faults = [
@@ -81,7 +87,7 @@ def _metres(file: Recordings) -> Notice:
     extent = " x ".join(f"{span:.4g}" for span in np.ptp(places, axis=0))
     text = (
         f"{file.file} does not say the unit of its positions: taken as metres they extend over {extent} mm. "
-        "Say --length-unit m, mm or um."
+        f"Say {named('length_unit')} m, mm or um."
     )
     return Notice("length_unit_assumed", text)
 
@@ -108,7 +114,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         if not names:
             names = by_point.get(one.point, [])
         if len(names) > 1:
-            step = "Name each point once, by file where numbers repeat: --body base=base.uff:1-9"
+            step = f"Name each point once, by file where numbers repeat: {named('body')} base=base.uff:1-9"
             faults.append(Fault(f"point {one.point}", "of one body", " and ".join(names), one.where, step))
         elif not names:
             without.setdefault(file, []).append(one.point)
@@ -117,12 +123,15 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
     for file, lost in without.items():
         lost = list(dict.fromkeys(lost))
         shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
-        step = "Name them with --body, e.g. --body stapes=1-10 --body base=11-19, or list them in --points"
+        step = (
+            f"Name them with {named('body')}, e.g. {named('body')} stapes=1-10 {named('body')} "
+            f"base=11-19, or list them in {named('points')}"
+        )
         faults.append(Fault(f"points {shown}", "of a body", "none", file, step))
     known = ", ".join(dict.fromkeys(one.point for _, one in entries))
     known = known if len(known) < 120 else f"{known[:117]}..."
     faults += [
-        Fault(f"--body {name}", f"points that were measured ({known})", "others", "", "Correct the numbers")
+        Fault(f"{{body}} {name}", f"points that were measured ({known})", "others", "", "Correct the numbers")
         for name in dict.fromkeys(name for name, _ in options.bodies)
         if name not in used
     ]
@@ -136,30 +145,33 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
     Files without names of runs that measure one point in one direction again are different excitations,
     each named after its file; files of different points are parts of one.
     """
-    named = []
+    labelled: list[Entry] = []
     for file, one in entries:
         said = [name for name, chosen in options.runs if is_file(chosen, file)]
         run = said[0] if said else ""
         if run and one.run:
             run = f"{run} {one.run}"
-        named.append((file, replace(one, run=run or one.run)))
-    unnamed = {file for file, one in named if not one.run}
+        labelled.append((file, replace(one, run=run or one.run)))
+    unnamed = {file for file, one in labelled if not one.run}
     seen: dict[tuple[object, ...], str] = {}
     again = False
-    for file, one in named:
+    for file, one in labelled:
         key = (one.body, one.point, np.round(one.direction, 6).tobytes(), one.run, one.repeat, str(one.level))
         again |= seen.setdefault(key, file) != file
     if not again:
-        return [(file, replace(one, run=one.run or DEFAULT_RUN)) for file, one in named], []
-    twice = [one.run for _, one in named if one.run]
+        return [(file, replace(one, run=one.run or DEFAULT_RUN)) for file, one in labelled], []
+    twice = [one.run for _, one in labelled if one.run]
     made = []
-    for file, one in named:
+    for file, one in labelled:
         run = one.run or Path(file).stem
-        if one.run and not options.runs and len({f for f, other in named if other.run == one.run}) > 1:
+        if one.run and not options.runs and len({f for f, other in labelled if other.run == one.run}) > 1:
             run = f"{Path(file).stem} {one.run}"
         made.append((file, replace(one, run=run)))
     if not unnamed and not twice:
         return made, []
     listed = ", ".join(dict.fromkeys(one.run for _, one in made))
-    text = f"the files measure the same points again: they are different runs, {listed}. --run names them."
+    text = (
+        f"the files measure the same points again: they are different runs, {listed}. {named('run')} "
+        "names them."
+    )
     return made, [Notice("runs_by_file", text)]

@@ -20,6 +20,7 @@ from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
 from stapeskit.faults import Fault, Place, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -169,7 +170,7 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
         if np.all(np.isfinite(one.position_mm)):
             first, where = positions.setdefault(key, (one.position_mm, one.where))
             if np.any(np.abs(first - one.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
-                step = "Correct it; --length-unit says the unit where a file does not"
+                step = f"Correct it; {named('length_unit')} says the unit where a file does not"
                 got = f"{_shown(first)} and {_shown(one.position_mm)} mm"
                 thing = f"the position of point {one.point} of body {one.body}"
                 fault = Fault(thing, "one", got, f"{where} and {one.where}", step)
@@ -181,13 +182,13 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
         if (one.body, one.point) not in positions:
             lost.setdefault(one.body, []).append(one.point)
     for body, names in lost.items():
-        step = "Give them with --points points.csv (body, point, x_mm, y_mm, z_mm)"
+        step = f"Give them with {named('points')} points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
             Fault(f"points {_listed(names)} of body {body}", "given with positions", "none", "", step)
         )
     for body, names in blind.items():
         thing = f"points {_listed(names)} of body {body}"
-        step = "Say the direction towards the laser head with --beam z, -y or X,Y,Z"
+        step = f"Say the direction towards the laser head with {named('beam')} z, -y or X,Y,Z"
         faults.append(Fault(thing, "given with the direction of the beam", "none", "", step))
     raise_all(KinematicsError, faults)
 
@@ -272,7 +273,9 @@ def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
             if np.intersect1d(places.lines_of[number], places.lines_of[other]).size:
                 one = recordings[number]
                 name = f"{one.body} {one.point} ({direction_name(one.direction)})"
-                step = "Name different excitations with --run NAME=FILE, or leave one of the two out"
+                step = (
+                    f"Name different excitations with {named('run')} NAME=FILE, or leave one of the two out"
+                )
                 got = f"two that share frequencies ({recordings[other].where} and {one.where})"
                 faults.append(Fault(f"the channel {name}", "there once in a run", got, "", step))
                 break

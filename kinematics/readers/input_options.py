@@ -96,38 +96,38 @@ class InputOptions:
         object.__setattr__(self, "runs", tuple(rule for rule in runs if rule is not None))
         object.__setattr__(self, "direction", _direction(self.beam, faults) if self.beam else None)
         if self.amplitude not in ("", *AMPLITUDES):
-            faults.append(Fault("--amplitude", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
+            faults.append(Fault("{amplitude}", f"one of {', '.join(AMPLITUDES)}", self.amplitude))
         if self.length_unit not in ("", *LENGTH_UNITS):
-            faults.append(Fault("--length-unit", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
+            faults.append(Fault("{length_unit}", f"one of {', '.join(LENGTH_UNITS)}", self.length_unit))
         if self.n_avg is not None and not 1.0 <= self.n_avg < float("inf"):
-            faults.append(Fault("--n-avg", "a number of averages, 1 or more", f"{self.n_avg:g}"))
+            faults.append(Fault("{n_avg}", "a number of averages, 1 or more", f"{self.n_avg:g}"))
         raise_all(KinematicsError, faults)
 
     @property
     def said(self) -> tuple[str, ...]:
         """Names of the options that were given."""
         given = {
-            "--body": self.body,
-            "--run": self.run,
-            "--beam": self.beam,
-            "--amplitude": self.amplitude,
-            "--length-unit": self.length_unit,
-            "--n-avg": self.n_avg,
-            "--mapping": self.mapping,
-            "--channels": self.series,
+            "{body}": self.body,
+            "{run}": self.run,
+            "{beam}": self.beam,
+            "{amplitude}": self.amplitude,
+            "{length_unit}": self.length_unit,
+            "{n_avg}": self.n_avg,
+            "{mapping}": self.mapping,
+            "{channels}": self.series,
         }
-        named = tuple(name for name, value in given.items() if value)
+        chosen = tuple(name for name, value in given.items() if value)
         if self.series is not None and self.series.channels is None:
-            return tuple(SERIES if name == "--channels" else name for name in named)
-        return named
+            return tuple(SERIES if name == "{channels}" else name for name in chosen)
+        return chosen
 
 
 def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | None:
     """Read ``NAME=POINTS``."""
     name, mark, points = (part.strip() for part in text.partition("="))
-    step = "Write it like --body stapes=1-10,12 or --body base=base.uff"
+    step = "Write it like {body} stapes=1-10,12 or {body} base=base.uff"
     if not mark or not name or not points:
-        faults.append(Fault("--body", "NAME=POINTS", text, "", step))
+        faults.append(Fault("{body}", "NAME=POINTS", text, "", step))
         return None
     chosen: list[Chosen] = []
     file = ""
@@ -136,7 +136,7 @@ def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | No
         file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
         made = _points(file, item)
         if made is None:
-            faults.append(Fault("the points of --body", "numbers, ranges or names", f"{text}", "", step))
+            faults.append(Fault("the points of {body}", "numbers, ranges or names", f"{text}", "", step))
             return None
         chosen.append(made)
     return name, tuple(chosen)
@@ -156,8 +156,8 @@ def _run(text: str, faults: list[Fault]) -> tuple[str, str] | None:
     """Read ``NAME=FILE``."""
     name, mark, file = (part.strip() for part in text.partition("="))
     if not mark or not name or not file:
-        step = "Write it like --run push=first.uff"
-        faults.append(Fault("--run", "NAME=FILE", text, "", step))
+        step = "Write it like {run} push=first.uff"
+        faults.append(Fault("{run}", "NAME=FILE", text, "", step))
         return None
     return name, file
 
@@ -174,7 +174,7 @@ def _direction(text: str, faults: list[Fault]) -> Array | None:
     length = float(np.linalg.norm(numbers))
     if numbers.shape != (3,) or not abs(length - 1.0) < 1e-3:
         expected = "x, y, z, -x, -y, -z or three numbers of length 1 (within 1e-3)"
-        faults.append(Fault("--beam", expected, text, "", "It points from the sample towards the laser head"))
+        faults.append(Fault("{beam}", expected, text, "", "It points from the sample towards the laser head"))
         return None
     return np.asarray(numbers / length)
 
@@ -183,8 +183,10 @@ def check_used(options: InputOptions, files: Sequence[str]) -> list[Fault]:
     """List the files that rules name and nobody gave."""
     faults = []
     known = ", ".join(files)
-    named = [(f"--run {name}={file}", file) for name, file in options.runs]
-    named += [(f"--body {name}", item.file) for name, items in options.bodies for item in items if item.file]
+    named = [(f"{{run}} {name}={file}", file) for name, file in options.runs]
+    named += [
+        (f"{{body}} {name}", item.file) for name, items in options.bodies for item in items if item.file
+    ]
     for thing, file in named:
         if not any(is_file(file, one) for one in files):
             faults.append(Fault(f"the file of {thing}", f"one of {known}", file, "", "Correct its name"))

@@ -74,7 +74,7 @@ def _on_plate(
     if mass is None or surfaces is None or mesh is None:
         raise KinematicsError(
             Fault(
-                "--plate-points",
+                "{plate_points}",
                 "given with a mass.json that has a plate.ply beside it",
                 "no plate.ply",
                 next_step="Scan stapes and plate together with ct2mass, or use fiducials in frame scan",

@@ -14,6 +14,7 @@ from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
 from stapeskit.faults import Fault
 from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -113,9 +114,9 @@ def calibrate(
     if not model.names:
         raise KinematicsError(
             Fault(
-                "--calibrate",
+                "{calibrate}",
                 "used with something to estimate",
-                "--axes-sd 0, --beam-sd 0, --gain-sd 0 and no sd_mm of any point",
+                "{axes_sd} 0, {beam_sd} 0, {gain_sd} 0 and no sd_mm of any point",
                 next_step="Give at least one of them",
             )
         )
@@ -337,8 +338,9 @@ def _notices(made: Calibration) -> tuple[Notice, ...]:
         size = _shown(name, made.values[worst], made.sd[worst], made.model.prior_sd[worst])
         text = (
             "calibration: the data pull the geometry beyond what the stated errors allow "
-            f"(chi2 {made.chi2:.3g} for {made.n_dof}, p {made.p_value:.1g}), most {size}. Check --axes-sd, "
-            "--beam-sd and sd_mm, and the channels with a verdict."
+            f"(chi2 {made.chi2:.3g} for {made.n_dof}, p {made.p_value:.1g}), most {size}. Check "
+            f"{named('axes_sd')}, "
+            f"{named('beam_sd')} and sd_mm, and the channels with a verdict."
         )
         notices.append(Notice("calibration_beyond_priors", text))
     return tuple(notices)

@@ -13,6 +13,7 @@ from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
 from stapeskit.spatial import point_rows, shifted_point_rows
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -44,9 +45,9 @@ class GeometryPriors:
 
     def __post_init__(self) -> None:
         options = {
-            "--axes-sd": self.axes_sd_deg,
-            "--beam-sd": self.beam_sd_deg,
-            "--gain-sd": self.gain_sd_percent,
+            named("axes_sd"): self.axes_sd_deg,
+            named("beam_sd"): self.beam_sd_deg,
+            named("gain_sd"): self.gain_sd_percent,
         }
         raise_all(
             KinematicsError,

@@ -14,6 +14,7 @@ from kinematics.measurement import MIRRORS, Measurement
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -81,7 +82,7 @@ def check_axes(
     if after > share * rival:
         text = (
             f"positions whose {best} is turned round would explain the readings as well as the fault "
-            f"that was found; give --mirror-points {best} if their coordinates are left-handed."
+            f"that was found; give {named('mirror_points')} {best} if their coordinates are left-handed."
         )
         return [Notice("mirrored_axes", text)]
     before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
@@ -91,8 +92,8 @@ def check_axes(
             "in the same axes as the beam directions",
             f"positions that agree with the beams only when their {best} is turned round (residuals "
             f"{before:.2g} times the noise as given, {after:.2g} so)",
-            next_step=f"One of the two is left-handed: give --mirror-points {best} when it is the "
-            f"positions, and with --mirror {best} too when it is the directions",
+            next_step=f"One of the two is left-handed: give {{mirror_points}} {best} when it is the "
+            f"positions, and with {{mirror}} {best} too when it is the directions",
         )
     )
 

@@ -241,7 +241,7 @@ def _chosen(
             "such that one placement fits best",
             f"{len(alike)} that fit alike (mean distance {best.pose.miss_mm * 1e3:.2g} and "
             f"{alike[1].pose.miss_mm * 1e3:.2g} um, turned by {angle:.0f} degrees)",
-            next_step="Half turns of a box leave it as it is: give at least 3 --fiducials as a first "
+            next_step="Half turns of a box leave it as it is: give at least 3 {fiducials} as a first "
             "guess, or measure points on the stapes or the bone too, whose surfaces decide",
         )
     )
@@ -275,7 +275,7 @@ def _finished(
                 f"the {cloud.kind} points",
                 "on at least three faces that are not parallel, spread over each",
                 f"points that leave open: {'; '.join(open_)}",
-                next_step="Measure points on the faces that stop these motions, or give --fiducials too",
+                next_step="Measure points on the faces that stop these motions, or give {fiducials} too",
             )
         )
     sd = distance_sd(cloud, surface, fit.scale)
@@ -327,7 +327,7 @@ def _refuse_off(fit: Refined, cloud: Cloud, surface: TriangleSurface) -> None:
             f"on the {surface.name} of the scan",
             f"{int(np.sum(fit.near))} of {len(fit.near)} that fit, {fit.scale:.2g} mm rms off it",
             next_step=f"Check that they were measured on the {cloud.kind} that was scanned, their unit, and "
-            "--mirror; or give --fiducials as a first guess",
+            "{mirror}; or give {fiducials} as a first guess",
         )
     )
 
@@ -387,6 +387,6 @@ def _check_mirror(fit: SurfaceFit, cloud: Cloud, surface: TriangleSurface, sourc
             "right-handed",
             f"{cloud.kind} points that fit only as a mirror image (mean distance {proper:.2g} mm as given, "
             f"{other:.2g} mm mirrored)",
-            next_step="Undo the mirrored axis with --mirror x, y or z",
+            next_step="Undo the mirrored axis with {mirror} x, y or z",
         )
     )

@@ -16,6 +16,7 @@ from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import DOF_NAMES
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def place(
 
 
 def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: Fiducials | None) -> None:
-    what = "the frame of the fiducials" if fiducials is not None else "--frame"
+    what = "the frame of the fiducials" if fiducials is not None else named("frame")
     file = fiducials.path.name if fiducials is not None and fiducials.path is not None else ""
     for frame in frames:
         if frame not in ("footplate", "plate", "scan"):

@@ -115,7 +115,7 @@ def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface
     few = len(bone.points_mm) < LEAST
     raise KinematicsError(
         Fault(
-            "--bone-points",
+            "{bone_points}",
             "at least 3 points"
             if few
             else f"points within {_MOST_DISTANCE_MM:g} mm of other bone in labels.nrrd",
@@ -124,7 +124,7 @@ def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface
             else "points that lie elsewhere, or no such bone beside mass.json",
             next_step="Measure more"
             if few
-            else "Check the registration, --mirror, and that the scan shows bone",
+            else "Check the registration, {mirror}, and that the scan shows bone",
         )
     )
 
@@ -154,7 +154,7 @@ def _check_mirror(
                 "right-handed",
                 f"points that lie {proper:.2g} mm off the surfaces of the scan as given and {other:.2g} mm "
                 "mirrored (coplanar fiducials fit both ways)",
-                next_step="Undo the mirrored axis with --mirror x, y or z",
+                next_step="Undo the mirrored axis with {mirror} x, y or z",
             )
         )
 

@@ -213,7 +213,7 @@ _CODES = {
     "shape_scatter": "repeat_scatter",
 }
 _ADVICE = {
-    "repeat_drift": "Responses per reference (--reference) do not contain it.",
+    "repeat_drift": "Responses per reference do not contain it.",
     "repeat_creep": "The specimen changes in time (drying, a shifting resonance): use the first repeats.",
     "repeat_outlier": "Look at that repeat, and leave it out if there is a reason.",
     "repeat_scatter": "The pooled standard deviations were widened accordingly.",

@@ -16,6 +16,7 @@ from kinematics.report.draw_residuals import relative_rms, residual_figure
 from kinematics.report.draw_spectra import chi2_figure
 from stapeskit.page import page
 from stapeskit.page.page import Section
+from stapeskit.vocabulary import written
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -32,7 +33,7 @@ _STEPS = {
     "sign": "Turn its direction or its values round (times -1).",
     "direction": "Measure the direction of the beam anew and correct dir_x, dir_y, dir_z.",
     "position": "Check the coordinates of the point.",
-    "noise": "Check focus and reflection there; state its true sd, leave it out, or fit with --robust t4.",
+    "noise": "Check focus and reflection there; state its true sd, leave it out, or fit with {robust} t4.",
     "label_swap": "Exchange the two names.",
     "drift": "Sensitivity or alignment changed during the sweep: measure it again, or leave it out.",
     "flexible": "The body bends, or its points belong to several bodies: use lower frequencies or fewer "
@@ -153,7 +154,7 @@ def _step(verdict: ChannelVerdict) -> str:
         return _CONJUGATE
     if verdict.verdict == "label_swap" and "exchanged" not in verdict.estimate:
         return _RELABEL
-    return _STEPS.get(verdict.verdict, _OTHER)
+    return written(_STEPS.get(verdict.verdict, _OTHER))
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

@@ -32,6 +32,7 @@ from kinematics.signals.frf_noise import (
 from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
 from stapeskit.faults import Fault, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -259,7 +260,8 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
     if how.window == "flattop":
         text = (
             "a flattop window is made for single sines: it spreads every line of random excitation over "
-            "four, which smears responses by more than their noise shows. Take --window hann or --frf lpm."
+            f"four, which smears responses by more than their noise shows. Take {named('window')} hann or "
+            f"{named('frf')} lpm."
         )
         notices.append(Notice("window_wide", text))
     return notices

@@ -15,6 +15,7 @@ from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -88,7 +89,10 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     lines = (samples + 1) // 2 - 1
     if freedom < _LEAST_FREEDOM or lines < width:
         least = -(-(unknown + _LEAST_FREEDOM) // len(checked)) * sample_rate_hz / samples
-        step = "Ask for a coarser --resolution (fewer --averages ask for a finer one) or record longer"
+        step = (
+            f"Ask for a coarser {named('resolution')} (fewer {named('averages')} ask for a finer one) "
+            "or record longer"
+        )
         want = f"{least:.3g} Hz at least for records of {samples / sample_rate_hz:.3g} s"
         raise KinematicsError(Fault("the resolution", want, f"{how.resolution_hz:.3g} Hz", where, step))
     count = lines // width

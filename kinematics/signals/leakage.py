@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -61,8 +62,9 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
         f"the responses bend so much within the resolution of {freq_hz[1] - freq_hz[0]:.3g} Hz that they are "
         f"wrong by more than their noise at {count} of {len(freq_hz)} lines, most near "
         f"{freq_hz[1 + worst]:.4g} Hz (by {100.0 * off[worst]:.2g} %): leakage. It is the same factor for "
-        "motions that share the sharp resonance and not in their stated noise. Take --frf lpm, a finer "
-        "--resolution, or longer records."
+        f"motions that share the sharp resonance and not in their stated noise. Take {named('frf')} lpm, "
+        "a finer "
+        f"{named('resolution')}, or longer records."
     )
     return [Notice("leakage", text)]
 
@@ -107,6 +109,7 @@ def edge_notice(segments: list[Array]) -> list[Notice]:
     text = (
         "segments without a window do not end at rest (the last 2 % of a segment hold "
         f"{100.0 * np.sqrt(edge / whole):.2g} % of its mean amplitude): leakage is in the responses and more "
-        "than their stated noise. Take --window hann or --frf lpm, or --period for periodic excitation."
+        f"than their stated noise. Take {named('window')} hann or {named('frf')} lpm, or "
+        f"{named('period')} for periodic excitation."
     )
     return [Notice("leakage", text)]

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.units import SUFFIXES, Unit, unit_of
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 POSITION = ("x_mm", "y_mm", "z_mm")
@@ -109,7 +110,7 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     if missing:
         step = "Add the column, or correct its name in the header (points2dof --help lists them)"
         if POSITION[0] in missing:
-            step = "Give the positions in the table or with --points"
+            step = f"Give the positions in the table or with {named('points')}"
         faults.append(Fault("the table", "complete", f"no column {', '.join(missing)}", place, step))
     if "dir" in header and any(name in header for name in DIRECTION):
         faults.append(

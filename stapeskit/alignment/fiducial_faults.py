@@ -287,7 +287,7 @@ def refuse_mirrored(
             "right-handed",
             f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
             f"{flipped:.3g} mm mirrored)",
-            next_step="Undo the mirrored axis with --mirror x, y or z (scanning heads often count one "
+            next_step="Undo the mirrored axis with {mirror} x, y or z (scanning heads often count one "
             f"axis the other way){also}",
         )
     )

@@ -119,7 +119,7 @@ class RigidMotion:
             faults.append(Fault("freq_hz", "positive and ascending", "another order"))
         raise_all(StapeskitError, faults)
 
-    def body(self, name: str, option: str = "--structure") -> int:
+    def body(self, name: str, option: str = "{structure}") -> int:
         """Return the position of a body.
 
         Raises

@@ -6,7 +6,6 @@ import pytest
 
 from kinematics.points2dof import fit_options
 from pipeline.errors import PipelineError
-from pipeline.options import in_study_words
 from pipeline.study import parse_study
 
 STUDY = """
@@ -47,8 +46,3 @@ def test_the_keys_become_options(tmp_path):
 def test_faulty_keys_are_told(tmp_path, lines, match):
     with pytest.raises(PipelineError, match=match):
         parsed(tmp_path, *lines)
-
-
-def test_messages_name_the_keys():
-    said = in_study_words("--axes-sd must be ...; --plate-points, --mirror-points x, --gain-sd", "ldv")
-    assert said == "ldv.axes_sd_deg must be ...; ldv.plate_points, ldv.mirror_points x, ldv.gain_sd_percent"

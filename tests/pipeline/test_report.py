@@ -5,10 +5,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from pipeline.options import section_in_study_words
 from pipeline.records import Told
 from pipeline.report import ordered
-from stapeskit.page import page as written
 from stapeskit.page.page import Section
 
 HEADINGS = (
@@ -90,9 +88,6 @@ def test_every_warning_is_in_words_of_the_study_file(finished):
 
 
 def test_texts_name_the_keys_of_the_study_file(page):
-    made = Section("Segmentation", [written.text("--seed <x> and --box correct it, or --robust t4; --mm")])
-    (block,) = section_in_study_words(made, "scan").blocks
-    assert block == "<p>scan.seed_mm &lt;x&gt; and scan.box_mm correct it, or ldv.robust t4; --mm</p>"
     for option in ("--seed", "--threshold", "--labels", "--robust", "--bands"):
         assert option not in page[0]
 

@@ -11,7 +11,6 @@ import pytest
 
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from pipeline import scan2kd, stages
-from pipeline.options import in_study_words
 from pipeline.progress import Progress
 from pipeline.records import Told
 from pipeline.scan2kd import output_set, run_study
@@ -270,10 +269,3 @@ def test_progress_is_one_line_a_stage_where_there_is_no_terminal(ear):
     assert all(re.search(r"\d+\.\d s", line) for line in lines)
     assert sum("reused" in line for line in lines) == 4
     assert "\x1b" not in stream.getvalue()
-
-
-def test_options_of_single_commands_become_keys():
-    assert in_study_words("Give --spacing.") == "Give scan.spacing_mm."
-    assert in_study_words("--mirror x or --seed X,Y,Z", "ldv") == "ldv.mirror x or scan.seed_mm X,Y,Z"
-    assert in_study_words("--robust t4 needs --band", "fit") == "fit.robust t4 needs fit.band_hz"
-    assert in_study_words("see --no-such") == "see --no-such"

@@ -6,7 +6,6 @@ import tomllib
 import pytest
 
 from pipeline.errors import PipelineError
-from pipeline.options import in_study_words
 from pipeline.study import TABLES, parse_study, read_study
 from pipeline.template import TEMPLATE
 from stapeskit.options import declared
@@ -78,7 +77,6 @@ def test_the_layout_of_raw_voxels_reaches_ct2mass(tmp_path):
     layout = parsed(short, tmp_path).scan.raw
     assert (layout.byte_order, layout.header_bytes) == ("little", 0)
     assert parsed(GOOD, tmp_path).scan.raw is None
-    assert in_study_words("Give --shape and --header-bytes") == "Give scan.shape and scan.header_bytes"
 
 
 def test_several_ways_to_the_mass_may_be_given(tmp_path):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.faults.fault_model import State, solve
 from kinematics.faults.packed.compact import Compact, compact
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -81,7 +82,10 @@ def _explanation(suspect: Suspect, data: Compact, owners: list[list[int]], scatt
             f"the gains of the {what} scatter by about {sd:.2g} % (standard deviation), most at {name} "
             f"(factor {factor:.4g})"
         )
-        step = f"Calibrate the channels, or state the scatter and fit it with --calibrate --gain-sd {sd:.2g}"
+        step = (
+            f"Calibrate the channels, or state the scatter and fit it with {named('calibrate')} "
+            f"{named('gain_sd')} {sd:.2g}"
+        )
         code, verdict = "gains_scattered", "gain"
     return Explanation(code, verdict, channels, text, step, scatter.sd, suspect.with_value(value))
 

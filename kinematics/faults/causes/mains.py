@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 _MAINS_HZ = (50.0, 60.0)
@@ -58,7 +59,7 @@ def mains(suspect: Suspect) -> Iterator[Explanation]:
     names += f" and {len(told) - _LISTED} more" if len(told) > _LISTED else ""
     text = f"the lines at multiples of {base:.0f} Hz hold mains hum beside the motion: {names} Hz"
     ranges = " ".join(f"{value - 1.0:.6g}-{value + 1.0:.6g}" for value in told[:_LISTED])
-    step = f"Leave these lines out (dof2kd --exclude {ranges}), or remove them from the file"
+    step = f"Leave these lines out (dof2kd {named('exclude')} {ranges}), or remove them from the file"
     value = np.where(near[None], np.nan, suspect.value)
     channels = list(range(len(suspect.body.points)))
     size = float(np.mean(near & loud))

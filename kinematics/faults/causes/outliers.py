@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.rigid_fit import LineFit
+from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 # Probability by which noise alone passes for an outlier: a few values of thousands, which cost nothing.
@@ -55,7 +56,7 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
         f"{number} single values ({100.0 * number / most:.2g} %) are {what}, most at "
         f"channel {suspect.body.channel_name(worst)}"
     )
-    step = "Fit with --robust huber, or leave the cells of these values empty"
+    step = f"Fit with {named('robust')} huber, or leave the cells of these values empty"
     remedied = suspect.with_value(np.where(far, np.nan, suspect.value))
     yield Explanation("sparse_outliers", "noise", channels, text, step, number / most, remedied)
 

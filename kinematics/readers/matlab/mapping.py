@@ -122,7 +122,7 @@ def read_mapping(path: Path) -> Layout:
     """
     path = Path(path)
     if not path.is_file():
-        raise KinematicsError(Fault("--mapping", "an existing TOML file", path, "", "Check its name"))
+        raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
     try:
         found = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:

@@ -37,6 +37,7 @@ from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
 from kinematics.readers.value_checks import scaled
 from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -92,10 +93,10 @@ def of_tree(tree: Mapping[str, Any], path: Path) -> Recordings:
 
 def _unrecognised(tree: Mapping[str, Any], path: Path) -> Fault:
     want = "of a known layout (x 1 x F, y points x F complex, usd; see docs/vibrometer_files.md)"
-    step = f"Say which variable is what in {path.name}.toml, or by --mapping FILE"
+    step = f"Say which variable is what in {path.name}.toml, or by {named('mapping')} FILE"
     times = [name for name in tree if name.lower() in ("t", "time", "time_s")]
     if times:
-        step = "It holds time series: name its channels by --channels FILE"
+        step = f"It holds time series: name its channels by {named('channels')} FILE"
     return Fault(path.name, want, f"the variables {describe(dict(tree))}", "", step)
 
 

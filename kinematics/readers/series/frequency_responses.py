@@ -28,6 +28,7 @@ from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
 from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     path = Path(path)
     if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
-        raise KinematicsError(Fault("time series", "read with --channels FILE", "none", path.name, step))
+        raise KinematicsError(Fault("time series", "read with {channels} FILE", "none", path.name, step))
     rows = [one for one in read_channels(options.channels) if _belongs(one, path.name)]
     responses = [one for one in rows if one.role == "response"]
     if not responses:
@@ -72,7 +73,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
 
 def empty_band(file: str) -> Fault:
     """Say that no line lies within ``--frf-band``."""
-    step = "Widen --frf-band, or record longer"
+    step = f"Widen {named('frf_band')}, or record longer"
     return Fault("the band", "with one line at least", "none", file, step)
 
 
@@ -129,11 +130,11 @@ def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | Non
         if not found:
             known = ", ".join(dict.fromkeys(one.name for one in rows))
             raise KinematicsError(
-                Fault("--reference-channel", f"one of {known}", options.reference_channel, table)
+                Fault("{reference_channel}", f"one of {known}", options.reference_channel, table)
             )
     names = list(dict.fromkeys(one.name for one in found))
     if len(names) > 1:
-        step = "Choose one by --reference-channel, or ignore the others"
+        step = f"Choose one by {named('reference_channel')}, or ignore the others"
         raise KinematicsError(Fault("the reference", "one channel", ", ".join(names), table, step))
     return found[0] if found else None
 
@@ -235,7 +236,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     if options.resolution_hz is not None:
         segment = round(rate / options.resolution_hz)
     if segment < 8:
-        step = "Ask for fewer --averages or a coarser --resolution"
+        step = f"Ask for fewer {named('averages')} or a coarser {named('resolution')}"
         got = f"{segment} samples of a record of {shortest}"
         raise KinematicsError(Fault("a segment", "8 samples long at least", got, group.where, step))
     if options.frf == LOCAL:

@@ -21,6 +21,7 @@ from kinematics.readers.uff.geometry import Geometry, read_geometry
 from kinematics.readers.uff.motion_functions import Motion, direction_label, point_name, usable_motions
 from kinematics.readers.unit_labels import is_none
 from stapeskit.faults import Fault, Place, collecting, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ def _nothing(functions: Sequence[Function], left: Mapping[str, int], file: str) 
     listed = ", ".join(f"{count} {name}" for name, count in left.items() if count) or KINDS[COHERENCE]
     step = "Export complex spectra or frequency responses of velocity or displacement"
     if any(function.kind == TIME for function in functions):
-        step = "Export them, or say how its time responses are averaged, e.g. by --frf h1"
+        step = f"Export them, or say how its time responses are averaged, e.g. by {named('frf')} h1"
     expected = "functions of displacement, velocity or acceleration over frequency"
     return Fault("a universal file", f"one with {expected}", listed, file, step)
 

@@ -26,6 +26,7 @@ from kinematics.readers.uff.motion_functions import (
 )
 from kinematics.readers.unit_labels import is_none, plain
 from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -125,12 +126,14 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
     shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
     if options.reference_channel:
         said = options.reference_channel.strip().lower()
-        named = [_label(one) for one in times if said in (name.lower() for name in (_label(one), *one.names))]
-        named += [_label(one) for one in times if said == str(one.node)] if not named else []
-        found = list(dict.fromkeys(named))
+        fitting = [
+            _label(one) for one in times if said in (name.lower() for name in (_label(one), *one.names))
+        ]
+        fitting += [_label(one) for one in times if said == str(one.node)] if not fitting else []
+        found = list(dict.fromkeys(fitting))
         if len(found) != 1:
             got = options.reference_channel + (f", which is {' and '.join(found)}" if found else "")
-            raise KinematicsError(Fault("--reference-channel", f"one of {shown}", got, file))
+            raise KinematicsError(Fault("{reference_channel}", f"one of {shown}", got, file))
         return found[0]
     stated = {
         direction_label(one.reference_node, one.reference_direction)
@@ -142,7 +145,7 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
         found = list(dict.fromkeys(_label(one) for one in times if not is_motion(one)))
     if len(found) == 1 or (not found and options.steps is not None):
         return found[0] if found else ""
-    step = "Name it by --reference-channel, as node and direction"
+    step = f"Name it by {named('reference_channel')}, as node and direction"
     got = " and ".join(found[:_MOST_NAMED]) if found else f"none among {shown}"
     raise KinematicsError(Fault("the reference of the time responses", "one signal", got, file, step))
 
@@ -263,7 +266,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     series = Series(file, max(rates), float(first.x[0] * _SECONDS[_time_unit(first)]), samples)
     lead = next((one.channel for one in signals if one.channel.name == name), None)
     if lead is None and options.steps is None:
-        step = "Name the reference by --reference-channel"
+        step = f"Name the reference by {named('reference_channel')}"
         raise KinematicsError(Fault("the time responses", "with their reference", "none", file, step))
     return estimated(series, [one.channel for one in signals if one.channel.name != name], lead, options)
 
