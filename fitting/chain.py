@@ -50,7 +50,7 @@ def check_chain(
     if record is None:
         return []
     name = "mass" if mass_file is None else mass_file.name
-    travelling = [replace(notice, text=f"{name}: {notice.text}") for notice in record.notices]
+    travelling = [replace(notice, text=f"mass: {notice.text}") for notice in record.notices]
     used = _used(motion)
     given = None if used is None else _given(used, record, mass_file)
     if used is None or given is None:

@@ -41,7 +41,7 @@ def test_the_mass_file_of_the_motion_is_taken_and_its_warnings_travel(files, sha
     motion = replace(paper_motion(0.01, 0, 20), provenance=used)
     found = check_chain(motion, "dof.h5", record(), files[0])
     assert [notice.code for notice in found] == [WARNING.code]
-    assert found[0].text.startswith("mass.json: ")
+    assert found[0].text.startswith("mass: ")
 
 
 def test_another_mass_file_is_refused_and_force_goes_on_with_a_warning(files) -> None:
