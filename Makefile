@@ -43,7 +43,7 @@ demo: $(READY)
 # one thread of linear algebra per process: two processes share two cores
 test: export OPENBLAS_NUM_THREADS = 1
 test: $(TOOLS)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-shared: export OPENBLAS_NUM_THREADS = 1
 test-shared: $(TOOLS)

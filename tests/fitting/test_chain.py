@@ -103,6 +103,6 @@ def test_the_function_checks_the_chain_as_the_command_does(tmp_path: Path) -> No
     motion = replace(six_dof_motion(0.01, 0, lines=20), provenance=used)
     with pytest.raises(FittingError) as caught:
         dof2kd(motion, mass=record(), bands=0)
-    assert caught.value.faults[0].thing == "{mass}"
+    assert caught.value.faults[0].thing == "mass"
     fit = dof2kd(motion, mass=record(), bands=0, force=True)
     assert {"other_mass_file", WARNING.code} <= {one.code for one in fit.warnings}
