@@ -21,13 +21,13 @@ from stapeskit.option_kinds import (
     VALUE_WITH_SD,
     VOXEL_TYPE,
     VOXELS,
-    WithSd,
     at_least,
     choice,
     file,
     number,
     several,
 )
+from stapeskit.option_values import WithSd
 from stapeskit.options import OptionTable, Rule, Values, excludes, needs, option
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping
 
-from stapeskit.option_kinds import toml
+from stapeskit.option_values import toml
 from stapeskit.options import Option, OptionTable, declared
 from stapeskit.vocabulary import written
 

@@ -18,7 +18,7 @@ from pipeline.study import TABLES
 from pipeline.template import TEMPLATE
 from stapeskit.faults import StapeskitError
 from stapeskit.option_docs import example_of
-from stapeskit.option_kinds import toml
+from stapeskit.option_values import toml
 from stapeskit.options import declared
 
 ROOT = Path(__file__).parents[2]
