@@ -22,8 +22,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 FOLDERS = (ROOT / "kinematics" / "native", ROOT / "ct_inertia" / "native", ROOT / "fitting" / "native")
-# The loader's own rule for the file name, so that what is built is what is looked for.
-library_name = runpy.run_path(str(ROOT / "stapeskit" / "native.py"))["library_name"]
+# The loader's own rules for the file name, so that what is built is what is looked for.
+_LOADER = runpy.run_path(str(ROOT / "stapeskit" / "native.py"))
+library_name, built_library = _LOADER["library_name"], _LOADER["built_library"]
 FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-shared"]
 STRICT = ["-Wall", "-Wextra", "-Werror"]
 
@@ -56,18 +57,18 @@ def build(strict: bool = False) -> list[Path]:
     command = compiler()
     if command is None:
         sys.stderr.write("stapeskit: no C compiler; the kernels are left out, and numpy takes their place\n")
-        return [path for folder in FOLDERS if (path := folder / library_name(folder)).is_file()]
+        return [path for folder in FOLDERS if (path := built_library(folder)) is not None]
     built = [build_folder(folder, command, strict) for folder in FOLDERS]
     return [library for library in built if library is not None]
 
 
 def build_folder(folder: Path, command: list[str], strict: bool) -> Path | None:
     """Compile the sources of one folder into its library."""
-    target = folder / library_name(folder)
-    if target.is_file() and not strict:
-        return target
+    present = built_library(folder)
+    if present is not None and not strict:
+        return Path(present)
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        made = Path(place) / target.name
+        made = Path(place) / "kernels"
         line = [*command, *FLAGS, *(STRICT if strict else []), "-o", str(made)]
         line += [str(source) for source in sorted(folder.glob("*.c"))]
         line += [] if sys.platform == "win32" else ["-fPIC", "-lm"]
@@ -79,6 +80,7 @@ def build_folder(folder: Path, command: list[str], strict: bool) -> Path | None:
             return None
         for old in folder.glob("kernels-*"):
             old.unlink()
+        target = folder / library_name(folder, made.read_bytes())
         made.replace(target)
     return target
 

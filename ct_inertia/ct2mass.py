@@ -23,6 +23,7 @@ from ct_inertia.mass.mass_properties import (
 from ct_inertia.mass.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
 from ct_inertia.mass.plausibility import check_mesh, implausible, size_notice, unsuitable
 from ct_inertia.options import MassOptions
+from ct_inertia.readers.mapping import lost_pages
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, read_surface
 from ct_inertia.volume.progress import Tell, untold
@@ -30,6 +31,7 @@ from stapeskit.background import Later
 from stapeskit.faults import Fault
 from stapeskit.frames import vector_from_rotation
 from stapeskit.records.mass_record import MassMatrix
+from stapeskit.unchanged import InputStates
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
@@ -70,6 +72,8 @@ class MassMeasurement:
     notices : tuple of Notice
     ways : tuple of MassByWay
         The mass matrix by every way to a mass that was given; the leading one, which is ``matrix``, first.
+    inputs : InputStates or None
+        The input files as they were when they were read.
     """
 
     options: MassOptions
@@ -86,6 +90,7 @@ class MassMeasurement:
     bodies: Bodies | None = None
     notices: tuple[Notice, ...] = field(default=())
     ways: tuple[MassByWay, ...] = ()
+    inputs: InputStates | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,27 @@ def ct2mass(options: MassOptions, progress: Tell = untold) -> MassMeasurement:
     CtInertiaError, KinematicsError
         Anything that is wrong with the options or the files, in one sentence.
     """
+    inputs = InputStates.of(options.inputs.values())
+    lost = lost_pages()
+    try:
+        result = _measure(options, progress)
+    except Exception:
+        # Where a file has changed, that is the cause of whatever failed.
+        _check_inputs(inputs, lost)
+        raise
+    _check_inputs(inputs, lost)
+    return replace(result, inputs=inputs)
+
+
+def _check_inputs(inputs: InputStates, lost: int) -> None:
+    inputs.check(CtInertiaError)
+    if lost_pages() != lost:
+        raise CtInertiaError(
+            Fault("the scan", "readable to its end", "a part that its disk did not give", "", "Copy it anew")
+        )
+
+
+def _measure(options: MassOptions, progress: Tell) -> MassMeasurement:
     known = _known(options)
     progress("reading and finding the stapes")
     if options.is_mesh:
@@ -155,7 +181,12 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     volume, glance = None, None
     if options.scan is not None:
         volume = read_volume(
-            options.scan, options.spacing_mm, options.mirror, options.nan_as_air, options.raw
+            options.scan,
+            options.spacing_mm,
+            options.mirror,
+            options.nan_as_air,
+            options.raw,
+            options.follow,
         )
         if options.labels is None and options.box_mm is None:
             from ct_inertia.volume.coarse import take_glance
@@ -172,7 +203,7 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
                 Fault("{labels}", "an existing label volume", options.labels, next_step="Check the path")
             )
         spacing = options.spacing_mm if volume is None else tuple(float(v) for v in volume.spacing_mm)
-        labels = read_labels(options.labels, spacing, options.mirror)
+        labels = read_labels(options.labels, spacing, options.mirror, options.follow)
     search = SearchOptions(
         threshold=options.threshold,
         seed_mm=None if options.seed_mm is None else np.array(options.seed_mm),

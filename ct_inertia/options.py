@@ -181,6 +181,7 @@ class MassOptions(OptionTable):
         example="z",
     )
     nan_as_air: bool = option(FLAG, "let voxels that are not finite be air", False, group=_READING)
+    follow: bool = option(FLAG, "let headers name data files outside their own folder", False, group=_READING)
     shape: tuple[int, int, int] | None = option(
         VOXELS, "numbers of voxels; x runs fastest in the file", group=_RAW, example=[512, 512, 600]
     )

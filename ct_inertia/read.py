@@ -28,6 +28,7 @@ def read_volume(
     mirror: str | None = None,
     nan_as_air: bool = False,
     raw: RawLayout | None = None,
+    follow: bool = False,
 ) -> Volume:
     """Open a scan of any format in the table `ct_inertia.readers.formats.FORMATS`.
 
@@ -43,6 +44,8 @@ def read_volume(
         Let voxels that are not finite count as air.
     raw : RawLayout, optional
         How raw voxels lie in a file without a header.
+    follow : bool
+        Data files that a header names may lie outside its folder.
 
     Returns
     -------
@@ -61,7 +64,7 @@ def read_volume(
     given = None if spacing_mm is None else np.asarray(spacing_mm, dtype=float).ravel().tolist()
     if mirror is not None:
         check_axis(mirror)
-    volume = format_of(path, raw).read(path, ReadOptions(given, mirror, raw))
+    volume = format_of(path, raw).read(path, ReadOptions(given, mirror, raw, follow))
     volume = replace(volume, nan_as_air=nan_as_air)
     check_values(volume)
     if volume.handedness_confirmed or mirror is not None:
@@ -76,7 +79,10 @@ def read_volume(
 
 
 def read_labels(
-    path: Path | str, spacing_mm: float | Sequence[float] | None = None, mirror: str | None = None
+    path: Path | str,
+    spacing_mm: float | Sequence[float] | None = None,
+    mirror: str | None = None,
+    follow: bool = False,
 ) -> Volume:
     """Open a label volume of any format and hold its voxels in memory.
 
@@ -88,11 +94,11 @@ def read_labels(
         As `read_volume`.
     """
     try:
-        volume = read_volume(path, None, mirror)
+        volume = read_volume(path, None, mirror, follow=follow)
     except CtInertiaError:
         if spacing_mm is None:
             raise
-        volume = read_volume(path, spacing_mm, mirror)
+        volume = read_volume(path, spacing_mm, mirror, follow=follow)
     kept = tuple(notice for notice in volume.notices if notice.code != WHITE_IS_ZERO)
     # Numbers that name bodies are no matter of bright and dark.
     array = volume.array if len(kept) == len(volume.notices) else turned(volume.array)

@@ -1,11 +1,14 @@
-"""How the process takes memory and threads from the system, where that lets itself be chosen."""
+"""The memory and the threads that the process takes from the system."""
 
 from __future__ import annotations
+
+import os
 
 _ARENAS, _MAP_ABOVE, _TRIM_ABOVE = -8, -3, -1
 _LARGE = 16 << 20
 # Given back only beyond this: pages that go and come with every small array cost more than they save.
 _SPARE = 32 << 20
+_UNKNOWN = 1 << 50
 
 
 def hold_little_memory() -> None:
@@ -35,6 +38,52 @@ def keep_algebra_to_one_thread() -> None:
     processors that the other threads of the program need. It reads its variable when numpy is first
     imported; a command calls this before.
     """
-    import os
-
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def available_memory() -> int:
+    """Return the bytes that this process may still take without swapping; a large number where unknown.
+
+    Notes
+    -----
+    The least of what the system has left (``MemAvailable`` of /proc/meminfo, else the physical memory), what
+    the control group allows, and the limit on the address space.
+    """
+    return min(_system_memory(), _group_memory(), _address_space())
+
+
+def _system_memory() -> int:
+    try:
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) << 10
+    except (OSError, ValueError, IndexError):
+        pass
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return _UNKNOWN
+
+
+def _group_memory() -> int:
+    """Return what a control group (version 2, as containers have) leaves of its limit."""
+    try:
+        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as limit:
+            most = int(limit.read())
+        with open("/sys/fs/cgroup/memory.current", encoding="ascii") as used:
+            return max(0, most - int(used.read()))
+    except (OSError, ValueError):  # no such group, or its limit is the word max
+        return _UNKNOWN
+
+
+def _address_space() -> int:
+    try:
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        with open("/proc/self/statm", encoding="ascii") as sizes:
+            used = int(sizes.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (ImportError, OSError, ValueError, AttributeError):
+        return _UNKNOWN
+    return _UNKNOWN if most in (resource.RLIM_INFINITY, -1) else max(0, most - used)

@@ -115,7 +115,13 @@ def mass_json(
 
 
 def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, Any]) -> list[str]:
-    """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names."""
+    """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names.
+
+    Raises
+    ------
+    StapeskitError
+        An input has changed since it was read.
+    """
     folder = Path(folder)
     (folder / "mass.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     write_surface(folder / "stapes.ply", result.stapes)
@@ -123,6 +129,8 @@ def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, A
         write_surface(folder / "plate.ply", result.plate)
     if result.bodies is not None:
         result.bodies.labels.write(folder / content["labels_file"])
+    if result.inputs is not None:  # labels and pictures were read from the scan until here
+        result.inputs.check()
     return names_of(result, content)
 
 

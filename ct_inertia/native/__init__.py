@@ -13,6 +13,9 @@ from stapeskit.native import load
 
 # Arguments: p pointer, i whole number of 64 bits, d double, f float; behind the colon what it returns.
 _SIGNATURES = {
+    "guarded": "pi:i",
+    "unguarded": "i",
+    "lost_pages": ":i",
     "label_pieces": "ppip:i",
     "measure_pieces": "ppipp",
     "used_box": "ppp:i",

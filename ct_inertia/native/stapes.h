@@ -1,5 +1,5 @@
 /* What the kernels share. They are called through ctypes, which gives the interpreter free meanwhile; they
- * keep no state, write only to what they are handed, and return -1 where memory runs out. Arrays are
+ * keep no state (guard.c does), write only to what they are handed, and return -1 where memory runs out. Arrays are
  * contiguous; shapes are z, y, x. Compiled with -ffp-contract=off: results do not depend on the processor. */
 #ifndef STAPES_H
 #define STAPES_H

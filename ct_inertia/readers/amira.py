@@ -80,7 +80,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _sizes(text: str, path: Path) -> tuple[int, int, int]:
-    definition = re.search(r"define\s+Lattice\s+(\d+)\s+(\d+)\s+(\d+)", text)
+    definition = re.search(r"define\s+Lattice\s+(\d{1,9})\s+(\d{1,9})\s+(\d{1,9})\b", text)
     if definition is None or re.search(r'CoordType\s+"(?!uniform)', text):
         raise header_fault(path, "Amira lattice", "a lattice that is not a uniform one in three dimensions")
     size = int(definition[1]), int(definition[2]), int(definition[3])

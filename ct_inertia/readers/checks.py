@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
+from stapeskit.memory import available_memory
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-# zlib packs at most 1032 to 1; nothing that a scanner writes comes near it.
-_MOST_PACKED = 1100
+# Bytes that a byte of a packed file can become at most, by the formats: deflate 1032, LZ4 255, PackBits 64.
+# The others (zstd, bzip2, lzma, JPEG ...) have no such limit: a zstd block of 11 bytes is 128 KiB of zeros.
+_MOST_PACKED = {"raw": 1.0, "deflate": 1100.0, "lz4": 260.0, "packbits": 65.0}
+# File systems store names of at most 255 bytes.
+_LONGEST_NAME = 255
 _MM = {
     **dict.fromkeys(("m", "meter", "metre", "meters"), 1e3),
     **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters"), 10.0),
@@ -33,7 +37,7 @@ _MM = {
 
 def mm_per_unit(unit: str | None) -> float | None:
     """Return the length of a unit in mm, or None when the word names no length (``pixel``)."""
-    return None if unit is None else _MM.get(unit.strip().lower())
+    return _MM.get(unit.strip().lower()) if isinstance(unit, str) else None
 
 
 def settle_spacing(
@@ -92,9 +96,10 @@ def check_size(
     shape: Sequence[int],
     dtype: np.dtype,
     stored_bytes: int,
-    packed: bool,
     name: str,
-    held: bool = True,
+    *,
+    packing: str = "raw",
+    held: bool = False,
 ) -> None:
     """Refuse a header that claims more than its file can hold or than this machine can.
 
@@ -105,12 +110,12 @@ def check_size(
     dtype : dtype
     stored_bytes : int
         Bytes that the file has for them.
-    packed : bool
-        The data are compressed.
     name : str
         File name for messages.
+    packing : str
+        ``raw``, ``deflate`` (zlib, gzip, PNG), ``lz4``, ``packbits``, or another one without a limit.
     held : bool
-        Packed data are unpacked as a whole; otherwise piece by piece when they are asked for.
+        The voxels are unpacked as a whole, not piece by piece.
 
     Raises
     ------
@@ -120,7 +125,7 @@ def check_size(
     for n in shape:
         claimed *= int(n)
     size = " x ".join(str(int(n)) for n in reversed(list(shape)))
-    if claimed > stored_bytes * (_MOST_PACKED if packed else 1):
+    if claimed > stored_bytes * _MOST_PACKED.get(packing, np.inf):
         raise CtInertiaError(
             Fault(
                 "the volume",
@@ -130,12 +135,25 @@ def check_size(
                 "The file is truncated or its header is wrong: copy or export it again",
             )
         )
-    if packed and held and claimed > _memory():
+    if held:
+        check_memory(claimed, name)
+
+
+def check_memory(needed: int, name: str) -> None:
+    """Refuse what does not fit into memory.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    # Half: what was unpacked is copied once more where it is measured.
+    most = available_memory() // 2
+    if needed > most:
         raise CtInertiaError(
             Fault(
                 "the volume",
-                f"small enough to unpack in memory ({amount(_memory())})",
-                amount(claimed),
+                f"small enough to unpack in memory ({amount(most)})",
+                amount(needed),
                 name,
                 "Export it uncompressed, or crop it",
             )
@@ -143,12 +161,26 @@ def check_size(
 
 
 def existing_file(path: Path) -> Path:
-    """Return the path when it is a file with content."""
-    if not path.exists():
+    """Return the path when it is a folder, or a regular file with content.
+
+    Raises
+    ------
+    CtInertiaError
+        Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
+    """
+    try:
+        found = path.stat()
+    except FileNotFoundError:
         raise CtInertiaError(
             Fault("the scan", "an existing file or folder", path, next_step="Check the path")
+        ) from None
+    except (OSError, ValueError) as fault:
+        raise unreadable(path, fault) from fault
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        raise CtInertiaError(
+            Fault("the scan", "a file or folder", "a pipe or a device", path.name, "Save it as a file first")
         )
-    if path.is_file() and path.stat().st_size == 0:
+    if stat.S_ISREG(found.st_mode) and found.st_size == 0:
         raise CtInertiaError(
             Fault(
                 "the scan",
@@ -159,6 +191,48 @@ def existing_file(path: Path) -> Path:
             )
         )
     return path
+
+
+def unreadable(path: Path, fault: Exception) -> CtInertiaError:
+    """Make the error for a file that the system does not let be read."""
+    why = getattr(fault, "strerror", None) or str(fault)
+    return CtInertiaError(
+        Fault("the scan", "a file that can be read", why, path.name, "Check its name, permissions and disk")
+    )
+
+
+def beside(path: Path, name: str, follow: bool) -> Path:
+    """Return the data file that a header names.
+
+    Parameters
+    ----------
+    path : Path
+        The header.
+    name : str
+        As the header has it, relative to the header's folder.
+    follow : bool
+        Names that lead out of that folder are allowed.
+
+    Raises
+    ------
+    CtInertiaError
+        The name leads out of the folder, or is no file name.
+    """
+    if not name or "\0" in name or any(len(part.encode()) > _LONGEST_NAME for part in Path(name).parts):
+        got = f"a name of {len(name)} characters" if len(name) > 60 else repr(name)
+        raise CtInertiaError(Fault("the data file", "a file name", got, path.name, "Correct the header"))
+    outside = Path(name).is_absolute() or ".." in Path(name).parts
+    if outside and not follow:
+        raise CtInertiaError(
+            Fault(
+                "the data file",
+                "in the folder of its header",
+                name if len(name) <= 200 else f"{name[:200]}...",
+                path.name,
+                "Put both files into one folder, or let {follow} allow it if you trust the header",
+            )
+        )
+    return path.parent / name
 
 
 def no_data_file(path: Path, data: Path) -> CtInertiaError:
@@ -201,16 +275,24 @@ def density_notice(name: str, scaling: float, slope: float, intercept: float, un
     return [Notice("density_in_header", text)]
 
 
-def numbered_names(words: Sequence[str], path: Path, kind: str) -> list[str]:
-    """Return the file names of ``pattern first last [step]``, as in ``s%03d.raw 0 99 1``."""
+def numbered_names(words: Sequence[str], path: Path, kind: str, most: int) -> list[str]:
+    """Return the file names of ``pattern first last [step]``, as in ``s%03d.raw 0 99 1``; at most so many.
+
+    Raises
+    ------
+    CtInertiaError
+    """
     pattern, *rest = words
     if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):
         raise header_fault(path, kind, f"data files {' '.join(words)}")
     step = int(rest[2]) if len(rest) > 2 else 1
-    directive = re.search(r"%0?(\d*)d", pattern)
+    directive = re.search(r"%0?(\d{0,2})d", pattern)
     if step < 1 or directive is None or pattern.count("%") != 1:
         raise header_fault(path, kind, f"data files {' '.join(words)}")
-    return [pattern % number for number in range(int(rest[0]), int(rest[1]) + 1, step)]
+    numbers = range(int(rest[0]), int(rest[1]) + 1, step)
+    if len(numbers) > most:
+        raise header_fault(path, kind, f"{len(numbers)} data files for {most} slices")
+    return [pattern % number for number in numbers]
 
 
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
@@ -224,13 +306,6 @@ def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
             "The file is truncated or damaged: copy or export it again",
         )
     )
-
-
-def _memory() -> int:
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (ValueError, OSError, AttributeError):
-        return 1 << 40
 
 
 def amount(count: int) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import not_readable, settle_spacing
+from ct_inertia.readers.checks import check_memory, not_readable, settle_spacing, unreadable
+from ct_inertia.readers.dicom_lengths import dicom_size
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.volume.blocks import BlockArray
 from ct_inertia.volume.volume import Volume
@@ -68,16 +69,23 @@ def read(path: Path, options: ReadOptions) -> Volume:
 
 
 def _is_dicom(path: Path) -> bool:
-    if path.suffix.lower() in (".dcm", ".dicom", ".ima"):
-        return True
-    with path.open("rb") as stream:
-        return stream.read(132)[128:] == b"DICM"
+    return path.suffix.lower() in (".dcm", ".dicom", ".ima") or _has_preamble(path)
+
+
+def _has_preamble(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(132)[128:] == b"DICM"
+    except OSError as fault:
+        raise unreadable(path, fault) from fault
 
 
 def _read_folder(folder: Path, options: ReadOptions) -> Volume:
     """Read the series of a folder, ordered by position; rescale slope and intercept are applied."""
     import SimpleITK as sitk
 
+    for file in sorted(entry for entry in folder.iterdir() if entry.is_file() and _has_preamble(entry)):
+        check_memory(2 * dicom_size(file).claimed_bytes, file.name)
     series = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
         raise CtInertiaError(
@@ -125,6 +133,7 @@ def _read_file(path: Path, options: ReadOptions) -> Volume:
     """Read a file of several frames, unpacked in memory."""
     import SimpleITK as sitk
 
+    check_memory(dicom_size(path).claimed_bytes, path.name)
     head = _slice(str(path))
     if len(head.size) < 3 or head.size[2] < 2:
         raise CtInertiaError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -9,11 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
+from ct_inertia.readers.checks import not_readable, unreadable
+from stapeskit.faults import Fault, StapeskitError
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
     from ct_inertia.volume.volume import Volume
+
+# What parsers raise on damaged content that no check has met: impossible numbers, nested too deeply, cut.
+_DAMAGE = (
+    *(ValueError, ArithmeticError, LookupError, TypeError, AttributeError),
+    *(RecursionError, EOFError, struct.error),
+)
 
 
 @dataclass(frozen=True)
@@ -29,11 +37,14 @@ class ReadOptions:
         whose header has directions also uses it to make a left-handed grid right-handed.
     raw : RawLayout or None
         Layout of the voxels in a file without a header.
+    follow : bool
+        Data files that a header names may lie outside its folder.
     """
 
     spacing_mm: Sequence[float] | None = None
     mirror: str | None = None
     raw: RawLayout | None = None
+    follow: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,8 +77,22 @@ class Format:
     sniffs: tuple[str, ...] = ()
 
     def read(self, path: Path, options: ReadOptions) -> Volume:
-        """Read a scan; raise CtInertiaError when it is damaged or incomplete."""
-        volume: Volume = self._code().read(path, options)
+        """Read a scan.
+
+        Raises
+        ------
+        CtInertiaError
+            It is damaged, incomplete, or cannot be read; what its content makes a parser raise included.
+        """
+        code = self._code()
+        try:
+            volume: Volume = code.read(path, options)
+        except OSError as fault:
+            raise unreadable(Path(fault.filename or path), fault) from fault
+        except StapeskitError:
+            raise
+        except _DAMAGE as fault:
+            raise not_readable(path, self.title, fault) from fault
         return volume
 
     def recognises(self, path: Path) -> bool:

@@ -12,14 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_size, no_data_file, not_readable, settle_spacing
+from ct_inertia.readers.checks import check_size, header_fault, no_data_file, not_readable, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
+from ct_inertia.readers.mapping import mapped
 from ct_inertia.volume.blocks import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Unpacked at once: bounds the memory beside the volume itself.
+_STREAM_BYTES = 16 << 20
+# Bytes of an unpacked stream before its voxels; headers have some thousands.
+_MOST_SKIPPED = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -122,22 +127,12 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
     file, offset = grid.files[0]
     if grid.packing == "raw":
         return mapped(file, grid.dtype, offset, shape, path.name)
-    check_size(shape, grid.dtype, file.stat().st_size - max(offset, 0), True, path.name)
+    if grid.skip > _MOST_SKIPPED:
+        raise header_fault(path, "header", f"voxels at byte {grid.skip}")
+    limit = "bzip2" if grid.packing == "bzip2" else "deflate"
+    stored = file.stat().st_size - max(offset, 0)
+    check_size(shape, grid.dtype, stored, path.name, packing=limit, held=True)
     return _unpacked(file, offset, grid, shape, path)
-
-
-def mapped(
-    file: Path, dtype: np.dtype, offset: int, shape: Sequence[int], name: str
-) -> np.memmap[Any, np.dtype[Any]]:
-    """Map voxels of a file into memory without reading them; an offset of -1 counts back from the end."""
-    stored = file.stat().st_size
-    if offset < 0:
-        needed = int(np.dtype(dtype).itemsize)
-        for n in shape:
-            needed *= int(n)
-        offset = max(0, stored - needed)
-    check_size(shape, dtype, max(0, stored - offset), False, name)
-    return np.memmap(file, dtype=dtype, mode="r", offset=offset, shape=tuple(shape))
 
 
 def check_dimensions(size: Sequence[int], name: str) -> None:
@@ -172,7 +167,7 @@ def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
         )
     for number, (file, offset) in enumerate(grid.files):
         here = depth if number < count - 1 else rest
-        check_size((here, ny, nx), grid.dtype, file.stat().st_size - max(offset, 0), False, file.name)
+        check_size((here, ny, nx), grid.dtype, file.stat().st_size - max(offset, 0), file.name)
 
     def slab(z: int, _y: int, _x: int) -> NDArray[Any]:
         file, offset = grid.files[z]
@@ -211,10 +206,11 @@ def _filled(stream: BinaryIO, packing: str, skip: int, room: memoryview) -> int:
     import gzip
 
     source: Any = bz2.BZ2File(stream) if packing == "bzip2" else gzip.GzipFile(fileobj=stream)
-    source.read(skip)
+    while skip > 0 and (passed := len(source.read(min(skip, _STREAM_BYTES)))):
+        skip -= passed
     filled = 0
     while filled < len(room):
-        count = source.readinto(room[filled : filled + (16 << 20)])
+        count = source.readinto(room[filled : filled + _STREAM_BYTES])
         if not count:
             break
         filled += count
@@ -227,10 +223,10 @@ def _inflated(stream: BinaryIO, room: memoryview) -> int:
     unpack = zlib.decompressobj(47)
     filled = 0
     while filled < len(room) and not unpack.eof:
-        data = unpack.unconsumed_tail or stream.read(4 << 20)
+        data = unpack.unconsumed_tail or stream.read(_STREAM_BYTES >> 2)
         if not data:
             break
-        piece = unpack.decompress(data, min(len(room) - filled, 16 << 20))
+        piece = unpack.decompress(data, min(len(room) - filled, _STREAM_BYTES))
         room[filled : filled + len(piece)] = piece
         filled += len(piece)
     if filled == len(room) and not unpack.eof:

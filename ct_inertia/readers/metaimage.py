@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
@@ -71,13 +71,13 @@ def read(path: Path, options: ReadOptions) -> Volume:
                 "Export one channel",
             )
         )
-    return grid_volume(_grid(path, fields, size, start, rest), path, options)
+    return grid_volume(_grid(path, fields, size, start, rest, options.follow), path, options)
 
 
 def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     fields, start, rest = _header(path)
-    return [file for file, _ in _files(path, fields, start, rest)]
+    return [file for file, _ in _files(path, fields, start, rest, True)]
 
 
 def _header(path: Path) -> tuple[dict[str, str], int, list[str]]:
@@ -114,7 +114,9 @@ def _true(fields: dict[str, str], *names: str) -> bool:
     return any(fields.get(name, "").lower() in ("true", "1") for name in names)
 
 
-def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest: list[str]) -> Grid:
+def _grid(
+    path: Path, fields: dict[str, str], size: list[int], start: int, rest: list[str], follow: bool
+) -> Grid:
     kind = fields.get("ElementType", "")
     if kind not in _TYPES:
         raise CtInertiaError(
@@ -146,7 +148,7 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
     return Grid(
         (size[0], size[1], size[2]),
         np.dtype(order + _TYPES[kind]),
-        tuple(_files(path, fields, start, rest)),
+        tuple(_files(path, fields, start, rest, follow)),
         spacing,
         offset,
         direction,
@@ -155,7 +157,9 @@ def _grid(path: Path, fields: dict[str, str], size: list[int], start: int, rest:
     )
 
 
-def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> list[tuple[Path, int]]:
+def _files(
+    path: Path, fields: dict[str, str], start: int, rest: list[str], follow: bool
+) -> list[tuple[Path, int]]:
     named = fields["ElementDataFile"]
     head = _values(fields, ("HeaderSize",), path)
     skip = int(head[0]) if head and abs(head[0]) < 1e15 else 0
@@ -164,7 +168,7 @@ def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> l
     if named.upper().startswith("LIST"):
         names = rest
     elif "%" in named:
-        names = numbered_names(named.split(), path, "MetaImage volume")
+        names = numbered_names(named.split(), path, "MetaImage volume", _most_slices(fields, path))
     else:
         names = [named]
     pictures = [
@@ -180,4 +184,9 @@ def _files(path: Path, fields: dict[str, str], start: int, rest: list[str]) -> l
                 "Give the folder of slices itself, with {spacing}",
             )
         )
-    return [(path.parent / name, skip) for name in names]
+    return [(beside(path, name, follow), skip) for name in names]
+
+
+def _most_slices(fields: dict[str, str], path: Path) -> int:
+    sizes = _values(fields, ("DimSize",), path)
+    return int(max((n for n in sizes if abs(n) < 1e15), default=0))

@@ -120,7 +120,7 @@ def _first(head: bytes, order: str) -> _Header:
         tuple(int(n) for n in get("8h", 40)),
         int(get("h", 70)[0]),
         np.array(get("8f", 76), dtype=float),
-        int(get("f", 108)[0]),
+        _whole(get("f", 108)[0]),
         get("f", 112)[0],
         get("f", 116)[0],
         head[123],
@@ -132,6 +132,11 @@ def _first(head: bytes, order: str) -> _Header:
         order,
         head[344:347] == b"n+1",
     )
+
+
+def _whole(value: float) -> int:
+    """Return an offset that is stored as a float; an impossible one as beyond every file."""
+    return int(value) if abs(value) < 1e15 else 1 << 60
 
 
 def _second(head: bytes, order: str) -> _Header:

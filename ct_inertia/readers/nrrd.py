@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit, numbered_names
+from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
@@ -52,7 +52,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
     fields, keys, start = _header(path)
     axes = _axes(fields, path)
     sizes = _sizes(fields, path)
-    grid = _grid(path, fields, axes, sizes, start)
+    grid = _grid(path, fields, axes, sizes, start, options.follow)
     layers = [k for k in range(len(sizes)) if k not in axes and sizes[k] > 1]
     segments = _segments(keys, path)
     if not layers:
@@ -78,7 +78,7 @@ def read(path: Path, options: ReadOptions) -> Volume:
 def companion_files(path: Path) -> list[Path]:
     """Return the files that hold the voxels of a header."""
     fields, _, start = _header(path)
-    return [file for file, _ in _files(path, fields, start, "raw")]
+    return [file for file, _ in _files(path, fields, start, "raw", True)]
 
 
 def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
@@ -142,7 +142,9 @@ def _axes(fields: dict[str, str], path: Path) -> list[int]:
     return list(range(count))
 
 
-def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int], start: int) -> Grid:
+def _grid(
+    path: Path, fields: dict[str, str], axes: list[int], sizes: list[int], start: int, follow: bool
+) -> Grid:
     kind = fields.get("type", "").lower()
     if kind not in _TYPES:
         raise CtInertiaError(
@@ -182,7 +184,7 @@ def _grid(path: Path, fields: dict[str, str], axes: list[int], sizes: list[int],
     return Grid(
         (sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]),
         np.dtype(order + _TYPES[kind]),
-        tuple(_files(path, fields, start, packing)),
+        tuple(_files(path, fields, start, packing, follow)),
         spacing,
         origin,
         direction,
@@ -262,28 +264,30 @@ def _vector(text: str, path: Path) -> Array:
     return values
 
 
-def _files(path: Path, fields: dict[str, str], start: int, packing: str) -> list[tuple[Path, int]]:
+def _files(
+    path: Path, fields: dict[str, str], start: int, packing: str, follow: bool
+) -> list[tuple[Path, int]]:
     """Return the data files, each with the offset of its first voxel (or of its packed stream)."""
     skip = _integer(fields, path, "byte skip", "byteskip") if packing == "raw" else 0
     lines = _integer(fields, path, "line skip", "lineskip")
     named = fields.get("data file")
     if not named:
         return [(path, -1 if skip == -1 else start + max(skip, 0))]
-    folder = path.parent
     if named.upper().startswith("LIST"):
         names = fields.get("list", "").splitlines()
     elif re.search(r"%\d*d", named):
-        names = numbered_names(named.split(), path, "NRRD volume")
+        names = numbered_names(named.split(), path, "NRRD volume", max(_sizes(fields, path), default=0))
     else:
         names = [named]
     files = []
     for name in names:
-        file = folder / name
+        file = beside(path, name, follow)
         past = 0
         if lines and file.is_file():
             with file.open("rb") as stream:
                 for _ in range(lines):
-                    stream.readline()
+                    if not stream.readline(_HEADER_BYTES):
+                        break
                 past = stream.tell()
         files.append((file, -1 if skip == -1 else past + skip))
     if not files:

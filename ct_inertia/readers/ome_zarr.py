@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, mm_per_unit, settle_spacing
+from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import check_dimensions
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
@@ -48,10 +48,10 @@ def read(folder: Path, options: ReadOptions) -> Volume:
         where, scales = image
         axes = [str(axis["name"] if isinstance(axis, dict) else axis).lower() for axis in scales["axes"]]
         levels = scales["datasets"]
-        array = zarr_array(where / str(levels[0]["path"]))
+        array = zarr_array(_level_folder(where, levels[0], options.follow))
         placed = _placed(scales, levels[0], axes)
         voxels = _spatial(array, axes, folder)
-        voxels.levels = tuple(_levels(where, scales, axes, folder, voxels.shape))
+        voxels.levels = tuple(_levels(where, scales, axes, folder, voxels.shape, options.follow))
     absent, total = array.missing()
     if absent == total:
         raise header_fault(folder, "OME-Zarr image", "metadata without a single chunk")
@@ -176,13 +176,20 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
     return BlockArray([array.shape[k] for k in order], array.dtype, [array.chunks[k] for k in order], block)
 
 
-def _levels(where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...]) -> list[Level]:
+def _level_folder(where: Path, level: Meta, follow: bool) -> Path:
+    """Return the folder of a level; a level that is the image itself has the path "." or none."""
+    return beside(where / ".zattrs", str(level["path"]) or ".", follow)
+
+
+def _levels(
+    where: Path, scales: Meta, axes: list[str], folder: Path, shape: tuple[int, ...], follow: bool
+) -> list[Level]:
     """Return the coarser levels that are whole and whose voxels are whole numbers of voxels of the finest."""
     fine = _scale(scales["datasets"][0], len(axes))
     levels = []
     for level in scales["datasets"][1:]:
         try:
-            array = zarr_array(where / str(level["path"]))
+            array = zarr_array(_level_folder(where, level, follow))
             coarse = _spatial(array, axes, folder)
         except (CtInertiaError, KeyError):
             continue

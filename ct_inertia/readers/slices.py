@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_size, not_readable, settle_spacing
+from ct_inertia.readers.checks import check_memory, check_size, not_readable, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
+from ct_inertia.readers.mapping import read_at
 from ct_inertia.readers.skyscan import log_spacing
+from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
 from ct_inertia.volume.blocks import BlockArray, turned
@@ -33,11 +35,12 @@ _RIVAL = 0.5
 
 @dataclass(frozen=True)
 class _Look:
-    """Rows and columns, type, and where the pixels start when they lie in one piece (otherwise None)."""
+    """Rows and columns, type, packing, and where the pixels start when they lie in one piece (else None)."""
 
     shape: tuple[int, int]
     dtype: np.dtype
-    offset: int | None
+    packing: str = "any"
+    offset: int | None = None
 
 
 def read(folder: Path, options: ReadOptions) -> Volume:
@@ -150,13 +153,15 @@ def stacked_slices(files: Sequence[Path]) -> NDArray[Any]:
     for path, look in zip(files, looks, strict=True):
         if look.shape != first.shape or look.dtype != first.dtype:
             raise _different(path, look.shape, look.dtype, files[0], first)
-    stored = sum(path.stat().st_size for path in files)
-    check_size((len(files), *first.shape), first.dtype, stored, True, files[0].parent.name, False)
+    for path, look in zip(files, looks, strict=True):
+        check_size((1, *look.shape), look.dtype, path.stat().st_size, path.name, packing=look.packing)
+    check_memory(2 * first.shape[0] * first.shape[1] * first.dtype.itemsize, files[0].name)
 
     def plane(z: int, _y: int, _x: int) -> NDArray[Any]:
         path, look = files[z], looks[z]
         if look.offset is not None:
-            return np.memmap(path, look.dtype, "r", look.offset, (1, *look.shape))
+            data = read_at(path, look.offset, look.shape[0] * look.shape[1] * look.dtype.itemsize)
+            return np.ndarray((1, *look.shape), look.dtype, data)
         image = _slice(path)
         if image.shape != first.shape or image.dtype.newbyteorder("=") != first.dtype.newbyteorder("="):
             raise _different(path, image.shape, image.dtype, files[0], first)
@@ -189,12 +194,13 @@ def _look(path: Path) -> _Look:
     if look is not None:
         return look
     image = _slice(path)
-    return _Look((image.shape[0], image.shape[1]), image.dtype, None)
+    return _Look((image.shape[0], image.shape[1]), image.dtype)
 
 
 def _tiff_look(path: Path) -> _Look | None:
     import tifffile
 
+    check_directories(path)
     with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
         page: Any = tif.pages[0]
         if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
@@ -205,17 +211,18 @@ def _tiff_look(path: Path) -> _Look | None:
             needed = int(page.dataoffsets[0]) + int(np.prod(page.shape)) * dtype.itemsize
             if needed > path.stat().st_size:
                 raise not_readable(path, "slice image", EOFError())
-        return _Look(page.shape, dtype, int(page.dataoffsets[0]) if whole else None)
+        return _Look(page.shape, dtype, packing_of(page), int(page.dataoffsets[0]) if whole else None)
 
 
 def _picture_look(path: Path) -> _Look | None:
     from PIL import Image
 
     known = {"L": "u1", "I;16": "<u2", "I;16B": "<u2", "I": "i4", "F": "f4"}
+    packing = "deflate" if path.suffix.lower() == ".png" else "any"
     with Image.open(path) as image:
         if image.mode not in known:
             return None
-        return _Look((image.height, image.width), np.dtype(known[image.mode]), None)
+        return _Look((image.height, image.width), np.dtype(known[image.mode]), packing)
 
 
 def _slice(path: Path) -> NDArray[Any]:

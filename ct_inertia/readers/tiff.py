@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.ome import Calibration, ome_calibration
+from ct_inertia.readers.tiff_directories import check_directories, check_ome_files
 from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
 from ct_inertia.volume.blocks import turned
@@ -41,7 +42,9 @@ def read(path: Path, options: ReadOptions) -> Volume:
     """
     import tifffile
 
+    check_directories(path)
     with listening(path, "TIFF"), tifffile.TiffFile(path) as tif:
+        check_ome_files(path, tif.ome_metadata if tif.is_ome else None, options.follow)
         array = stack_array(tif, path)
         place = _calibration(tif)
         notices = _notices(tif, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import check_size, not_readable
-from ct_inertia.readers.grid import mapped
+from ct_inertia.readers.checks import check_memory, check_size, header_fault, not_readable
+from ct_inertia.readers.mapping import mapped, read_at
+from ct_inertia.readers.tiff_directories import packing_of
 from ct_inertia.volume.blocks import BlockArray
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
@@ -40,13 +42,13 @@ def stack_array(tif: tifffile.TiffFile, path: Path) -> NDArray[Any]:
     start = None if packed else series.dataoffset
     files = [path] if start is not None else _files(series, path)
     size = sum(file.stat().st_size for file in set(files))
-    check_size(kept, dtype, size, packed, path.name, held=False)
+    check_size(kept, dtype, size, path.name, packing=packing_of(page) if packed else "raw")
     if start is not None:
         return mapped(path, dtype, start, kept, path.name)
     _check_pages(series, files, path)
     if len(series.pages) != kept[0]:
         # Tiles with a depth: boxes.
-        check_size(kept, dtype, size, packed, path.name)
+        check_size(kept, dtype, size, path.name, packing=packing_of(page), held=True)
         return np.asarray(series.asarray()).reshape(kept)
     return _planes(series, page, files, kept, dtype)
 
@@ -84,30 +86,51 @@ def _planes(
         return stepped
     out_type = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("=")
     decode, tables = page.decode, page.jpegtables
-    bytes_of = {file: np.memmap(file, dtype=np.uint8, mode="r") for file in set(files)}
     step = page.tilelength if page.is_tiled else page.rowsperstrip
-    across = -(-shape[2] // page.tilewidth) if page.is_tiled else 1
+    width = page.tilewidth if page.is_tiled else shape[2]
+    across = -(-shape[2] // width)
     # Rows are unpacked in groups, so that a part of a plane does not cost the whole of it.
     group = max(1, -(-_ROWS // step))
     rows = min(step * group, shape[1])
+    segment = step * width if page.is_tiled else min(step, shape[1]) * width
+    check_memory((segment + rows * shape[2]) * out_type.itemsize, files[0].name)
 
     def part(z: int, number: int, _x: int) -> NDArray[Any]:
         top = number * step * group
         out = np.zeros((min(rows, shape[1] - top), shape[2]), dtype=out_type)
         first = number * group * across
-        for index, (offset, count) in list(enumerate(segments[z]))[first : first + group * across]:
-            if count == 0:
-                continue
+        chosen = [
+            (index, offset, count)
+            for index, (offset, count) in enumerate(segments[z][first : first + group * across], first)
+            if count > 0
+        ]
+        for index, data in _read_segments(files[z], chosen):
             try:
-                data = bytes_of[files[z]][offset : offset + count].tobytes()
                 piece, (_, _, y, x, _), (_, height, width, _) = decode(data, index, jpegtables=tables)
             except Exception as fault:
                 raise not_readable(files[z], "TIFF", fault) from fault
+            if piece is None:
+                continue
             place = out[y - top : y - top + height, x : x + width]
             place[...] = piece[0, : place.shape[0], : place.shape[1], 0]
         return out[None]
 
     return BlockArray(shape, out_type, (1, rows, shape[2]), part).as_array()
+
+
+def _read_segments(file: Path, segments: list[tuple[int, int, int]]) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of strips or tiles (number, offset, count), neighbours read at once."""
+    if not segments:
+        return
+    start = min(offset for _, offset, _ in segments)
+    end = max(offset + count for _, offset, count in segments)
+    dense = end - start <= 2 * sum(count for _, _, count in segments)
+    together = read_at(file, start, end - start) if dense else b""
+    for index, offset, count in segments:
+        yield (
+            index,
+            together[offset - start : offset - start + count] if dense else read_at(file, offset, count),
+        )
 
 
 def _evenly_stepped(
@@ -136,9 +159,7 @@ def _evenly_stepped(
         or steps[0] % dtype.itemsize
     ):
         return None
-    data = np.memmap(files[0], dtype=np.uint8, mode="r")
-    strides = (int(steps[0]), shape[2] * dtype.itemsize, dtype.itemsize)
-    return np.ndarray(shape, dtype, data.data, int(starts[0]), strides)
+    return mapped(files[0], dtype, int(starts[0]), shape, files[0].name, int(steps[0]))
 
 
 def _check_kind(series: Any, page: Any, path: Path) -> None:
@@ -177,11 +198,18 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
 
 def _check_pages(series: Any, files: list[Path], path: Path) -> None:
     sizes = {file: file.stat().st_size for file in set(files)}
+    key = series.keyframe
+    for size in (key.tilewidth, key.tilelength) if key.is_tiled else (key.rowsperstrip,):
+        if not isinstance(size, int) or size < 1:
+            raise header_fault(path, "TIFF", f"strips or tiles of {size} voxels")
     for page, file in zip(series.pages, files, strict=True):
         if page is None:
             raise CtInertiaError(
                 Fault("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
             )
+        numbers = (*page.dataoffsets, *page.databytecounts)
+        if not all(isinstance(number, int) and number >= 0 for number in numbers):
+            raise header_fault(path, "TIFF", "a page without usable offsets")
         ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
         if ends and max(ends) > sizes[file]:
             raise CtInertiaError(

@@ -5,11 +5,8 @@ The formats: https://zarr-specs.readthedocs.io
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import json
-import lzma
-import zlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import header_fault, not_readable
+from ct_inertia.readers.checks import amount, check_memory, header_fault, not_readable, unreadable
+from ct_inertia.readers.unpack import CODECS, unpack
 from stapeskit.faults import Fault
 
 _MOST_FILES = 4e6
+# Along an axis: more than any scanner has, small enough that products stay whole numbers of 64 bits.
+_MOST_VOXELS = 1 << 20
+_LONGEST_METADATA = 64 << 20
 _ABSENT = (1 << 64) - 1
 Meta = dict[str, Any]
 
@@ -91,8 +92,10 @@ def zarr_array(folder: Path) -> ZarrArray:
                     raise
                 raise header_fault(folder, "Zarr array", f"metadata without usable {fault}") from fault
             lengths = {len(array.shape), len(array.chunks), len(array.stored)}
-            if len(lengths) > 1 or min(*array.chunks, *array.stored, *array.shape) < 1:
+            numbers = (*array.chunks, *array.stored, *array.shape)
+            if len(lengths) > 1 or not all(1 <= n < _MOST_VOXELS for n in numbers):
                 raise header_fault(folder, "Zarr array", f"chunks of {array.chunks} for {array.shape}")
+            check_memory(math.prod(array.chunks) * array.dtype.itemsize, folder.name)
             return array
     raise header_fault(folder, "Zarr array", "a folder without .zarray or zarr.json")
 
@@ -100,8 +103,10 @@ def zarr_array(folder: Path) -> ZarrArray:
 def metadata(path: Path) -> Meta:
     """Return the content of a metadata file."""
     try:
+        if path.stat().st_size > _LONGEST_METADATA:
+            raise header_fault(path.parent, "Zarr folder", f"{amount(path.stat().st_size)} of {path.name}")
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
+    except (OSError, ValueError, RecursionError) as fault:
         raise header_fault(path.parent, "Zarr folder", f"a damaged {path.name}") from fault
     if not isinstance(content, dict):
         raise header_fault(path.parent, "Zarr folder", f"a damaged {path.name}")
@@ -111,12 +116,14 @@ def metadata(path: Path) -> Meta:
 def _second(folder: Path, meta: Meta) -> ZarrArray:
     separator = meta.get("dimension_separator", ".")
     dtype = _dtype(str(meta["dtype"]), folder)
-    chunks = tuple(int(n) for n in meta["chunks"])
+    chunks = _whole(meta["chunks"])
     if meta.get("filters"):
         raise _unknown("filter", str(meta["filters"][0].get("id")), folder)
     compressor = meta.get("compressor")
-    steps = [] if compressor is None else [_unpacker(str(compressor["id"]), folder)]
+    steps = [] if compressor is None else [_known(str(compressor["id"]), folder)]
     order = meta.get("order", "C")
+    if order not in ("C", "F") or not isinstance(separator, str):
+        raise header_fault(folder, "Zarr array", f"the order {order!r} and the separator {separator!r}")
     fill = meta.get("fill_value")
 
     def name(at: Sequence[int]) -> Path:
@@ -124,19 +131,19 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
 
     def read(at: Sequence[int]) -> NDArray[Any]:
         file = name(at)
-        if not file.is_file():
-            return np.full(chunks, 0 if fill is None else fill, dtype=dtype)
-        data = _through(steps, file.read_bytes(), file)
-        return _shaped(data, dtype, chunks, file).reshape(chunks, order=order)
+        data = _content(file)
+        if data is None:
+            return _filled(fill or 0, chunks, dtype)
+        return _unpacked(steps, data, dtype, chunks, file).reshape(chunks, order=order)
 
-    shape = tuple(int(n) for n in meta["shape"])
+    shape = _whole(meta["shape"])
     return ZarrArray(folder, shape, chunks, dtype, _fill(fill), read, name, chunks)
 
 
 def _third(folder: Path, meta: Meta) -> ZarrArray:
     if meta.get("node_type") != "array":
         raise header_fault(folder, "Zarr array", "a group")
-    stored = tuple(int(n) for n in meta["chunk_grid"]["configuration"]["chunk_shape"])
+    stored = _whole(meta["chunk_grid"]["configuration"]["chunk_shape"])
     keys = meta.get("chunk_key_encoding", {"name": "default"})
     first = keys["name"] == "default"
     separator = keys.get("configuration", {}).get("separator", "/" if first else ".")
@@ -149,18 +156,16 @@ def _third(folder: Path, meta: Meta) -> ZarrArray:
     codecs = meta["codecs"]
     sharded = codecs[0]["name"] == "sharding_indexed"
     inner = codecs[0]["configuration"] if sharded else {"codecs": codecs, "chunk_shape": stored}
-    chunks = tuple(int(n) for n in inner["chunk_shape"])
+    chunks = _whole(inner["chunk_shape"])
     decode, dtype = _decoder(inner["codecs"], plain, chunks, folder)
     shard = _Shard(inner, stored, chunks, folder) if sharded else None
 
     def read(at: Sequence[int]) -> NDArray[Any]:
         file = name(at if shard is None else shard.of(at))
-        data = None
-        if file.is_file():
-            data = file.read_bytes() if shard is None else shard.piece(file, at)
-        return np.full(chunks, fill, dtype=dtype) if data is None else decode(data, file)
+        data = _content(file) if shard is None else shard.piece(file, at)
+        return _filled(fill, chunks, dtype) if data is None else decode(data, file)
 
-    shape = tuple(int(n) for n in meta["shape"])
+    shape = _whole(meta["shape"])
     return ZarrArray(folder, shape, chunks, dtype, _fill(fill), read, name, stored)
 
 
@@ -184,6 +189,8 @@ class _Shard:
 
     def piece(self, file: Path, at: Sequence[int]) -> bytes | None:
         """Return the packed bytes of a chunk, or None when it is not stored."""
+        if not file.is_file():
+            return None
         place = np.ravel_multi_index([a % n for a, n in zip(at, self._grid, strict=True)], self._grid)
         with file.open("rb") as stream:
             if self._at_end:
@@ -210,25 +217,36 @@ def _decoder(
 ) -> tuple[Callable[[bytes, Path], NDArray[Any]], np.dtype]:
     """Return what unpacks a chunk of version 3, and the type that comes out."""
     dtype, axes = plain.newbyteorder("<"), list(range(len(chunks)))
-    steps: list[Callable[[bytes], bytes]] = []
+    steps: list[str] = []
     for codec in codecs:
         name, settings = codec["name"], codec.get("configuration", {})
         if name == "bytes":
             dtype = plain.newbyteorder(">" if settings.get("endian") == "big" else "<")
         elif name == "transpose":
             axes = [int(axis) for axis in settings["order"]]
+            if sorted(axes) != list(range(len(chunks))):
+                raise header_fault(folder, "Zarr array", f"the order of axes {axes}")
         else:
-            steps.insert(0, _unpacker(name.removeprefix("numcodecs."), folder))
+            steps.insert(0, _known(name.removeprefix("numcodecs."), folder))
 
     def decode(data: bytes, file: Path) -> NDArray[Any]:
-        flat = _shaped(_through(steps, data, file), dtype, chunks, file)
+        flat = _unpacked(steps, data, dtype, chunks, file)
         return flat.reshape([chunks[axis] for axis in axes]).transpose(np.argsort(axes))
 
     return decode, dtype
 
 
-def _shaped(data: bytes, dtype: np.dtype, chunks: tuple[int, ...], file: Path) -> NDArray[Any]:
-    needed = int(np.prod(chunks)) * dtype.itemsize
+def _unpacked(
+    steps: Sequence[str], data: bytes, dtype: np.dtype, chunks: tuple[int, ...], file: Path
+) -> NDArray[Any]:
+    """Return the voxels (n,) of a chunk, unpacked into no more memory than they need."""
+    needed = math.prod(chunks) * dtype.itemsize
+    try:
+        for number, step in enumerate(steps, start=1):
+            # A packed stream inside another one can be a little longer than what it holds.
+            data = unpack(step, data, needed if number == len(steps) else needed + needed // 8 + (1 << 16))
+    except Exception as fault:
+        raise not_readable(file, "Zarr chunk", fault) from fault
     if len(data) != needed:
         raise CtInertiaError(
             Fault(
@@ -242,47 +260,17 @@ def _shaped(data: bytes, dtype: np.dtype, chunks: tuple[int, ...], file: Path) -
     return np.frombuffer(data, dtype)
 
 
-def _through(steps: Sequence[Callable[[bytes], bytes]], data: bytes, file: Path) -> bytes:
-    try:
-        for step in steps:
-            data = step(data)
-    except Exception as fault:
-        raise not_readable(file, "Zarr chunk", fault) from fault
-    return data
-
-
-def _unpacker(name: str, folder: Path) -> Callable[[bytes], bytes]:
-    known: dict[str, Callable[[bytes], bytes]] = {
-        "zlib": zlib.decompress,
-        "gzip": gzip.decompress,
-        "bz2": bz2.decompress,
-        "lzma": lzma.decompress,
-        "crc32c": lambda data: data[:-4],
-        "blosc": _blosc,
-        "zstd": _zstd,
-        "lz4": _lz4,
-    }
-    if name not in known:
+def _known(name: str, folder: Path) -> str:
+    if name not in CODECS:
         raise _unknown("codec", name, folder)
-    return known[name]
+    return name
 
 
-def _blosc(data: bytes) -> bytes:
-    import imagecodecs
-
-    return bytes(imagecodecs.blosc_decode(data))
-
-
-def _zstd(data: bytes) -> bytes:
-    import imagecodecs
-
-    return bytes(imagecodecs.zstd_decode(data))
-
-
-def _lz4(data: bytes) -> bytes:
-    import imagecodecs
-
-    return bytes(imagecodecs.lz4_decode(data, header=True))
+def _whole(values: Sequence[int]) -> tuple[int, ...]:
+    """Return numbers of voxels, which must be whole."""
+    if any(int(n) != n for n in values):
+        raise ValueError(f"numbers of voxels {values}")
+    return tuple(int(n) for n in values)
 
 
 def _dtype(text: str, folder: Path) -> np.dtype:
@@ -296,11 +284,24 @@ def _fill(value: object) -> float:
     return float(value) if isinstance(value, (int, float)) else 0.0
 
 
+def _filled(value: object, chunks: tuple[int, ...], dtype: np.dtype) -> NDArray[Any]:
+    """Return a chunk that is not stored, which needs no memory."""
+    return np.broadcast_to(np.array(value, dtype=dtype), chunks)
+
+
+def _content(file: Path) -> bytes | None:
+    """Return a stored chunk, or None when it is not stored."""
+    try:
+        return file.read_bytes() if file.is_file() else None
+    except OSError as fault:
+        raise unreadable(file, fault) from fault
+
+
 def _unknown(what: str, name: str, folder: Path) -> CtInertiaError:
     return CtInertiaError(
         Fault(
             f"the Zarr {what}",
-            "one of blosc, zstd, lz4, zlib, gzip, bz2, lzma",
+            f"one of {', '.join(CODECS)}",
             name,
             folder.name,
             next_step="Write the volume again with one of these",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.surface.glb_claims import check_glb
 from ct_inertia.surface.moments import Moments
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
@@ -263,20 +265,26 @@ def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
 
 
 def _load(path: Path) -> tuple[Array, NDArray[np.int64]]:
+    """Read corners and triangles; files that a mesh names (materials, textures, buffers) stay closed."""
     import trimesh
 
+    kind = path.suffix[1:].lower()
     try:
-        mesh = trimesh.load_mesh(path, process=False)
+        content = path.read_bytes()
+        if kind == "glb":
+            check_glb(content)
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
         if isinstance(mesh, trimesh.Scene):
             mesh = mesh.to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=float).reshape(-1, 3)
         faces = np.asarray(getattr(mesh, "faces", []), dtype=np.int64).reshape(-1, 3)
     except Exception as fault:
+        why = f"{type(fault).__name__}: {fault}"
         raise CtInertiaError(
             Fault(
                 "the surface",
-                f"a readable {path.suffix[1:].upper()} file with triangles",
-                f"{type(fault).__name__}: {fault}",
+                f"a readable {kind.upper()} file with triangles",
+                why if len(why) <= 200 else f"{why[:200]}...",
                 path.name,
                 "Export it again",
             )

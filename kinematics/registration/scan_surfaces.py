@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
 _MARGIN_MM = 1.0
 _MOST_VOXELS = 60_000_000
+# Bytes that a byte of deflate can become at most (1032), and what makes zlib expect the header of gzip.
+_MOST_PACKED, _GZIP = 1100, 31
 _TYPES = {"unsigned char": "u1", "uchar": "u1", "uint8": "u1", "uint8_t": "u1", "signed char": "i1",
           "int8": "i1", "short": "i2", "int16": "i2", "unsigned short": "u2", "uint16": "u2",
           "int": "i4", "int32": "i4", "unsigned int": "u4", "uint32": "u4"}  # fmt: skip
@@ -156,11 +158,15 @@ def read_labels(path: Path) -> LabelVolume:
         kind = np.dtype(_TYPES[fields["type"].lower()])
         if fields.get("endian", "little") == "big":
             kind = kind.newbyteorder(">")
+        needed = math.prod(size) * kind.itemsize
+        if min(size) < 1 or needed > _MOST_PACKED * len(data):
+            raise ValueError(f"{len(data)} bytes for {' x '.join(map(str, size))} voxels")
         if fields["encoding"].lower() in ("gzip", "gz"):
-            data = gzip.decompress(data)
+            # As many bytes as the header declares, whatever the file would unpack to.
+            data = zlib.decompressobj(_GZIP).decompress(data, needed)
         elif fields["encoding"].lower() != "raw":
             raise ValueError(f"encoding {fields['encoding']}")
-        array = np.frombuffer(data, kind, int(np.prod(size))).reshape(size[::-1])
+        array = np.frombuffer(data, kind, math.prod(size)).reshape(size[::-1])
         origin = _vector(fields["space origin"])
         matrix = np.column_stack([*axes, origin]) * sign[:, None]
         if array.ndim != 3 or matrix.shape != (3, 4):

@@ -42,7 +42,7 @@ from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
 from ct_inertia.volume.working import working_box
 from hatch_build import system_compiler
-from stapeskit.native import SWITCH, library_name
+from stapeskit.native import SWITCH, built_library, library_name, load
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -321,11 +321,21 @@ def test_the_kernels_are_there_where_a_compiler_is_and_can_be_left_out():
 
 def test_the_name_of_the_library_follows_its_sources(tmp_path):
     (tmp_path / "a.c").write_bytes(b"int a;\n")
-    first = library_name(tmp_path)
+    first = library_name(tmp_path, b"library")
     (tmp_path / "a.c").write_bytes(b"int a;\r\n")
-    assert library_name(tmp_path) == first
+    assert library_name(tmp_path, b"library") == first
     (tmp_path / "a.c").write_bytes(b"int b;\n")
-    assert library_name(tmp_path) != first
+    assert library_name(tmp_path, b"library") != first
+
+
+def test_a_damaged_library_is_not_loaded(tmp_path):
+    (tmp_path / "a.c").write_bytes(b"int a;\n")
+    whole = tmp_path / library_name(tmp_path, b"library")
+    whole.write_bytes(b"library")
+    assert built_library(tmp_path) == whole
+    whole.write_bytes(b"librarx")
+    assert built_library(tmp_path) is None
+    assert load(tmp_path, {}) is None
 
 
 def test_a_whole_ear_weighs_the_same_without_the_kernels(monkeypatch):

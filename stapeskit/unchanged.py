@@ -1,0 +1,73 @@
+"""Inputs that change while they are read: numbers of two states of a file are refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from stapeskit.faults import Fault, StapeskitError, raise_all
+
+# Files of a folder that are looked at; a folder of more (chunks of a Zarr image) is held to these.
+_MOST_FILES = 20_000
+_State = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class InputStates:
+    """Device, inode, size and time of change of every input at the beginning of a run.
+
+    Attributes
+    ----------
+    states : dict of Path to tuple of int
+        Empty tuples for what was not there.
+    """
+
+    states: dict[Path, _State]
+
+    @classmethod
+    def of(cls, paths: Iterable[Path | None]) -> InputStates:
+        """Look at files, and at the files within folders."""
+        return cls({file: _state(file) for path in paths if path is not None for file in _files(Path(path))})
+
+    def check(self, error: type[StapeskitError] = StapeskitError) -> None:
+        """Refuse inputs that are not as they were.
+
+        Raises
+        ------
+        StapeskitError
+            Of the given class: a file was written, cut, replaced or removed since.
+        """
+        changed = [file for file, state in self.states.items() if _state(file) != state]
+        step = "Wait until it is written or copied completely, and run again"
+        raise_all(
+            error,
+            [
+                Fault("the input", "left alone while it is read", "a file that changed", file.name, step)
+                for file in changed
+            ],
+        )
+
+
+def _files(path: Path) -> Iterator[Path]:
+    yield path
+    if not path.is_dir():
+        return
+    count = 0
+    for top, _, names in os.walk(path):
+        for name in sorted(names):
+            count += 1
+            if count > _MOST_FILES:
+                return
+            yield Path(top, name)
+
+
+def _state(file: Path) -> _State:
+    try:
+        found = os.stat(file)
+    except (OSError, ValueError):
+        return ()
+    state = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    # A folder changes with every file beside its own that comes and goes: its files are looked at.
+    return state[:2] if os.path.isdir(file) else state
