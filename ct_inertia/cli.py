@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from stapeskit.process import run
 
-from ct_inertia.options import MassOptions, MassOutputs
-from stapeskit.background import take_short_turns
-from stapeskit.command import Outcome, run
-from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
-from stapeskit.option_parser import Given, Parser
-
+TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
 if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any, NoReturn
+
     from ct_inertia.ct2mass import MassMeasurement
+    from stapeskit.command import Outcome
+    from stapeskit.option_parser import Given, Parser
     from stapeskit.own_files import OutputSet
     from stapeskit.provenance import Hashes
     from stapeskit.warnings import Notice
@@ -54,11 +53,16 @@ _ENDINGS = (".nii.gz", ".seg.nrrd", ".ome.tiff", ".ome.tif", ".ome.zarr")
 
 def parser() -> Parser:
     """Return the parser of the command."""
+    from ct_inertia.options import MassOptions, MassOutputs
+    from stapeskit.option_parser import Parser
+
     return Parser("ct2mass", _DESCRIPTION, _EPILOG, MassOptions, MassOutputs)
 
 
 def output_folder(given: Given) -> Path:
     """Return ``--out``, or ``<scan name>_mass`` in the current folder."""
+    from pathlib import Path
+
     if given.out is not None:
         return Path(given.out)
     name = Path(given.scan if given.scan is not None else given.labels).resolve().name
@@ -70,6 +74,8 @@ def output_folder(given: Given) -> Path:
 
 def work(arguments: list[str]) -> tuple[Given, Outcome]:
     """Parse, compute, write, and return the outcome."""
+    from ct_inertia.options import MassOptions
+
     given = parser().parse(arguments)
     options = given.make(MassOptions)
     if given.smooth is not None or given.faces is not None:
@@ -80,6 +86,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     from ct_inertia.exports.output_files import output_set
     from ct_inertia.report.summary import summary_rows
     from ct_inertia.volume.progress import told_on_terminal
+    from stapeskit.command import Outcome
     from stapeskit.provenance import Hashes
 
     outputs = output_set(
@@ -140,9 +147,17 @@ def _write(
     return [outputs.folder / name for name in names], content, notices
 
 
-def main() -> NoReturn:
-    """Run `ct2mass`."""
+def _start(arguments: list[str]) -> tuple[Given, Outcome]:
+    """Choose how the process takes memory and threads, then run the command."""
+    from stapeskit.background import take_short_turns
+    from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
+
     hold_little_memory()
     keep_algebra_to_one_thread()
     take_short_turns()
-    run("ct2mass", work)
+    return work(arguments)
+
+
+def main() -> NoReturn:
+    """Run `ct2mass`."""
+    run("ct2mass", _start)

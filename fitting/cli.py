@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import NoReturn
+from stapeskit.process import run
 
-from fitting.options import KDFiles, KDOptions
-from fitting.plan.plan_example import PLAN_EXAMPLE
-from stapeskit.command import Outcome, run
-from stapeskit.option_parser import Given, Parser
+TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
+if TYPE_CHECKING:
+    from typing import NoReturn
+
+    from stapeskit.command import Outcome
+    from stapeskit.option_parser import Given, Parser
 
 _EPILOG = """DOF: dof.csv or dof.h5 of points2dof. M.csv: square, SI, no header, order of
 --dof.
@@ -24,6 +25,10 @@ Every key has a default; plan.toml, e.g.:
 
 def parser() -> Parser:
     """Return the parser of the command."""
+    from fitting.options import KDFiles, KDOptions
+    from fitting.plan.plan_example import PLAN_EXAMPLE
+    from stapeskit.option_parser import Parser
+
     return Parser(
         "dof2kd",
         "Stiffness and damping from rigid-body motion and mass matrix.",
@@ -37,8 +42,12 @@ def _work(arguments: list[str]) -> tuple[Given, Outcome]:
     given = parser().parse(arguments)
     if given.plan is not None:
         return given, _plan(given)
+    from pathlib import Path
+
     from fitting.dof2kd import dof2kd
+    from fitting.options import KDOptions
     from fitting.report.sections import summary_rows
+    from stapeskit.command import Outcome
 
     result = dof2kd(
         given.motion,
@@ -59,8 +68,11 @@ def _work(arguments: list[str]) -> tuple[Given, Outcome]:
 
 def _plan(given: Given) -> Outcome:
     """Report what a planned measurement can reach."""
+    from pathlib import Path
+
     from fitting.dof2kd import plan2kd
     from fitting.plan.plan import summary_rows
+    from stapeskit.command import Outcome
 
     expectation, content, files = plan2kd(
         given.plan, given.out or Path("plan.json"), force=given.force, config=given.config

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from stapeskit.process import run
 
-from kinematics.motion_outputs import output_set
-from kinematics.options import LdvOptions, PointsFiles
-from stapeskit.command import Outcome, run
-from stapeskit.option_parser import Given, Parser
-
+TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
 if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import NoReturn
+
     from kinematics.results import MotionResult
+    from stapeskit.command import Outcome
+    from stapeskit.option_parser import Given, Parser
     from stapeskit.own_files import OutputSet
 
 _EPILOG = """\
@@ -57,6 +57,9 @@ axes.
 
 def parser() -> Parser:
     """Return the parser of the command."""
+    from kinematics.options import LdvOptions, PointsFiles
+    from stapeskit.option_parser import Parser
+
     return Parser(
         "points2dof",
         "Vibrometer points to the degrees of freedom of rigid bodies.",
@@ -70,6 +73,8 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     """Run the command on its arguments."""
     given = parser().parse(arguments)
     from kinematics.measure_motion import measure, motion_inputs
+    from kinematics.motion_outputs import output_set
+    from kinematics.options import LdvOptions
 
     ldv = given.make(LdvOptions)
     inputs = motion_inputs(ldv)
@@ -92,6 +97,7 @@ def _outcome(result: MotionResult, files: list[Path]) -> Outcome:
     """Return the table of the terminal and the JSON result."""
     from kinematics.report import geometry_report
     from kinematics.report.summary import bodies_json, summary_rows
+    from stapeskit.command import Outcome
 
     motion = result.motion
     return Outcome(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
 
-from pipeline.command_options import StudyOptions
-from stapeskit.command import Outcome, run
-from stapeskit.faults import StapeskitError
-from stapeskit.option_parser import Given, Parser
+from stapeskit.process import run
 
+TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
 if TYPE_CHECKING:
+    from typing import Any, NoReturn
+
     from pipeline.results import StudyResult
     from pipeline.several import CohortResult
+    from stapeskit.command import Outcome
+    from stapeskit.option_parser import Given, Parser
 
 _DESCRIPTION = """\
 From micro-CT scan and vibrometer table to mass, stiffness and damping of a
@@ -35,6 +35,9 @@ examples:
 
 def parser() -> Parser:
     """Return the parser of the command."""
+    from pipeline.command_options import StudyOptions
+    from stapeskit.option_parser import Parser
+
     return Parser("scan2kd", _DESCRIPTION, _EPILOG, StudyOptions)
 
 
@@ -52,9 +55,12 @@ def work(arguments: list[str]) -> tuple[Given, Outcome] | None:
 
 
 def _one(given: Given) -> Outcome:
+    from pathlib import Path
+
     from pipeline.progress import Progress
     from pipeline.report import key_results
     from pipeline.scan2kd import run_study
+    from stapeskit.command import Outcome
 
     path = given.studies[0]
     out = Path(f"{path.stem}_out") if given.out is None else given.out
@@ -86,8 +92,11 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
 
 
 def _several(given: Given) -> Outcome:
+    from pathlib import Path
+
     from pipeline.cohort.cohort_laws import planned_law
     from pipeline.several import CohortChoices, run_studies
+    from stapeskit.command import Outcome
 
     def tell(line: str) -> None:
         if not given.quiet:
@@ -115,6 +124,8 @@ def _several(given: Given) -> Outcome:
 
 def _failure(result: CohortResult) -> Exception:
     """Return the error that lists the studies which failed; a bug stays a bug."""
+    from stapeskit.faults import StapeskitError
+
     listed = [f"{name}: {fault}" for name, fault in result.faults.items()]
     done = (
         f"{len(result.ears)} of {len(result.ears) + len(result.faults)} studies are finished in {result.out}."

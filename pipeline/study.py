@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from ct_inertia.options import MassOptions
 from fitting.options import KDOptions
 from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
+from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, in_words, raise_all
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice
 from stapeskit.options import OptionTable, declared, option, read_table, vocabulary
@@ -105,14 +105,10 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
         Whether the files named must exist.
     """
     try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
+        tables = parse_toml(text)
+    except ValueError as fault:
         raise PipelineError(
             Fault("the study file", "valid TOML", fault, name, "Texts and paths stand in quotes")
-        ) from fault
-    except RecursionError as fault:
-        raise PipelineError(
-            Fault("the study file", "valid TOML", "values nested too deep to be read", name)
         ) from fault
     faults = [_unknown(key, name) for key in tables if key not in TABLES]
     read: dict[str, Any] = {}

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
-from pathlib import Path
-from typing import Any, NoReturn
 
-from stapeskit.command import Outcome, run
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.process import run
+
+TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any, NoReturn
+
+    from stapeskit.command import Outcome
+    from stapeskit.faults import Fault
 
 _HELP = """\
 usage: stapeskit COMMAND ...
@@ -72,16 +75,22 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
     if word == "completion":
         _completion(rest)
         return None
+    from stapeskit.faults import StapeskitError
+
     raise StapeskitError(_unknown(word))
 
 
 def _work_of(module: str) -> Callable[[list[str]], Any]:
+    from importlib import import_module
+
     found = import_module(module)
     return getattr(found, "work", None) or found._work
 
 
 def _unknown(word: str) -> Fault:
     import difflib
+
+    from stapeskit.faults import Fault
 
     close = difflib.get_close_matches(word, [*COMMANDS, *_OWN], 1)
     hint = f"Did you mean {close[0]}?" if close else "Run stapeskit --help to see the commands"
@@ -90,6 +99,10 @@ def _unknown(word: str) -> Fault:
 
 def _sample(words: Sequence[str]) -> None:
     """Copy the sample study into the folder that the words name."""
+    from pathlib import Path
+
+    from stapeskit.faults import Fault, StapeskitError
+
     folders = [word for word in words if word != "--force"]
     if len(folders) != 1 or folders[0].startswith("-"):
         got = " ".join(words) or "nothing"
@@ -107,6 +120,7 @@ def _sample(words: Sequence[str]) -> None:
 def _completion(words: Sequence[str]) -> None:
     """Print the completion for a shell."""
     from pipeline.completion import SHELLS, completion
+    from stapeskit.faults import Fault, StapeskitError
 
     if len(words) != 1 or words[0] not in SHELLS:
         got = " ".join(words) or "nothing"

@@ -15,6 +15,7 @@ from stapeskit.option_values import (
     DOF_NAMES,
     advise_range,
     command_word,
+    is_known,
     plain_number,
     read_beam,
     read_bounds,
@@ -166,7 +167,7 @@ def output(suffix: str) -> Kind:
 
     def read(value: Any) -> Path:
         path = read_path(value)
-        require(path.suffix.lower() == suffix and not path.is_dir())
+        require(path.suffix.lower() == suffix and not is_known(path, Path.is_dir))
         return path
 
     def advise(value: Any) -> str:
@@ -177,7 +178,7 @@ def output(suffix: str) -> Kind:
 
 def _folder(value: Any) -> Path:
     path = read_path(value)
-    require(not path.exists() or path.is_dir())
+    require(not is_known(path, Path.exists) or path.is_dir())
     return path
 
 

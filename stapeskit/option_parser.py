@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
 from stapeskit.option_kinds import FLAG, file
 from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
@@ -182,13 +183,11 @@ class Parser(argparse.ArgumentParser):
 
     def _config(self, path: Path, texts: Mapping[str, Any], faults: list[Fault]) -> dict[str, Any]:
         """Read the options of a config file that the command line does not give."""
-        import tomllib
-
         try:
-            table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+            table = parse_toml(path.read_text(encoding="utf-8-sig"))
         except OSError:
             return {}
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        except ValueError as fault:
             faults.append(Fault("{config}", "valid TOML", fault, path.name))
             return {}
         known = {one.name: one for one in self.declared.values() if one.field != "config"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -111,9 +111,21 @@ def read_text(value: Any) -> str:
 
 
 def read_path(value: Any) -> Path:
-    """Read the path of a file or folder; ~ is the home folder."""
+    """Return a path out of text; ~ is the user's home."""
     require(isinstance(value, Path) or (isinstance(value, str) and bool(value.strip())))
-    return Path(value).expanduser()
+    require("\x00" not in str(value))
+    try:
+        return Path(value).expanduser()
+    except RuntimeError:  # no such user
+        return Path(value)
+
+
+def is_known(path: Path, look: Callable[[Path], bool]) -> bool:
+    """Return what the system says of a path; a name that it cannot look up is unfit."""
+    try:
+        return look(path)
+    except OSError as fault:
+        raise ValueError(fault.strerror) from fault
 
 
 def read_paths(value: Any) -> tuple[Path, ...]:

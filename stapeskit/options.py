@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.option_kinds import Kind
+from stapeskit.system_faults import MISSING, why_unreadable
 
 _DECLARED = "option"
 _WRITING = ("out", "force", "no_report", "export", "smooth", "faces", "sha256", "quiet", "json")
@@ -82,16 +83,18 @@ class Option:
     def missing_files(
         self, value: Any, thing: str, where: str = "", folder: Path | None = None
     ) -> list[Fault]:
-        """Return a fault for each file of the value that is no file or folder, looked for in a folder."""
+        """Return a fault for each file of the value that cannot be read, looked for in a folder."""
         if not self.kind.is_file or value is None:
             return []
-        paths = value if isinstance(value, tuple) else (value,)
-        # A pipe or a device would be waited for without end.
-        found = [(folder or Path()) / path for path in paths]
-        missing = [
-            path for path, place in zip(paths, found, strict=True) if not (place.is_file() or place.is_dir())
-        ]
-        return [self.fault(path, thing, where) for path in missing]
+        faults = []
+        for path in value if isinstance(value, tuple) else (value,):
+            got = why_unreadable((folder or Path()) / path)
+            if got == MISSING:
+                faults.append(self.fault(path, thing, where))
+            elif got:
+                step = "Change its permissions, or copy it to another place"
+                faults.append(Fault(thing, "a file that can be read", f"{got}: {path}", where, step))
+        return faults
 
 
 def option(

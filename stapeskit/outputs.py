@@ -1,26 +1,33 @@
-"""Outputs that appear whole or not at all: written beside their place, then moved into it in one go."""
+"""Outputs that appear whole or not at all: written to a temporary folder, then moved into place at once.
+
+A folder that does not exist yet appears by one rename. In a folder that exists, files are replaced one by one
+while interruptions wait and other runs are locked out; for a process that is killed just then see
+`own_files.check_whole`.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.process import outputs_written, undisturbed
+from stapeskit.scratch import scratch
+from stapeskit.system_faults import is_full
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+Settle = Callable[[Path], Callable[[], None] | None]
+_ELSEWHERE = "Choose another place with --out"
 
 
 @contextmanager
-def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = None) -> Iterator[Path]:
+def staged(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
     """Lend an empty folder whose files replace those of the same name in ``folder`` when the block ends well.
 
-    When the block fails or is interrupted, nothing of it remains and the old files stand untouched. What
-    stands at an output's name is replaced whoever made it: commands write by `own_files.OutputSet`.
+    When the block fails or is interrupted, nothing of it remains and the old files are untouched. A file at
+    an output's name is replaced whoever made it: commands write by `own_files.OutputSet`.
 
     Parameters
     ----------
@@ -28,7 +35,7 @@ def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = N
         Where the outputs shall appear; made when missing.
     settle : callable, optional
         Gets the lent folder before its files are moved, and may refuse; what it returns is called when they
-        have been moved.
+        have been moved. It is called again where ``folder`` appears meanwhile.
 
     Yields
     ------
@@ -38,59 +45,107 @@ def staged(folder: Path, settle: Callable[[Path], Callable[[], None]] | None = N
     Raises
     ------
     StapeskitError
-        ``folder`` is a file, or cannot be written; its disk is full; or a folder stands where a file shall
+        ``folder`` is a file, or cannot be written; its disk is full; or a folder is where a file shall
         appear, or a file where a folder shall.
     """
     folder = Path(folder).absolute()
     parent = existing_folder(folder)
+    entered = False
     try:
-        stage = Path(tempfile.mkdtemp(prefix=".stapeskit-", dir=parent))
-    except OSError as fault:
-        raise StapeskitError(
-            Fault("the output folder", "writable", parent, next_step="Choose another place with --out")
-        ) from fault
-    try:
-        yield stage
-        raise_all(StapeskitError, _in_the_way(stage, folder))
-        made = sorted(stage.rglob("*"))
-        finish = None if settle is None else settle(stage)
-        folder.mkdir(parents=True, exist_ok=True)
-        for path in made:
-            target = folder / path.relative_to(stage)
-            if path.is_dir():
-                target.mkdir(exist_ok=True)
-            else:
-                os.replace(path, target)
-        if finish is not None:
-            finish()
+        with scratch(parent) as stage:
+            entered = True
+            yield stage
+            raise_all(StapeskitError, _in_the_way(stage, folder))
+            _store(stage)
+            with undisturbed(), _alone(folder):
+                _place(stage, folder, settle)
+                outputs_written()
     except (OSError, RuntimeError) as fault:
-        if not _disk_full(fault):
+        if is_full(fault):
+            raise StapeskitError(_no_room(fault, folder)) from fault
+        if entered or not isinstance(fault, OSError):
             raise
-        raise StapeskitError(
-            Fault(
-                "the output folder",
-                "on a disk with room for the outputs",
-                "no space left",
-                str(folder),
-                "Make room there, or choose another place with --out",
-            )
-        ) from fault
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+        refused = Fault("the output folder", "writable", fault.strerror, str(parent), _ELSEWHERE)
+        raise StapeskitError(refused) from fault
 
 
-def _disk_full(fault: BaseException | None) -> bool:
-    """Tell whether a fault, or one behind it, is a full disk; HDF5 tells it in its text only."""
-    while fault is not None:
-        number = getattr(fault, "errno", None)
-        if number in _FULL or any(f"errno = {code}," in str(fault) for code in _FULL):
-            return True
-        fault = fault.__cause__ or fault.__context__
-    return False
+def _no_room(fault: BaseException, folder: Path) -> Fault:
+    if getattr(fault, "errno", None) == errno.EFBIG:
+        expected, step = "allowed to hold files of this size", "Raise the limit (ulimit -f)"
+        return Fault("the output folder", expected, "a limit that is lower", str(folder), step)
+    expected, step = (
+        "on a disk with room for the outputs",
+        "Make room there, or choose another place with --out",
+    )
+    return Fault("the output folder", expected, "no space left", str(folder), step)
+
+
+def _store(stage: Path) -> None:
+    """Have the files on the disk before they get their names: after a power cut no name leads to nothing."""
+    for path in sorted(stage.rglob("*")):
+        if path.is_file():
+            with path.open("r+b") as stream:
+                os.fsync(stream.fileno())
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other runs from placing files in a folder meanwhile, where the system has locks."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    while True:
+        place = existing_folder(folder)
+        descriptor = os.open(place, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # some network file systems have no locks
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if existing_folder(folder) == place:
+                yield
+                return
+        finally:
+            os.close(descriptor)
+
+
+def _place(stage: Path, folder: Path, settle: Settle | None) -> None:
+    """Move the files of a folder into another one, by one rename where that is possible."""
+    finish = None if settle is None else settle(stage)
+    if not os.path.lexists(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.rename(stage, folder)
+        except OSError:
+            if not os.path.lexists(folder):
+                raise
+            finish = None if settle is None else settle(stage)
+        else:
+            _store_names(folder.parent)
+            return
+    for path in sorted(stage.rglob("*")):
+        target = folder / path.relative_to(stage)
+        if path.is_dir():
+            target.mkdir(exist_ok=True)
+        else:
+            os.replace(path, target)
+    _store_names(folder)
+    if finish is not None:
+        finish()
+
+
+def _store_names(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    with suppress(OSError):  # Windows opens no folders
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _in_the_way(stage: Path, folder: Path) -> list[Fault]:
-    """Return a sentence on every folder that stands where a file shall appear, and the reverse."""
+    """Return a fault for every folder that is where a file shall appear, and the reverse."""
     faults = []
     for path in sorted(stage.rglob("*")):
         target = folder / path.relative_to(stage)
@@ -107,19 +162,19 @@ def existing_folder(folder: Path) -> Path:
     Raises
     ------
     StapeskitError
-        It, or one above it, is a file.
+        It, or one above it, is a file, a link that leads nowhere, or of a name that no folder can have.
     """
     folder = Path(folder).absolute()
     for candidate in (folder, *folder.parents):
-        if candidate.is_dir():
-            return candidate
-        if candidate.exists():
-            raise StapeskitError(
-                Fault(
-                    "the output folder",
-                    "a folder",
-                    f"the file {candidate}",
-                    next_step="Choose another place with --out",
-                )
-            )
+        try:
+            if candidate.is_dir():
+                return candidate
+            link = candidate.is_symlink()
+            exists = link or candidate.exists()
+        except (OSError, ValueError) as fault:
+            got = getattr(fault, "strerror", None) or str(fault)
+            raise StapeskitError(Fault("the output folder", "a folder", got, "", _ELSEWHERE)) from fault
+        if exists:
+            got = f"the {'link that leads to no folder' if link else 'file'} {candidate}"
+            raise StapeskitError(Fault("the output folder", "a folder", got, next_step=_ELSEWHERE))
     return Path.cwd()

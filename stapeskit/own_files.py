@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.outputs import existing_folder, staged
@@ -171,7 +172,7 @@ class OutputSet:
             )
         return False
 
-    def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None]:
+    def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None] | None:
         """Check and record what is about to appear; return what remains to be done when it has appeared."""
         made = {
             path.relative_to(stage).as_posix(): self.hash_of(path)
@@ -181,17 +182,23 @@ class OutputSet:
         self._check((*self.names, *made) if not self.force else made)
         recorded = self._recorded()
         made = {name: found for name, found in made.items() if not name.startswith(f"{RECORDS}/")}
+        after = {name: {found} for name, found in made.items()}
+        if not os.path.lexists(self.folder):
+            # the record appears with the files, by one rename
+            self._record(stage, after, stage)
+            return None
+        (stage / self._record_name).unlink(missing_ok=True)
         stale = self._stale({*made, *kept}, recorded)
         # Both states are known while the files are moved one by one: a run that is killed there leaves only
-        # files that the next one knows.
-        self._record(stage, {**recorded, **{name: {*recorded.get(name, ()), made[name]} for name in made}})
-        after = {name: found for name, found in recorded.items() if name not in stale}
-        after.update({name: {found} for name, found in made.items()})
+        # files that the next one knows, and readers refuse them until then.
+        both = {**recorded, **{name: {*recorded.get(name, ()), made[name]} for name in made}}
+        self._record(stage, both, self.folder, unfinished=(*made, *stale))
+        after = {**{name: found for name, found in recorded.items() if name not in stale}, **after}
 
         def finish() -> None:
             for name in stale:
                 (self.folder / name).unlink(missing_ok=True)
-            self._record(stage, after)
+            self._record(stage, after, self.folder)
 
         return finish
 
@@ -231,10 +238,22 @@ class OutputSet:
                     found.setdefault(name, set()).update(map(str, hashes))
         return found
 
-    def _record(self, stage: Path, files: Mapping[str, Collection[str]]) -> None:
-        content = {"schema": SCHEMA, "files": {name: sorted(files[name]) for name in sorted(files)}}
+    def _record(
+        self,
+        stage: Path,
+        files: Mapping[str, Collection[str]],
+        folder: Path,
+        unfinished: Collection[str] = (),
+    ) -> None:
+        """Write the record of a folder, at once; ``stage`` is on the same file system."""
+        content: dict[str, Any] = {
+            "schema": SCHEMA,
+            "files": {name: sorted(files[name]) for name in sorted(files)},
+        }
+        if unfinished:
+            content["unfinished"] = sorted(unfinished)
         text = json.dumps(content, indent=1) + "\n"
-        target = self.folder / self._record_name
+        target = folder / self._record_name
         with suppress(OSError, ValueError):
             if target.read_text(encoding="utf-8") == text:
                 return
@@ -242,6 +261,33 @@ class OutputSet:
         written = stage / f"{RECORDS}-record"
         written.write_text(text, encoding="utf-8")
         os.replace(written, target)
+
+
+def check_whole(path: Path) -> None:
+    """Look whether a file belongs to a set of outputs that was replaced in full.
+
+    Raises
+    ------
+    StapeskitError
+        The command that wrote it was killed between two files, or is placing them at this moment.
+    """
+    path = Path(path)
+    for record in _records_of(path.parent):
+        if path.name in record["unfinished"]:
+            command = record["command"]
+            got = f"a part of it: {command} was ended while it replaced its outputs in {path.parent}"
+            fault = Fault("a set of outputs", "whole", got, path.name, f"Run {command} again")
+            raise StapeskitError(fault)
+
+
+def _records_of(folder: Path) -> Iterator[dict[str, Any]]:
+    """Read the records in a folder whose files are not all in place."""
+    with suppress(OSError):
+        for path in sorted((folder / RECORDS).glob("*-*.json")):
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+                content = json.loads(path.read_text(encoding="utf-8"))
+                if content["schema"] == SCHEMA and isinstance(content["unfinished"], list):
+                    yield {"command": path.name.partition("-")[0], "unfinished": content["unfinished"]}
 
 
 def _inode(path: Path) -> _Inode | None:

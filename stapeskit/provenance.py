@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
@@ -22,7 +23,13 @@ _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista"
 def content_hash(path: Path, sha256: bool = False) -> str:
     """Return ``algorithm:hex`` of a file's bytes: xxh3-128, or SHA-256 when asked for.
 
-    A folder is hashed over the names and bytes of its files in name order.
+    A folder is hashed over the names and bytes of its files in name order. Once the program leaves, hashing
+    stops.
+
+    Raises
+    ------
+    OSError
+        A file cannot be read.
     """
     if sha256:
         import hashlib
@@ -34,13 +41,15 @@ def content_hash(path: Path, sha256: bool = False) -> str:
         digest = xxhash.xxh3_128()
     path = Path(path)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    window = memoryview(bytearray(_CHUNK))
+    window, program = memoryview(bytearray(_CHUNK)), threading.main_thread()
     for file in files:
         if path.is_dir():
             digest.update(str(file.relative_to(path)).encode())
         with file.open("rb", buffering=0) as stream:
             while count := stream.readinto(window):
                 digest.update(window[:count])
+                if not program.is_alive():
+                    raise InterruptedError(errno.EINTR, "the program leaves")
     return f"{'sha256' if sha256 else 'xxh3_128'}:{digest.hexdigest()}"
 
 
@@ -66,8 +75,8 @@ class Hashes:
         self._done: dict[Path, str | OSError] = {}
         self._later: dict[Path, tuple[tuple[int, ...], str]] = {}
         self._versions: dict[str, str] = {}
-        # A daemon: a fault elsewhere or Ctrl-C ends the program without waiting for large files.
-        self._thread = threading.Thread(target=self._work, name="hashes", daemon=True)
+        # No daemon, which can crash while the interpreter is taken down: see content_hash for how it ends.
+        self._thread = threading.Thread(target=self._work, name="hashes")
         if self._wanted:
             self._thread.start()
 
@@ -78,7 +87,8 @@ class Hashes:
                 self._done[path] = content_hash(path, self._sha256)
             except OSError as fault:
                 self._done[path] = fault
-        self._versions = versions()
+        if threading.main_thread().is_alive():
+            self._versions = versions()
 
     def versions(self) -> dict[str, str]:
         """Return the versions of what computes, looked up after the files were hashed."""
@@ -138,7 +148,7 @@ def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None)
     content = content_hash(path, sha256) if hashes is None else hashes.of(path)
     found = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
     if path.suffix.lower() == ".json":
-        with suppress(OSError, ValueError, UnicodeDecodeError):
+        with suppress(OSError, ValueError, RecursionError):
             document = json.loads(path.read_text(encoding="utf-8"))
             if isinstance(document, dict) and "frames" in document:
                 found["document_hash"] = document_hash(document)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.readers.checks import mm_per_unit
+from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import read_table
 
@@ -153,7 +153,7 @@ def _slicer_json(path: Path) -> Named:
     try:
         return [
             (str(control.get("label", "")), signs * _point(control.get("position"), path.name))
-            for markups in json.loads(_text(path))["markups"]
+            for markups in parse_json(_text(path))["markups"]
             for signs in [_markups_signs(markups, path.name)]
             for control in markups.get("controlPoints", [])
             if control.get("positionStatus", "defined") == "defined"

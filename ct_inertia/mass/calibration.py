@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.surface.moments import Moments
+from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import parameter_transfer
 
@@ -66,8 +66,8 @@ def read_calibration(path: Path) -> Calibration:
             Fault("{calibration}", "an existing TOML file", path, next_step="Check the path")
         )
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        table = parse_toml(path.read_text(encoding="utf-8"))
+    except ValueError as fault:
         raise CtInertiaError(
             Fault("{calibration}", "valid TOML", fault, path.name, next_step="Correct the file")
         ) from fault

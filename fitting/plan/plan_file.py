@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from fitting.model.laws import LAWS, law_of
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
+from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
@@ -61,8 +61,8 @@ def read_plan(path: Path) -> tuple[Plan, Path | None]:
             Fault("--plan", "an existing TOML file", path, next_step="dof2kd --help shows an example")
         )
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        table = parse_toml(path.read_text(encoding="utf-8"))
+    except ValueError as fault:
         raise FittingError(Fault("--plan", "valid TOML", fault, path.name)) from fault
     return _plan(table, path)
 

@@ -333,13 +333,14 @@ def write_hdf5(
         A shape, unit or name that `read` would refuse.
     """
     from stapeskit.outputs import staged
+    from stapeskit.records.hdf5_file import written_h5
 
     path = Path(path)
     numbers = np.asarray(value, dtype=complex)
     with staged(path.parent) as stage:
         import h5py
 
-        with h5py.File(stage / path.name, "w") as file:
+        with written_h5(stage / path.name) as file:
             file.attrs["schema"], file.attrs["unit"], file.attrs["amplitude"] = SCHEMA, unit, amplitude
             file.attrs["convention"] = "+"
             file.attrs["dims"] = "channel,freq" if numbers.ndim == 2 else "run,channel,freq"

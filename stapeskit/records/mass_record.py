@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
+from stapeskit.own_files import check_whole
 from stapeskit.records.mass_checks import MADE_BY, check
 from stapeskit.spatial import (
     check_inertia,
@@ -176,6 +177,7 @@ def read_mass_record(path: Path) -> MassRecord:
         matrix that no rigid body can have. Every fault found is listed.
     """
     path = Path(path)
+    check_whole(path)
     return mass_record(_load(path), path.name)
 
 
@@ -205,7 +207,7 @@ def _load(path: Path) -> dict[str, Any]:
             Fault("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
         )
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
         raise StapeskitError(Fault("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
     if not isinstance(raw, dict):

@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, Place, StapeskitError, raise_all
+from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
+from stapeskit.records.hdf5_file import larger_than_file, written_h5
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
 from stapeskit.tables.csv_table import Table, read_table
@@ -99,7 +102,7 @@ def _cell(text: str) -> str:
 def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
     import h5py
 
-    with h5py.File(path, "w") as file:
+    with written_h5(path) as file:
         file.attrs["schema"] = SCHEMA
         file.attrs["about"], file.attrs["axes"] = motion.about, motion.axes
         file.attrs["reference"], file.attrs["csv_hash"] = motion.reference, csv_hash
@@ -143,6 +146,7 @@ def read_motion(path: Path) -> RigidMotion:
         raise StapeskitError(
             Fault("the motion file", "an existing dof.csv or dof.h5", path, next_step="Run points2dof first")
         )
+    check_whole(path)
     if path.suffix.lower() in (".h5", ".hdf5"):
         return _read_h5(path)
     if path.suffix.lower() != ".csv":
@@ -164,7 +168,7 @@ def _stored_hash(path: Path) -> str:
     try:
         with h5py.File(path, "r") as file:
             return str(file.attrs.get("csv_hash", ""))
-    except OSError:
+    except (OSError, RuntimeError, TypeError, ValueError):
         return ""
 
 
@@ -183,10 +187,16 @@ def _read_h5(path: Path) -> RigidMotion:
                         "Make the file with points2dof",
                     )
                 )
+            large = larger_than_file(file, path.stat().st_size)
+            if large:
+                raise ValueError(f"{large} of more bytes than the file")
             return _motion_from_h5(file)
-    except (OSError, KeyError) as fault:
+    except StapeskitError:
+        raise
+    except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as fault:
+        step = "Make the file with points2dof"
         raise StapeskitError(
-            Fault("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name)
+            Fault("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name, step)
         ) from fault
 
 
@@ -209,8 +219,8 @@ def _motion_from_h5(file: Any) -> RigidMotion:
         about=str(file.attrs["about"]),
         axes=str(file.attrs["axes"]),
         shared=shared,
-        notices=from_json(json.loads(file.attrs["notices"])),
-        provenance=json.loads(file.attrs["provenance"]),
+        notices=from_json(parse_json(file.attrs["notices"])),
+        provenance=parse_json(file.attrs["provenance"]),
         common_sd=file["common_sd"][()] if "common_sd" in file else None,
     )
 

@@ -23,7 +23,6 @@ Names with dots reach into structs: ``dat.N1.f``.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -33,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import axis_vector
 
@@ -124,8 +124,8 @@ def read_mapping(path: Path) -> Layout:
     if not path.is_file():
         raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
     try:
-        found = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        found = parse_toml(path.read_bytes().decode("utf-8-sig"))
+    except ValueError as fault:
         raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
     faults: list[Fault] = []
     signals = found.pop("signal", [])

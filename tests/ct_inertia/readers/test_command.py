@@ -19,6 +19,7 @@ RAW = ["--dtype", "uint16", "--byte-order", "big", "--header-bytes", "77"]
 def through_the_command(monkeypatch, capsys, *arguments):
     """Run the command and return its exit code, what it printed, and what it complained of."""
     monkeypatch.setattr(sys, "argv", ["ct2mass", *map(str, arguments)])
+    monkeypatch.setattr("stapeskit.process.listen", lambda _prog: None)
     with pytest.raises(SystemExit) as left:
         main()
     told = capsys.readouterr()

@@ -1,0 +1,50 @@
+"""Read JSON and TOML that may come from anywhere: every fault of the text is a ValueError."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+DEEPEST = 100
+"""Brackets within each other at most: what people and programs write has less than ten."""
+
+_LONGEST_TOML = 10_000_000  # characters; a second or two of reading
+_TOKEN = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}]')
+
+
+def parse_json(text: str) -> Any:
+    """Return what a JSON text holds.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, nested too deeply, or holds a whole number of thousands of digits.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as fault:
+        raise ValueError("its brackets are nested too deeply") from fault
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what a TOML text holds.
+
+    Raises
+    ------
+    ValueError
+        It is no TOML, nested too deeply, too long, or holds a whole number of thousands of digits.
+    """
+    import tomllib
+
+    if len(text) > _LONGEST_TOML:
+        raise ValueError(f"it has {len(text)} characters, and {_LONGEST_TOML} at most are read")
+    depth = 0
+    for token in _TOKEN.finditer(text):
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token[0], 0)
+        if depth > DEEPEST:
+            raise ValueError("its brackets are nested too deeply")
+    try:
+        return tomllib.loads(text)
+    except RecursionError as fault:
+        raise ValueError("its keys are nested too deeply") from fault

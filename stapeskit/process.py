@@ -1,0 +1,229 @@
+"""The process of a command: its exit code, its standard streams, and what Ctrl-C does.
+
+Exit 0 done, 2 the input or the system is at fault, 1 a bug in stapeskit, 130 interrupted. This module imports
+little, so that an interruption is handled from the first moments on.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+TYPE_CHECKING = False  # typing itself would take longer than the rest
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any, NoReturn
+
+    from stapeskit.command import Outcome
+
+PATIENCE_S = 0.7
+"""How long an interrupted command may take to leave by itself."""
+
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class _State:
+    """What the threads of this process know of its end."""
+
+    prog = "stapeskit"
+    interrupted = False
+    written = False
+    code: int | None = None
+    watched = False
+    placing = threading.RLock()
+    cleanups: tuple[Callable[[], None], ...] = ()
+
+
+def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> NoReturn:
+    """Run a command's work and leave the process with its exit code.
+
+    Parameters
+    ----------
+    prog : str
+        The command's name.
+    work : callable
+        Takes the arguments, returns the options and the outcome, or None when it has printed already.
+    """
+    _open_descriptors()
+    _State.written = False
+    listen(prog)
+    try:
+        _open_streams()
+        code = _end_of(prog, work)
+    except KeyboardInterrupt as stop:
+        code = 130
+        _tell(f"{prog}: {stop if str(stop) else _farewell()}\n")
+    _State.code = code
+    raise SystemExit(code)
+
+
+def listen(prog: str, patience_s: float = PATIENCE_S) -> None:
+    """End the process on Ctrl-C, SIGTERM or a closed terminal: by KeyboardInterrupt, else by force.
+
+    The exception that a signal raises reaches nobody while a library computes, and is lost within a callback
+    of the import machinery. A thread that the signal wakes therefore looks ``patience_s`` later whether the
+    process still runs, removes its temporary folders and ends it with 130.
+    """
+    _State.prog, _State.interrupted, _State.code = prog, False, None
+    for number in _SIGNALS:
+        signal.signal(number, _interrupt)
+    if _State.watched:
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    _State.watched = True
+    atexit.register(_ignore)
+    threading.Thread(target=_watch, args=(reader, patience_s), name="interrupts", daemon=True).start()
+
+
+def on_forced_end(cleanup: Callable[[], None]) -> None:
+    """Call this before the process is ended by force."""
+    _State.cleanups = (*_State.cleanups, cleanup)
+
+
+def outputs_written() -> None:
+    """Remember that outputs have appeared, for what an interruption says."""
+    _State.written = True
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold interruptions back until the block has ended."""
+    caught: list[int] = []
+    with _State.placing:
+        replaced: dict[int, Any] = {}
+        if threading.current_thread() is threading.main_thread():
+            for number in _SIGNALS:
+                if callable(signal.getsignal(number)):
+                    replaced[number] = signal.signal(number, lambda found, _frame: caught.append(found))
+        try:
+            yield
+        finally:
+            for number, handler in replaced.items():
+                signal.signal(number, handler)
+    if caught:
+        replaced[caught[0]](caught[0], None)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, once: what cleans up must not be interrupted again."""
+    if not _State.interrupted and _State.code is None:
+        _State.interrupted = True
+        raise KeyboardInterrupt
+
+
+def _ignore() -> None:
+    """Let no signal end the process otherwise once its exit code is known."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _watch(reader: int, patience_s: float) -> None:
+    while not set(os.read(reader, 64)) & set(_SIGNALS):
+        pass
+    time.sleep(patience_s)
+    with _State.placing:
+        for cleanup in _State.cleanups:
+            with suppress(Exception):
+                cleanup()
+        if _State.code is None:
+            _tell(f"{_State.prog}: {_farewell()}\n")
+        os._exit(130 if _State.code is None else _State.code)
+
+
+def _farewell() -> str:
+    return (
+        "interrupted; the outputs had been written."
+        if _State.written
+        else "interrupted; nothing was written."
+    )
+
+
+def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> int:
+    """Return the exit code; what went wrong is on standard error."""
+    try:
+        done = work(sys.argv[1:])
+    except BrokenPipeError:
+        _drop_output()
+        return 0
+    except Exception as fault:
+        text = _sentence(fault)
+        if text is not None:
+            _tell(f"{text}\n")
+            return 2
+        import traceback
+
+        _tell(traceback.format_exc())
+        _tell(f"{prog}: this is a bug in stapeskit; please report it with the lines above.\n")
+        return 1
+    try:
+        if done is not None:
+            from stapeskit.command import show
+
+            show(*done)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _drop_output()
+    except OSError as fault:
+        _drop_output()
+        _tell(f"{prog}: standard output must be writable; got {fault.strerror}. The outputs are written.\n")
+        return 2
+    return 0
+
+
+def _sentence(fault: Exception) -> str | None:
+    """Return what to say of a fault of the input or the system; None for a bug."""
+    from stapeskit.faults import StapeskitError
+
+    if isinstance(fault, StapeskitError):
+        return str(fault)
+    text = str(fault)
+    starved = ("can't start new thread", "failed to map segment", "annot allocate memory", "bad_alloc")
+    if isinstance(fault, MemoryError) or any(words in text for words in starved):
+        return f"{_State.prog}: not enough memory; crop the scan with --box or close other programs."
+    if isinstance(fault, OSError) and fault.errno is not None:
+        from stapeskit.system_faults import system_fault
+
+        return str(system_fault(fault))
+    return None
+
+
+def _open_descriptors() -> None:
+    """Open standard streams that the caller has closed, before other files take their numbers."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+
+
+def _open_streams() -> None:
+    """Let every standard stream be open, and able to write any character."""
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", closefd=False))
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _drop_output() -> None:
+    """Let what is left in the buffer of standard output go nowhere, so that closing it raises nothing."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _tell(text: str) -> None:
+    """Write to standard error, where that is possible."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(text)
+        sys.stderr.flush()

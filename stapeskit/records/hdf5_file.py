@@ -1,0 +1,39 @@
+"""HDF5 files that are written by way of memory: on a full disk the library would end the process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def written_h5(path: Path) -> Iterator[Any]:
+    """Lend an HDF5 file in memory that is written to ``path`` when the block has ended.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    import h5py
+
+    with h5py.File(Path(path).name, "w", driver="core", backing_store=False) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    Path(path).write_bytes(image)
+
+
+def larger_than_file(group: Any, size: int) -> str:
+    """Return the name of a data set that declares more bytes than the file has, or nothing."""
+    found: list[str] = []
+
+    def look(name: str, item: Any) -> None:
+        count = getattr(item, "size", None)
+        if count is not None and not found and count * item.dtype.itemsize > size:
+            found.append(name)
+
+    group.visititems(look)
+    return found[0] if found else ""

@@ -1,0 +1,81 @@
+"""Temporary folders of killed runs are removed by the next run, those of running ones are not."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from stapeskit.scratch import scratch
+
+ROOT = Path(__file__).resolve().parents[2]
+HOLD = """
+from pathlib import Path
+from stapeskit.scratch import scratch
+with scratch(Path('.')) as folder:
+    (folder / 'half').write_text('half')
+    print('at work', flush=True)
+    input()
+"""
+
+
+def hold(folder):
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "at work\n"
+    return process
+
+
+def age(folder, seconds=3600.0):
+    for path in folder.glob(".stapeskit-*"):
+        then = time.time() - seconds
+        os.utime(path, (then, then))
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_what_a_killed_run_left_is_removed_and_a_running_one_keeps_its_folder(tmp_path):
+    killed, running = hold(tmp_path), hold(tmp_path)
+    killed.kill()
+    killed.communicate()
+    kept = [path for path in tmp_path.iterdir() if path.stat().st_mtime]
+    assert len(kept) == 2
+    with scratch(tmp_path):
+        assert len(names(tmp_path)) == 3  # fresh ones stay: their lock may be about to be taken
+    age(tmp_path)
+    with scratch(tmp_path):
+        assert len(names(tmp_path)) == 2
+    running.communicate("\n")
+    assert names(tmp_path) == []
+
+
+def test_foreign_folders_of_such_a_name_stay(tmp_path):
+    for name in (".stapeskit-notes", ".stapeskit-12345678", ".stapeskit-abcdefgh-more"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.txt").write_text("mine")
+    (tmp_path / ".stapeskit-abcdefgh").write_text("a file")
+    (tmp_path / ".stapeskit-linked00").symlink_to(tmp_path / ".stapeskit-notes")
+    before = names(tmp_path)
+    age(tmp_path)
+    with scratch(tmp_path):
+        pass
+    assert names(tmp_path) == before
+    assert (tmp_path / ".stapeskit-12345678" / "mine.txt").exists()
+
+
+def test_an_empty_folder_of_a_run_that_was_killed_at_once_is_removed(tmp_path):
+    (tmp_path / ".stapeskit-abcdefgh").mkdir()
+    age(tmp_path)
+    with scratch(tmp_path):
+        pass
+    assert names(tmp_path) == []
