@@ -58,7 +58,7 @@ def _one(given: Given) -> Outcome:
     from pathlib import Path
 
     from pipeline.progress import Progress
-    from pipeline.report import key_results
+    from pipeline.report_summary import key_results
     from pipeline.scan2kd import run_study
     from stapeskit.command import Outcome
 

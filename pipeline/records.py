@@ -14,6 +14,7 @@ from stapeskit.warnings import Notice, from_json
 
 FOLDER = ".stapeskit"
 SCHEMA = "stapeskit.stage/1"
+_SOURCES = {".py", ".js", ".css", ".html", ".toml"}
 _HEADERS = {".mhd", ".nhdr", ".vgi", ".log", ".hdr", ".vsr"}
 
 
@@ -136,10 +137,15 @@ def code_hash(rooms: Iterable[str]) -> str:
     root = Path(__file__).resolve().parents[1]
     digest = xxhash.xxh3_128()
     for room in rooms:
-        for file in [root / room] if room.endswith(".py") else sorted((root / room).rglob("*.py")):
+        for file in [root / room] if room.endswith(".py") else _sources(root / room):
             digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     return str(digest.hexdigest())
+
+
+def _sources(folder: Path) -> list[Path]:
+    """Return the files of a package that its outputs depend on."""
+    return sorted(path for path in folder.rglob("*") if path.suffix in _SOURCES)
 
 
 @dataclass(frozen=True)

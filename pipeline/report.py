@@ -2,46 +2,60 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pipeline.errors import PipelineError
+from pipeline.methods import methods
 from pipeline.records import Told
+from pipeline.report_summary import si_table, summary_block
 from pipeline.study import Study
+from pipeline.verdict import verdict
+from pipeline.viewer.scene import viewer
 from pipeline.workspace import Workspace
+from stapeskit.faults import Fault
 from stapeskit.page import page
-from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
-from stapeskit.page.quantities import MASS
 from stapeskit.provenance import input_record
 from stapeskit.warnings import unique
 
-# Sections by key, with their heading in this page; the order is the page's. What is not listed here comes
-# after the last listed section of its own stage.
-_ORDER: dict[str, str] = {
-    "bodies_and_frames": "The stapes in its frames",
-    "literature": "The stapes beside the literature",
-    "segmentation": "Segmentation",
-    "mass_matrix": "Mass matrix M",
-    "points_and_beams": "Points and beams",
-    "motion_at_one_frequency": "Motion at one frequency",
-    "rigid_motion": "Motion of stapes and bone",
-    "stiffness_and_damping": "Stiffness K and damping D",
-    "responses": "Measured and simulated responses",
-    "principal_axes": "Principal axes on the footplate",
-    "modes": "Modes",
-    "kd_uncertainty": "Uncertainty of K and D",
-    "identifiability": "What the data can tell",
-    "kd_residuals": "Residuals of the fit",
-    "mass_uncertainty": "Uncertainty of M",
-    "verdicts": "Verdict on every channel",
-    "rigid_residuals": "Residuals of the rigid bodies",
-    "registration": "Registration",
-    "points_on_surfaces": "Points on the surfaces of the scan",
-    "calibration": "Geometry estimated with the motion",
+# Parts of the page and their sections by key, with the heading in this page; the order is the page's. What is
+# not listed here comes after the last listed section of its own stage.
+_PARTS: dict[str, dict[str, str]] = {
+    "Scan and mass": {
+        "bodies_and_frames": "The stapes in its frames",
+        "segmentation": "Segmentation",
+        "mass_matrix": "Mass matrix M",
+        "mass_uncertainty": "Uncertainty of M",
+        "literature": "The stapes beside the literature",
+    },
+    "Motion": {
+        "points_and_beams": "Points and beams",
+        "motion_at_one_frequency": "Motion at one frequency",
+        "rigid_motion": "Motion of stapes and bone",
+        "verdicts": "Verdict on every channel",
+        "rigid_residuals": "Residuals of the rigid bodies",
+        "registration": "Registration",
+        "points_on_surfaces": "Points on the surfaces of the scan",
+        "calibration": "Geometry estimated with the motion",
+    },
+    "Ligament": {
+        "responses": "Measured and simulated responses",
+        "stiffness_and_damping": "Stiffness K and damping D",
+        "modes": "Modes",
+        "principal_axes": "Principal axes on the footplate",
+        "kd_uncertainty": "Uncertainty of K and D",
+        "identifiability": "What the data can tell",
+        "kd_residuals": "Residuals of the fit",
+    },
 }
+_ORDER = {key: heading for part in _PARTS.values() for key, heading in part.items()}
+_FIRST, _LAST = "This ear", "Record"
 
 
 def write_report(
@@ -62,33 +76,63 @@ def write_report(
         Sections and warnings by stage.
     """
     mass, kd = work.mass.record.raw, work.kd
-    made = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
-    notes = [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
-    made.section("This ear", *notes, page.table(("", "value"), key_results(mass, kd)))
+    truth = None if study.study.truth is None else _read_truth(study.study.truth)
     found = unique(notice for one in told.values() for notice in one.notices)
+    made = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
+    made.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
+    made.summary.append(summary_block(mass, kd, verdict(kd, found), truth))
+    made.summary.append(si_table(mass, kd))
+    made.section("The stapes in three dimensions", viewer(work.mass, kd)).key = "stapes_3d"
+    made.section("Accept or correct the cut", *_correction(study_file, study, work))
     made.section("Warnings", page.notices(found))
+    made.section("Methods in words", page.text(methods(mass, kd, work.motion)))
+    for section in made.sections:
+        section.group = _FIRST
     made.sections += ordered(told)
-    made.section("Inputs", *_inputs(study_file, mass, kd, work))
+    made.section("Inputs", *_inputs(study_file, mass, kd, work)).group = _LAST
     made.write(path)
 
 
-def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the numbers that a reader looks for first, each with its standard deviation."""
-    sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    rows = [("mass", MASS.with_sd(mass["mass_kg"], sd))]
-    for letter, key in (("K", "stiffness"), ("D", "damping")):
-        for place, dof in enumerate(kd["dof"]):
-            value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
-            unit = ("N" if letter == "K" else "N s") + ("/m" if dof in "xyz" else " m/rad")
-            rows.append((f"{letter}({dof}, {dof})", f"{plus_minus(value, spread)} {unit}"))
-    for place, mode in enumerate(kd["modes"]):
-        frequency = plus_minus(mode["frequency_hz"], mode.get("frequency_sd_hz"))
-        ratio = plus_minus(mode["damping_ratio"], mode.get("damping_ratio_sd"))
-        rows.append((f"mode {place + 1}", f"{frequency} Hz, damping ratio {ratio}"))
-    stable = "yes" if kd["stable"] else "NO"
-    passive = "yes" if all(kd["passive"].values()) else "NO"
-    rows.append(("stable; passive", f"{stable}; {passive}"))
-    return rows
+def _read_truth(path: Path) -> Mapping[str, Any]:
+    """Read the true values of a simulated ear.
+
+    Raises
+    ------
+    PipelineError
+        The file is no JSON object.
+    """
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        truth = None
+    if not isinstance(truth, dict):
+        raise PipelineError(Fault("study.truth", "a JSON object", path.name, "", "Leave the key out"))
+    return truth
+
+
+def _correction(study_file: Path, study: Study, work: Workspace) -> list[Any]:
+    """Return what to do where the cut is right, and the line and command that correct it."""
+    own = study.scan.labels
+    if own is None:
+        labels = Path(
+            os.path.relpath(work.out / "labels.nrrd", Path(study_file).absolute().parent)
+        ).as_posix()
+        line = f'labels = "{labels}"'
+        edit = f"Open {labels} on the scan in 3D Slicer or ITK-SNAP, correct label 1, and save it there."
+    else:
+        line = f'labels = "{own.name}"  (it is there already)'
+        edit = f"Correct {own.name} further and save it where it is."
+    command = f"scan2kd {Path(study_file).name} --out {work.out.name}"
+    return [
+        page.text(
+            "Look at the stapes above and at the slices of the segmentation. Is it the whole stapes and "
+            "nothing else? Then there is nothing to do."
+        ),
+        page.text(f"Otherwise: {edit} Add this line to [scan] of {Path(study_file).name}:"),
+        page.code(line),
+        page.text("and run again; your labels stay as they are:"),
+        page.code(command),
+    ]
 
 
 def ordered(told: Mapping[str, Told]) -> list[Section]:
@@ -96,14 +140,24 @@ def ordered(told: Mapping[str, Told]) -> list[Section]:
     places = {key: place for place, key in enumerate(_ORDER)}
     listed: list[tuple[tuple[int, int, int], Section]] = []
     for stage in told.values():
+        group = next((_part_of(section.key) for section in stage.sections if section.key in places), _LAST)
         last = max((places.get(section.key, -1) for section in stage.sections), default=-1)
         for number, section in enumerate(stage.sections):
             place = places.get(section.key)
             if place is None:
-                listed.append(((last if last >= 0 else len(_ORDER), 1, number), section))
+                rank = (last if last >= 0 else len(_ORDER), 1, number)
+                listed.append((rank, replace(section, group=group)))
             else:
-                listed.append(((place, 0, number), replace(section, heading=_ORDER[section.key])))
+                heading = _ORDER[section.key]
+                listed.append(
+                    ((place, 0, number), replace(section, heading=heading, group=_part_of(section.key)))
+                )
     return [section for _, section in sorted(listed, key=lambda pair: pair[0])]
+
+
+def _part_of(key: str) -> str:
+    """Return the part of the page that a listed section belongs to."""
+    return next(part for part, sections in _PARTS.items() if key in sections)
 
 
 def _inputs(study_file: Path, mass: Mapping[str, Any], kd: Mapping[str, Any], work: Workspace) -> list[Any]:

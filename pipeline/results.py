@@ -63,7 +63,7 @@ class StudyResult(Result):
 
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return mass, K, D and modes with their standard deviations, and the folder of the results."""
-        from pipeline.report import key_results
+        from pipeline.report_summary import key_results
 
         return [*key_results(self.mass, self.kd), ("results", str(self.out))]
 

@@ -29,7 +29,7 @@ from stapeskit.provenance import Hashes
 from stapeskit.warnings import unique
 
 REPORT, REPORT_FILE = "report", "report.html"
-_REPORT_CODE = ("pipeline", "stapeskit/page/page.py")
+_REPORT_CODE = ("pipeline", "stapeskit/page")
 
 
 def run_study(path: Path, out: Path, force: bool = False, progress: Progress | None = None) -> StudyResult:
@@ -196,7 +196,7 @@ def _report(
     with progress.step("report") as step:
         parts = {stage: work.hash_of(told_name(stage)) for stage in told}
         parts |= {name: work.hash_of(name) for name in ("mass.json", "dof.h5", "kd.json")}
-        now = fingerprint(_REPORT_CODE, {"study": path}, parts, work.hashes)
+        now = fingerprint(_REPORT_CODE, {"study": path, "truth": study.study.truth}, parts, work.hashes)
         reason = _reason(old, now, work)
         if not reason:
             step.note = "unchanged, reused"

@@ -74,7 +74,8 @@ def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) ->
 
 def inputs_of(study: Study) -> tuple[Path, ...]:
     """Return every file and folder that a study names."""
-    return tuple(path for stage in STAGES for path in stage.inputs(study).values() if path is not None)
+    named = [study.study.truth, *(path for stage in STAGES for path in stage.inputs(study).values())]
+    return tuple(path for path in named if path is not None)
 
 
 def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
@@ -165,7 +166,7 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], Told]:
     scenery = result.scenery
     names = write_outputs(work.fresh, "dof", result, scenery, False, hash_of=work.hashes.of)
     work.keep("motion", result.motion)
-    return names, Told(tuple(sections(result, scenery)), result.notices)
+    return names, Told(tuple(sections(result, scenery, interactive=True)), result.notices)
 
 
 def _no_inputs(_study: Study) -> dict[str, Path | None]:

@@ -14,7 +14,7 @@ from kinematics.options import LdvOptions
 from pipeline.errors import PipelineError
 from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, in_words, raise_all
-from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice
+from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice, file
 from stapeskit.options import OptionTable, declared, option, read_table, vocabulary
 
 
@@ -44,6 +44,11 @@ class About(OptionTable):
     group: str = option(TEXT, "group of the ear in a cohort", "", example="control")
     covariates: Mapping[str, Any] = option(
         COVARIATES, "any further columns of a cohort", {}, example={"storage_days": 3.0}
+    )
+    truth: Path | None = option(
+        file("JSON file", metavar="FILE.json"),
+        "true values of a simulated ear (mass_kg, dof, stiffness_si, damping_si), shown in the report",
+        example="truth.json",
     )
 
 

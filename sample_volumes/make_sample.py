@@ -110,7 +110,7 @@ def study_text(name: str, ear: Ear, placed: Scene, how: Vibrometry) -> str:
     state = "Incus removed" if ear.incus_gap_mm is None else "Incus attached"
     notes = f"{_REAL if ear.stapes == bodies.OPENEAR_STAPES else _MADE} {state}, cochlea open."
     tables = [
-        ["[study]", f'name = "{name}"', f'notes = "{notes}"'],
+        ["[study]", f'name = "{name}"', f'notes = "{notes}"', 'truth = "truth.json"'],
         [
             "[scan]",
             'file = "scan.tif"',

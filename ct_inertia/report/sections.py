@@ -20,7 +20,7 @@ from ct_inertia.report.report_masses import cross_check_section, files_blocks, m
 from ct_inertia.surface.surface import Surface
 from stapeskit.frames import RigidTransform
 from stapeskit.page import page
-from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
+from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, LENGTH, MASS, SMALL_LENGTH, VOLUME, ShownUnit
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, from_json
@@ -39,7 +39,8 @@ _ANATOMY = {
     "mass_mg": "about 3",
     "holes": "1",
 }
-_UNITS = {("t", "t"): "kg", ("t", "r"): "kg m", ("r", "t"): "kg m", ("r", "r"): "kg m²"}
+# Of an entry of the mass matrix, by how many of its two degrees of freedom are rotations.
+_UNITS = (MASS, FIRST_MOMENT, INERTIA)
 
 
 @dataclass(frozen=True)
@@ -279,22 +280,25 @@ def _listed(values: Array, digits: int) -> str:
 
 
 def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
-    from ct_inertia.report.slices_figure import slices_figure
+    from ct_inertia.report.slice_browser import slice_browser
+    from ct_inertia.report.slices_figure import Crop, slices_figure
 
     footplate = _frame(content, "footplate")
     section = page.Section("Segmentation", key="segmentation")
     if footplate is None or pictured.labelled is None:
         return section
-    drawing = slices_figure(pictured.labelled, footplate)
+    crop = Crop(pictured.labelled)
+    drawing = slices_figure(crop, footplate)
     section.add(
+        slice_browser(crop),
         page.figure(
             drawing,
             "Grey values with the outlines of the labels. Top: planes of the footplate frame, through the "
             "arch (z = 0), across it (x = 0), and along the footplate. Bottom: slices of the scan itself "
-            "through the middle of the stapes, or of its largest cut (red) where it was parted from bone.",
+            "through the middle of the stapes, or of its largest cut (blue) between stapes and bone.",
             "Six slices with the outlines of stapes, plate and other bone.",
             vector=False,
-        )
+        ),
     )
     rows = evidence_rows(content.get("segmentation") or {})
     if rows:
@@ -315,7 +319,8 @@ def _matrix_section(content: Mapping[str, Any]) -> page.Section:
     section.add(
         page.text(
             "Order of the degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, "
-            "gamma (small rotations about x, y, z). SI units; ± one standard deviation with all sources."
+            "gamma (small rotations about x, y, z). ± one standard deviation with all sources; mass.json "
+            "holds the same in SI units."
         )
     )
     for key, words in (
@@ -325,21 +330,23 @@ def _matrix_section(content: Mapping[str, Any]) -> page.Section:
     ):
         block = content[key]
         if block is not None:
+            units = _entry_units(block["dof"])
+            per_si = np.array([[unit.per_si for unit in row] for row in units])
             section.add(
                 page.matrix(
-                    np.array(block["matrix_si"], dtype=float) + 0.0,
+                    np.array(block["matrix_si"], dtype=float) * per_si + 0.0,
                     block["dof"],
                     words,
-                    block["standard_deviation_si"],
-                    _entry_units(block["dof"]),
+                    np.array(block["standard_deviation_si"], dtype=float) * per_si,
+                    [[unit.symbol for unit in row] for row in units],
                 )
             )
     return section
 
 
-def _entry_units(dof: Sequence[str]) -> list[list[str]]:
-    kinds = ["t" if name in DOF_NAMES[:3] else "r" for name in dof]
-    return [[_UNITS[row, column] for column in kinds] for row in kinds]
+def _entry_units(dof: Sequence[str]) -> list[list[ShownUnit]]:
+    turns = [int(name not in DOF_NAMES[:3]) for name in dof]
+    return [[_UNITS[row + column] for column in turns] for row in turns]
 
 
 def _budget_section(content: Mapping[str, Any]) -> page.Section:

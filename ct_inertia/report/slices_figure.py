@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 CUT = 9
-_COLOURS = {STAPES: "#ff7f0e", PLATE: "#3fa7d6", OTHER_BONE: "#8bc34a", CUT: "#e53935"}
-_NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
+# Distinct for readers with red-green blindness too (Okabe and Ito's palette, with blue for the cut).
+COLOURS = {STAPES: "#e69f00", PLATE: "#56b4e9", OTHER_BONE: "#cc79a7", CUT: "#1040ff"}
+NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
 _MARGIN_MM = 0.5
 _PIXELS = 340
 
 
-def slices_figure(labelled: LabelledVolume, footplate: RigidTransform) -> Figure:
+def slices_figure(crop: Crop, footplate: RigidTransform) -> Figure:
     """Draw six slices.
 
     Parameters
     ----------
-    labelled : LabelledVolume
-        Its grid is the scan with the grey values.
+    crop : Crop
     footplate : RigidTransform
         scan_from_footplate.
     """
@@ -37,7 +37,6 @@ def slices_figure(labelled: LabelledVolume, footplate: RigidTransform) -> Figure
 
     from stapeskit.page.page import new_figure
 
-    crop = _Crop(labelled)
     drawing = new_figure(11.6, 8.2)
     axes = drawing.subplots(2, 3)
     corners = footplate.inverse().points(crop.stapes_points())
@@ -47,14 +46,20 @@ def slices_figure(labelled: LabelledVolume, footplate: RigidTransform) -> Figure
         _oblique(axes[0, place], crop, footplate, (right, up, normal), level, low, high)
     for place, axis in enumerate((2, 1, 0)):
         _native(axes[1, place], crop, axis)
-    present = [label for label in _NAMES if np.any(crop.mask(label))]
-    handles = [Line2D([], [], color=_COLOURS[label], label=_NAMES[label]) for label in present]
+    present = [label for label in NAMES if np.any(crop.mask(label))]
+    handles = [Line2D([], [], color=COLOURS[label], label=NAMES[label]) for label in present]
     drawing.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return drawing
 
 
-class _Crop:
-    """The part of scan and labels around the stapes, small enough to resample."""
+class Crop:
+    """The part of scan and labels around the stapes, small enough to resample.
+
+    Parameters
+    ----------
+    labelled : LabelledVolume
+        Its grid is the scan with the grey values.
+    """
 
     def __init__(self, labelled: LabelledVolume) -> None:
         volume = labelled.grid
@@ -98,7 +103,7 @@ class _Crop:
         grey = map_coordinates(self.grey, places, order=1, mode="constant", cval=self.window[0])
         shares = {
             label: map_coordinates(self.mask(label).astype(np.float32), places, order=1)
-            for label in _NAMES
+            for label in NAMES
             if np.any(self.mask(label))
         }
         return np.asarray(grey), shares
@@ -123,7 +128,7 @@ def _middle_of_largest(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 def _oblique(
     axes: Axes,
-    crop: _Crop,
+    crop: Crop,
     footplate: RigidTransform,
     directions: tuple[int, int, int],
     level: float,
@@ -142,7 +147,7 @@ def _oblique(
     axes.set(xlabel=f"{'xyz'[right]} (mm)", ylabel=f"{'xyz'[up]} (mm)")
 
 
-def _native(axes: Axes, crop: _Crop, axis: int) -> None:
+def _native(axes: Axes, crop: Crop, axis: int) -> None:
     right, up = (index for index in range(3) if index != axis)
     number = int(crop.middle[axis])
     cut = [slice(None)] * 3
@@ -151,7 +156,7 @@ def _native(axes: Axes, crop: _Crop, axis: int) -> None:
     spacing = crop.volume.spacing_mm
     u = (crop.low[right] + np.arange(grey.shape[1])) * spacing[right]
     v = (crop.low[up] + np.arange(grey.shape[0])) * spacing[up]
-    shares = {label: crop.mask(label)[tuple(cut)].astype(float) for label in _NAMES}
+    shares = {label: crop.mask(label)[tuple(cut)].astype(float) for label in NAMES}
     shares = {label: share for label, share in shares.items() if np.any(share)}
     half_u, half_v = 0.5 * spacing[right], 0.5 * spacing[up]
     extent = (u[0] - half_u, u[-1] + half_u, v[-1] + half_v, v[0] - half_v)
@@ -162,7 +167,7 @@ def _native(axes: Axes, crop: _Crop, axis: int) -> None:
 
 def _draw(
     axes: Axes,
-    crop: _Crop,
+    crop: Crop,
     grey: NDArray[np.floating],
     shares: dict[int, Array],
     extent: tuple[float, ...],
@@ -173,7 +178,7 @@ def _draw(
     axes.imshow(grey, extent=extent, origin=origin, interpolation="nearest", aspect="equal", **options)  # type: ignore[arg-type]
     for label, share in shares.items():
         if label == CUT:
-            axes.contourf(*coordinates, share, levels=[0.5, 2.0], colors=_COLOURS[label])
+            axes.contourf(*coordinates, share, levels=[0.5, 2.0], colors=COLOURS[label])
             continue
-        axes.contour(*coordinates, share, levels=[0.5], colors=_COLOURS[label], linewidths=1.0)
+        axes.contour(*coordinates, share, levels=[0.5], colors=COLOURS[label], linewidths=1.0)
     axes.tick_params(labelsize=8)

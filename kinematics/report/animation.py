@@ -136,13 +136,19 @@ def _mesh(scenery: Scenery) -> dict[str, Any]:
 def _body(result: Points2Dof, number: int, outermost: Array) -> dict[str, Any]:
     body = result.measurement.bodies[number]
     names = list(dict.fromkeys(body.points))
+    names = names[:: int(np.ceil(len(names) / _MOST_POINTS))]
     places = body.positions_mm[[body.points.index(name) for name in names]]
-    places = places[:: int(np.ceil(len(places) / _MOST_POINTS))]
+    beams = [
+        [names.index(name), *np.round(way, 4).tolist()]
+        for name, way in zip(body.points, body.directions, strict=True)
+        if name in names
+    ]
     return {
         "name": shortened(body.body, 40),
         "colour": colour(number),
         "points": np.round(places, 4).tolist(),
         "edges": _edges(places),
+        "beams": beams,
         "outermost": np.round(outermost, 4).tolist(),
     }
 

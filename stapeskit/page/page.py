@@ -1,6 +1,7 @@
 """One self-contained HTML page: headings, tables, matrices, figures, warnings; no network, no scripts needed.
 
-Every text goes through Jinja2 with autoescape; figures are embedded as data. It prints on A4.
+Every text goes through Jinja2 with autoescape; figures are embedded as data. It prints on A4. A small script of
+its own (parts/page.js) saves tables and figures; without scripts everything can still be read.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,57 +25,24 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
-_STYLE = """
-:root { --ink: #1d2733; --soft: #5d6b7a; --line: #d9dfe6; --tint: #f4f6f9; --accent: #0b6e99; --warn: #8a5a00; }
-* { box-sizing: border-box; }
-body { font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; color: var(--ink); margin: 0 auto; max-width: 1120px;
-       padding: 24px 28px 64px; background: #fff; }
-h1 { font-size: 26px; margin: 0 0 4px; } h2 { font-size: 19px; margin: 36px 0 8px; padding-top: 10px;
-       border-top: 1px solid var(--line); } h3 { font-size: 15px; margin: 18px 0 4px; }
-p.lead { color: var(--soft); margin: 0 0 12px; } p { margin: 8px 0; max-width: 85ch; }
-nav a { margin-right: 14px; color: var(--accent); text-decoration: none; font-size: 14px; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; margin: 10px 0; font-size: 14px; font-variant-numeric: tabular-nums; }
-th, td { padding: 4px 11px; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
-th { background: var(--tint); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
-table.text td, table.text th { text-align: left; white-space: normal; vertical-align: top; overflow-wrap: break-word; }
-table.two th:nth-child(2), table.two td:nth-child(2) { text-align: left; }
-td small { color: var(--soft); }
-figure { margin: 14px 0; } figure img { max-width: 100%; height: auto; display: block; }
-figcaption { color: var(--soft); font-size: 13px; max-width: 95ch; margin-top: 4px; }
-.notice { border-left: 4px solid #e0a526; background: #fdf7e8; padding: 6px 12px; margin: 6px 0; max-width: 100ch; }
-.notice code { color: var(--warn); } .good { border-left-color: #2c8a57; background: #eef7f1; }
-details > summary { cursor: pointer; color: var(--accent); margin: 10px 0; }
-pre { background: var(--tint); padding: 10px; overflow-x: auto; font-size: 13px; }
-@media (max-width: 600px) {
-  body { padding: 16px 14px 48px; } th, td { padding: 3px 6px; white-space: normal; } table { font-size: 13px; }
-  figure { overflow-x: auto; } figure img { max-width: max(100%, 640px); }
-}
-@page { size: A4; margin: 14mm 12mm; }
-@media print {
-  body { font-size: 10pt; max-width: none; padding: 0; } nav { display: none; } h1 { font-size: 17pt; }
-  h2 { font-size: 13pt; margin-top: 14pt; break-after: avoid; } h3 { break-after: avoid; }
-  figure, tr, .notice { break-inside: avoid; } thead { display: table-header-group; }
-  figure img { max-height: 250mm; } .scroll { overflow: visible; } table { font-size: 8.5pt; max-width: 100%; }
-  th, td { padding: 2px 5px; white-space: normal; } .notice { print-color-adjust: exact; }
-}
-"""
-
-_TEMPLATE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{{ policy }}"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ title }}</title><style>{{ style }}</style></head><body>
-<h1>{{ title }}</h1>{% if lead %}<p class="lead">{{ lead }}</p>{% endif %}
-{% if sections|length > 2 %}<nav>{% for s in sections %}<a href="#{{ s.key or 's%d' % loop.index }}">{{ s.heading }}</a>{% endfor %}</nav>{% endif %}
-{% for s in sections %}<section id="{{ s.key or 's%d' % loop.index }}"><h2>{{ s.heading }}</h2>
-{% for block in s.blocks %}{{ block }}
-{% endfor %}</section>
-{% endfor %}</body></html>
-"""
-
-
 # A page loads nothing from anywhere and sends nothing: styles, scripts and pictures are in it.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+
+
+_PARTS = Path(__file__).with_name("parts")
+# A power of ten within words, which no line may break: 3.1e-09
+_POWER = re.compile(r"(?<![\w.])([-+]?\d[\d.]*e[-+]\d+)")
+
+
+def _part(name: str) -> str:
+    return (_PARTS / name).read_text(encoding="utf-8")
+
+
+def _whole(cell: object) -> Markup:
+    """Return the text of a cell whose numbers stay in one line."""
+    from markupsafe import Markup, escape
+
+    return Markup(_POWER.sub(r'<span class="n">\1</span>', str(escape(cell))))
 
 
 def _render(template: str, **values: Any) -> Markup:
@@ -93,11 +62,14 @@ class Section:
     blocks : list of Markup
     key : str
         Stable name, by which pages order and link sections; empty where nothing refers to it.
+    group : str
+        Part of the page that the section belongs to; pages with groups have a navigation at their side.
     """
 
     heading: str
     blocks: list[Markup] = field(default_factory=list)
     key: str = ""
+    group: str = ""
 
     def add(self, *blocks: Markup) -> Section:
         """Append blocks and return the section."""
@@ -107,11 +79,12 @@ class Section:
 
 @dataclass
 class Page:
-    """A page under construction: a title, a lead sentence, sections."""
+    """A page under construction: a title, a lead sentence, a summary, sections."""
 
     title: str
     lead: str = ""
     sections: list[Section] = field(default_factory=list)
+    summary: list[Markup] = field(default_factory=list)
 
     def section(self, heading: str, *blocks: Markup) -> Section:
         """Append a section."""
@@ -123,14 +96,18 @@ class Page:
         """Return the whole page."""
         from markupsafe import Markup
 
-        style = Markup(_STYLE)
+        listed = [(section.key or f"s{place + 1}", section) for place, section in enumerate(self.sections)]
+        grouped = [(name, list(found)) for name, found in groupby(listed, lambda pair: pair[1].group)]
         return str(
             _render(
-                _TEMPLATE,
+                _part("page.html"),
                 title=self.title,
                 lead=self.lead,
-                sections=self.sections,
-                style=style,
+                sections=listed,
+                groups=grouped if any(section.group for section in self.sections) else [],
+                summary=self.summary,
+                style=Markup(_part("page.css")),
+                script=Markup(_part("page.js")),
                 policy=_POLICY,
             )
         )
@@ -178,6 +155,11 @@ def text(sentence: str) -> Markup:
     return _render("<p>{{ t }}</p>", t=sentence)
 
 
+def code(words: str) -> Markup:
+    """Return a line to copy."""
+    return _render("<pre>{{ t }}</pre>", t=words)
+
+
 def subheading(words: str) -> Markup:
     """Return a small heading within a section."""
     return _render("<h3>{{ t }}</h3>", t=words)
@@ -195,7 +177,7 @@ def table(
         '<th scope="col">{{ h }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=header,
-        rows=[list(row) for row in rows],
+        rows=[[_whole(cell) if words else cell for cell in row] for row in rows],
         words=words,
         two=named_by == 2,
     )

@@ -89,7 +89,7 @@ def test_one_study_tells_its_results(ear, capsys):
     given, outcome = cli.work([str(study), "--out", str(out), "--quiet"])
     assert given.quiet
     rows = dict(outcome.rows)
-    assert rows["K(y, y)"].endswith("N/m")
+    assert rows["K(y)"].endswith("N/m")
     assert len(outcome.rows) <= 15
     result = json.loads(json.dumps(outcome.result))
     assert result["stages"][0]["reused"]

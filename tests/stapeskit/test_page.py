@@ -34,7 +34,7 @@ def test_every_text_is_escaped(tmp_path):
     made.section("three")
     made.write(tmp_path / "p.html")
     html = (tmp_path / "p.html").read_text(encoding="utf-8")
-    assert "<script" not in html
+    assert html.count("<script") == 1  # the page's own
     assert html.count("&lt;script&gt;") >= 18
     assert "http" not in html.replace("http-equiv", "")
 
@@ -86,6 +86,23 @@ def test_sections_are_linked_by_their_keys():
     html = made.html()
     assert re.findall(r'<section id="(\w+)"', html) == ["s1", "second", "s3"]
     assert re.findall(r'<a href="#(\w+)"', html) == ["s1", "second", "s3"]
+
+
+def test_groups_make_a_navigation_at_the_side():
+    made = Page(
+        "t", sections=[Section("one", group="A"), Section("two", group="A"), Section("three", group="B")]
+    )
+    html = made.html()
+    assert re.findall(r'<h2 class="group">(\w+)</h2>', html) == ["A", "B"]
+    navigation = html.partition("<nav")[2].partition("</nav>")[0]
+    assert re.findall(r'<a href="#(\w+)"', navigation) == ["s1", "s2", "s3"]
+    assert re.findall(r"<b>(\w+)</b>", navigation) == ["A", "B"]
+
+
+def test_no_line_breaks_inside_a_number():
+    html = page.table(["", "x"], [["a", "about 3.433e-09 kg and 2.5"]], words=True)
+    assert '<span class="n">3.433e-09</span>' in html
+    assert "&lt;" in page.table(["", "x"], [["a", "<3.4e-09>"]], words=True)
 
 
 def test_a_page_forbids_itself_the_network():

@@ -204,7 +204,7 @@ def test_names_cannot_break_out_of_the_page(result, tmp_path):
     write_report(tmp_path / "dof.html", made)
     text = (tmp_path / "dof.html").read_text(encoding="utf-8")
     reader = Reader(text)
-    assert reader.tags["script"] == 2
+    assert reader.tags["script"] == 3
     assert "b" not in reader.tags
     assert picture(text)["bodies"][0]["name"].startswith("stapes </")
     assert "49" not in picture(text)["bodies"][0]["name"]

@@ -1,0 +1,126 @@
+"""The top of the report: the verdict and the numbers that a reader looks for first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pipeline.verdict import BELIEVE, CHECK, DO_NOT_USE, Verdict
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus, printed
+from stapeskit.page.quantities import (
+    DAMPING,
+    MASS,
+    ROTATION_DAMPING,
+    ROTATION_STIFFNESS,
+    STIFFNESS,
+    ShownUnit,
+)
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+_UNITS = {"K": (STIFFNESS, ROTATION_STIFFNESS), "D": (DAMPING, ROTATION_DAMPING)}
+_KEYS = {"K": "stiffness", "D": "damping"}
+_SENTENCES = {
+    BELIEVE: "No warning calls for a check. The uncertainties hold what is known to go wrong.",
+    CHECK: "The numbers are there; look at these points before you use them:",
+    DO_NOT_USE: "Something is wrong that the uncertainties do not hold:",
+}
+_TEMPLATE = """<div class="verdict {{ css }}" id="verdict">
+<strong>{{ level }}</strong> <span>{{ sentence }}</span>
+{% if reasons %}<ul>{% for one in reasons %}
+<li>{{ one.text }}{% if one.code %} <code>{{ one.code }}</code>{% endif %}</li>{% endfor %}
+</ul>{% endif %}</div>
+<div class="cards" id="summary">{% for title, rows in cards %}<div><h3>{{ title }}</h3><table>
+{% for row in rows %}<tr>{% for cell in row %}<td>
+{%- for words in cell.split(", ") %}<span class="n">{{ words }}
+{%- if not loop.last %},{% endif %}</span> {% endfor %}</td>{% endfor %}</tr>
+{% endfor %}</table></div>{% endfor %}</div>"""
+
+
+def unit_of(letter: str, dof: str) -> ShownUnit:
+    """Return the unit in which a diagonal entry of K or D is shown."""
+    return _UNITS[letter][dof not in "xyz"]
+
+
+def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the numbers that a reader looks for first, each with its standard deviation."""
+    return [(name, text) for _, rows in cards(mass, kd) for name, text, *_ in rows]
+
+
+def cards(
+    mass: Mapping[str, Any], kd: Mapping[str, Any], truth: Mapping[str, Any] | None = None
+) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Return the groups of the summary: a title, and rows of name, value and, when known, the truth."""
+    sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
+    made = [("Mass", [_row("mass", MASS, mass["mass_kg"], sd, truth and truth.get("mass_kg"))])]
+    for letter, title in (("K", "Stiffness"), ("D", "Damping")):
+        key, rows = _KEYS[letter], []
+        true = _true_matrix(truth, f"{key}_si", kd["dof"])
+        for place, dof in enumerate(kd["dof"]):
+            value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
+            known = None if true is None else true[place][place]
+            rows.append(_row(f"{letter}({dof})", unit_of(letter, dof), value, spread, known))
+        made.append((title, rows))
+    rows = []
+    for place, mode in enumerate(kd["modes"]):
+        frequency = plus_minus(mode["frequency_hz"], mode.get("frequency_sd_hz"))
+        ratio = plus_minus(mode["damping_ratio"], mode.get("damping_ratio_sd"))
+        rows.append((f"mode {place + 1}", f"{frequency} Hz, damping ratio {ratio}"))
+    stable, passive = ("yes" if value else "NO" for value in (kd["stable"], all(kd["passive"].values())))
+    made.append(("Modes", [*rows, ("stable; passive", f"{stable}; {passive}")]))
+    return made
+
+
+def axes_card(kd: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Return where the principal axes of K lie on the footplate."""
+    axes = kd.get("principal_axes")
+    if not axes:
+        return []
+    rows = [
+        (f"origin {name}", f"{plus_minus(axes[f'origin_{name}_mm'], axes[f'origin_{name}_sd_mm'])} mm")
+        for name in "xz"
+    ]
+    rows.append(("turned about y", f"{plus_minus(axes['angle_deg'], axes['angle_sd_deg'])}°"))
+    return [("Principal axes of K", rows)]
+
+
+def summary_block(
+    mass: Mapping[str, Any], kd: Mapping[str, Any], found: Verdict, truth: Mapping[str, Any] | None
+) -> Markup:
+    """Return the verdict with its reasons and the key numbers in the units of people."""
+    return page.template(
+        _TEMPLATE,
+        level=found.level.capitalize(),
+        css=found.level.replace(" ", "-"),
+        sentence=_SENTENCES[found.level],
+        reasons=[type(one)(one.level, one.code, printed(one.text)) for one in found.reasons],
+        cards=[*cards(mass, kd, truth), *axes_card(kd)],
+    )
+
+
+def si_table(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> Markup:
+    """Return the same numbers in SI units, with every entry of K and D."""
+    sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
+    rows: list[Sequence[object]] = [("m", f"{mass['mass_kg']:.6g}", f"{sd:.2g}", "kg")]
+    for letter, key in _KEYS.items():
+        for i, first in enumerate(kd["dof"]):
+            for j, second in enumerate(kd["dof"][i:], i):
+                name = f"{letter}({first})" if i == j else f"{letter}({first}, {second})"
+                value, spread = (kd[f"{key}{end}"][i][j] for end in ("_si", "_sd_si"))
+                turns = (first not in "xyz") + (second not in "xyz")
+                unit = ("N/m", "N", "N m")[turns] if letter == "K" else ("N s/m", "N s", "N m s")[turns]
+                rows.append((name, f"{value:.6g}", "" if spread is None else f"{spread:.2g}", unit))
+    return page.folded("In SI units, every entry", page.table(("", "value", "sd", "unit"), rows))
+
+
+def _row(name: str, unit: ShownUnit, value: float, sd: float | None, true: float | None) -> tuple[str, ...]:
+    shown = unit.with_sd(value, sd)
+    return (name, shown) if true is None else (name, shown, f"true {f'{unit.of(true):#.4g}'.rstrip('.')}")
+
+
+def _true_matrix(truth: Mapping[str, Any] | None, key: str, dof: Sequence[str]) -> Any:
+    if truth is None or list(truth.get("dof", ())) != list(dof):
+        return None
+    return truth.get(key)

@@ -1,0 +1,48 @@
+"use strict";
+// Every table as CSV, every figure as a file by a click; the place in the side navigation; scrolling by keyboard.
+(function () {
+  const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
+  const name = (node) => {
+    const section = node.closest("section"), heading = section && section.querySelector("h2");
+    return (heading ? heading.textContent : document.title).trim().toLowerCase().replace(/[^a-z0-9]+/g, "_");
+  };
+  function save(address, file) {
+    const link = document.createElement("a");
+    link.href = address; link.download = file;
+    document.body.append(link); link.click(); link.remove();
+  }
+  function button(words, title, act) {
+    const made = document.createElement("button");
+    made.type = "button"; made.className = "tool"; made.textContent = words; made.title = title;
+    made.addEventListener("click", act);
+    return made;
+  }
+  const quoted = (cell) => '"' + cell.innerText.trim().replace(/\s+/g, " ").replace(/"/g, '""') + '"';
+  all(".scroll").forEach((box, place) => {
+    const table = box.querySelector("table");
+    if (!table || table.rows.length < 3) return;
+    box.after(button("CSV", "save this table as CSV", () => {
+      const text = Array.from(table.rows, (row) => Array.from(row.cells, quoted).join(",")).join("\r\n") + "\r\n";
+      save("data:text/csv;charset=utf-8," + encodeURIComponent("\ufeff" + text), name(box) + "_" + (place + 1) + ".csv");
+    }));
+  });
+  all(".scroll").forEach((box) => {
+    if (box.scrollWidth > box.clientWidth + 1) { box.tabIndex = 0; box.setAttribute("role", "region"); box.setAttribute("aria-label", "table, scrolls sideways"); }
+  });
+  all("figure > img").forEach((image, place) => {
+    const kind = (/^data:image\/(\w+)/.exec(image.src) || [])[1];
+    if (!kind) return;
+    image.after(button(kind.toUpperCase(), "save this figure", () => save(image.src, name(image) + "_" + (place + 1) + "." + kind)));
+  });
+  const links = all("nav.side a"), fold = document.querySelector("nav.side details");
+  if (fold && window.matchMedia("(max-width: 1179px)").matches) fold.open = false;
+  if (links.length && "IntersectionObserver" in window) {
+    const seen = new Set();
+    const watch = new IntersectionObserver((entries) => {
+      entries.forEach((entry) => seen[entry.isIntersecting ? "add" : "delete"](entry.target.id));
+      const first = links.find((link) => seen.has(link.hash.slice(1)));
+      if (first) links.forEach((link) => link.classList.toggle("here", link === first));
+    });
+    all("section").forEach((section) => watch.observe(section));
+  }
+})();

@@ -1,0 +1,50 @@
+"""Believe, check or do not use: by warnings and by what K and D do."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.verdict import BELIEVE, CHECK, DO_NOT_USE, levels, verdict
+from stapeskit.warnings import Notice, table
+
+KD = {
+    "dof": ["y"],
+    "stable": True,
+    "passive": {"stiffness": True, "damping": True},
+    "stiffness_si": [[1700.0]],
+    "stiffness_sd_si": [[17.0]],
+    "damping_si": [[0.02]],
+    "damping_sd_si": [[0.001]],
+}
+
+
+@pytest.mark.parametrize(
+    ("codes", "level", "reasons"),
+    [
+        ((), BELIEVE, 0),
+        (("dc_line",), BELIEVE, 0),
+        (("handedness_unconfirmed", "dc_line"), CHECK, 1),
+        (("handedness_unconfirmed", "flexible"), DO_NOT_USE, 2),
+    ],
+)
+def test_the_worst_warning_decides(codes, level, reasons):
+    found = verdict(KD, [Notice(code, "text") for code in codes])
+    assert (found.level, len(found.reasons)) == (level, reasons)
+    assert not found.reasons or found.reasons[0].level == level
+
+
+@pytest.mark.parametrize(
+    ("change", "level"),
+    [
+        ({"stable": False}, DO_NOT_USE),
+        ({"passive": {"stiffness": True, "damping": False}}, CHECK),
+        ({"damping_sd_si": [[0.01]]}, CHECK),
+        ({"stiffness_sd_si": [[None]]}, BELIEVE),
+    ],
+)
+def test_numbers_decide_too(change, level):
+    assert verdict(KD | change, []).level == level
+
+
+def test_every_listed_code_is_a_warning():
+    assert set(levels()) <= set(table())
