@@ -20,6 +20,7 @@ from stapeskit.page.quantities import (
 if TYPE_CHECKING:
     from markupsafe import Markup
 
+Card = tuple[str, list[tuple[str, ...]]]
 _UNITS = {"K": (STIFFNESS, ROTATION_STIFFNESS), "D": (DAMPING, ROTATION_DAMPING)}
 _KEYS = {"K": "stiffness", "D": "damping"}
 _SENTENCES = {
@@ -51,12 +52,15 @@ def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[st
 
 def cards(
     mass: Mapping[str, Any], kd: Mapping[str, Any], truth: Mapping[str, Any] | None = None
-) -> list[tuple[str, list[tuple[str, ...]]]]:
+) -> list[Card]:
     """Return the groups of the summary: a title, and rows of name, value and, when known, the truth."""
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    made = [("Mass", [_row("mass", MASS, mass["mass_kg"], sd, truth and truth.get("mass_kg"))])]
+    made: list[Card] = [
+        ("Mass", [_row("mass", MASS, mass["mass_kg"], sd, None if truth is None else truth.get("mass_kg"))])
+    ]
     for letter, title in (("K", "Stiffness"), ("D", "Damping")):
-        key, rows = _KEYS[letter], []
+        key = _KEYS[letter]
+        rows: list[tuple[str, ...]] = []
         true = _true_matrix(truth, f"{key}_si", kd["dof"])
         for place, dof in enumerate(kd["dof"]):
             value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
@@ -73,12 +77,12 @@ def cards(
     return made
 
 
-def axes_card(kd: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, ...]]]]:
+def axes_card(kd: Mapping[str, Any]) -> list[Card]:
     """Return where the principal axes of K lie on the footplate."""
     axes = kd.get("principal_axes")
     if not axes:
         return []
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (f"origin {name}", f"{plus_minus(axes[f'origin_{name}_mm'], axes[f'origin_{name}_sd_mm'])} mm")
         for name in "xz"
     ]
