@@ -22,13 +22,19 @@ PISTON = (1, 3, 5)
 
 @dataclass(frozen=True)
 class EarSettings:
-    """What a case of the benchmark varies; lengths in mm, noise relative to the points' motion."""
+    """What a case of the benchmark varies; lengths in mm, noise relative to the points' motion.
+
+    ``cause`` is an error of ERRORS with its size, or a law of LAWS.
+    """
 
     height_mm: float = 0.1
     noise: float = 0.01
     tilt_sd_deg: float = 1.0
     lines: int = 120
     shared: bool = True
+    cause: str = ""
+    size: float = 0.0
+    law: str = "viscous"
 
 
 @dataclass(frozen=True)
@@ -123,10 +129,78 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
     loss = rng.uniform(0.9e-5, 2.0e-5)
     damping = loss * ring(*(level * shape * np.array([1.1, 0.9, 1.0])), tilt, centre)
     base = drive(freq, rng)
-    dynamic = stiffness + 1j * omega[:, None, None] * damping
+    lossy, unit = LAWS[settings.law](omega)
+    damping = damping * unit
+    dynamic = stiffness + lossy[:, None, None] * damping
+    size, time = settings.size, np.linspace(-0.5, 0.5, len(freq))[:, None, None]
+    if settings.cause == "fluid":
+        dynamic[:, 1, 1] -= omega**2 * 1e-6 * size
+    if settings.cause == "drift":
+        dynamic = dynamic * (1.0 + 0.01 * size * time)
+    if settings.cause == "holder":
+        ratio = freq / 2600.0
+        seen_base = base * (1.0 + 0.001 * size / (1.0 - ratio**2 + 0.1j * ratio))[:, None]
+    else:
+        seen_base = base
+    if settings.cause == "head_mass":
+        mass = mass + mass_matrix(point_mass(1e-6 * size, np.array([0.1e-3, 3.3e-3, 0.1e-3])))
     force = (dynamic @ base[:, :, None])[:, :, 0]
     stapes = np.linalg.solve(dynamic - omega[:, None, None] ** 2 * mass, force[:, :, None])[:, :, 0]
-    return measured(settings, rng, freq, (stapes, base), parameters, stiffness, damping)
+    if settings.cause == "delay":
+        stapes = stapes * np.exp(-1e-6j * size * omega)[:, None]
+    if settings.cause == "phase":
+        stapes = stapes * np.exp(-1j * np.radians(size))
+    if settings.cause == "gain":
+        stapes = stapes / (1.0 + 0.01 * size)
+    if settings.cause == "centre_z":
+        parameters = shifted_parameters(parameters, np.array([0.0, 0.0, -1e-3 * size]))
+    if settings.cause == "inertia":
+        parameters = parameters.copy()
+        parameters[4:] /= 1.0 + 0.01 * size
+    return measured(settings, rng, freq, (stapes, seen_base), parameters, stiffness, damping)
+
+
+def point_mass(mass: float, place: np.ndarray) -> np.ndarray:
+    """Return the ten inertial parameters of a point."""
+    tensor = mass * (place @ place * np.eye(3) - np.outer(place, place))
+    entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]]
+    return np.array([mass, *(mass * place), *entries])
+
+
+def shifted_parameters(parameters: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Return the ten inertial parameters of the same body, displaced."""
+    mass, centre = parameters[0], parameters[1:4] / parameters[0]
+    made = parameters - point_mass(mass, centre) + point_mass(mass, centre + shift)
+    made[0] = mass
+    made[1:4] = mass * (centre + shift)
+    return made
+
+
+def relaxing(omega: np.ndarray) -> np.ndarray:
+    """Return i w / (1 + i w T) with T = 30 us."""
+    return 1j * omega / (1.0 + 30e-6j * omega)
+
+
+MIDDLE = 2.0 * np.pi * 2200.0
+LAWS = {
+    "viscous": lambda omega: (1j * omega, 1.0),
+    "hysteretic": lambda omega: (np.full(len(omega), 1j), MIDDLE),
+    "fractional": lambda omega: ((1j * omega) ** 0.5, MIDDLE**0.5),
+    "relaxation": lambda omega: (relaxing(omega), 1.0),
+}
+"""s(w), and what makes D damp alike at 2.2 kHz."""
+ERRORS = {
+    "delay": 1.0,
+    "phase": 0.5,
+    "gain": 1.0,
+    "fluid": 0.5,
+    "head_mass": 5.0,
+    "centre_z": 0.3,
+    "inertia": 25.0,
+    "drift": 8.0,
+    "holder": 2.0,
+}
+"""Sizes that 1 % of noise lets see: us, degrees, %, mg, mg, mm, %, %, %."""
 
 
 def drive(freq: np.ndarray, rng: Generator) -> np.ndarray:

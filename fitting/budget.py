@@ -175,7 +175,7 @@ def derived_quantities(problem: Problem, stiffness: Array, damping: Array, budge
     """
     n = problem.n
     parameters = join(stiffness, damping)
-    mass = vector(problem.mass)
+    mass = vector(problem.vibrating_mass)
     point = np.concatenate([parameters, mass])
     base = _quantities(point, problem)
     root = np.sqrt(np.diag(problem.mass))

@@ -13,6 +13,7 @@ from fitting.errors import FittingError
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
 from fitting.estimators.starts import improve
+from fitting.fluid import FLUID, choose_fluid
 from fitting.inplane import AUTO, LOAD, InplaneChoice, choose
 from fitting.kd_fit import KDFit
 from fitting.laws import LawFit, comparable, compare_laws, fit_law, with_ligament
@@ -30,7 +31,7 @@ from fitting.uncertainty.covariance import chi2
 from fitting.uncertainty.identifiability import Identifiability, identifiability
 from fitting.uncertainty.profile import profile_intervals
 from fitting.uncertainty.shared_misfit import chi2_with_shared_errors
-from fitting.verdicts import verdicts
+from fitting.verdicts import cause_notices, verdicts
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
@@ -108,8 +109,17 @@ def _fitted(
     scale = Scale.of(observation, inertia.rows(observation.dof, ()))
     settings = EstimatorOptions(options.robust, options.constraint)
     problem = Problem(observation, inertia, scale, DampingLaw(), options.estimator, settings, base_mass)
-    laws, choice, undetermined = _laws(problem, options, _both(motion, options, problem))
+    both = _both(motion, options, problem)
+    if options.causes and both is None:
+        raise FittingError(_not_joint(options))
+    plain, laws, choice, undetermined = _laws(problem, options, both)
     best = min(laws, key=lambda one: one.bic)
+    diagnosis, fluid = None, None
+    if best.ligament is not None and both is not None:
+        before = best
+        start = next(one for one in plain if one.law.name == best.law.name)
+        best, diagnosis, fluid = choose_fluid(best, start, both, options)
+        laws = tuple(best if one is before else one for one in laws)
     problem = best.problem
     lines = problem.lines()
     known = identifiability(best.estimate.parameters, lines, problem.units)
@@ -119,6 +129,8 @@ def _fitted(
         laws = tuple(best if one.law.name == best.law.name else one for one in laws)
         known = identifiability(estimate.parameters, lines, problem.units)
     fit = _result(motion, options, problem, choice, laws, best, lines, known)
+    fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
+    fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
     return replace(
         fit, undetermined=undetermined, notices=unique([*fit.notices, *_undetermined(undetermined)])
     )
@@ -132,25 +144,56 @@ def _both(motion: RigidMotion, options: KDOptions, problem: Problem) -> Observat
     return both if applies(problem, both) else None
 
 
+def _not_joint(options: KDOptions) -> Fault:
+    return Fault(
+        "{correct} and {fluid} y",
+        "left out unless motion and mass matrix have all six degrees of freedom",
+        ", ".join(options.causes),
+        next_step="Run points2dof with all degrees of freedom and give {mass} mass.json",
+    )
+
+
 def _laws(
     problem: Problem, options: KDOptions, both: Observation | None
-) -> tuple[tuple[LawFit, ...], InplaneChoice, dict[str, str]]:
-    """Fit the damping law that was asked for, or all of them, with the ligament's plane where it applies."""
+) -> tuple[tuple[LawFit, ...], tuple[LawFit, ...], InplaneChoice, dict[str, str]]:
+    """Fit the damping law that was asked for, or all of them, with the ligament's plane where it applies.
+
+    Returns
+    -------
+    plain : tuple of LawFit
+        Fits without the plane of the ligament.
+    fits : tuple of LawFit
+    choice : InplaneChoice
+    undetermined : dict of str to str
+    """
     if both is not None:
         loaded, choice = choose(problem, LOAD)
         fits, undetermined = _fits(loaded, options)
-        extended = tuple(with_ligament(fit, both) for fit in fits)
+        extended = tuple(with_ligament(fit, both, options.causes) for fit in fits)
+        if options.fluid == "auto" and not any(one.ligament is not None for one in extended):
+            extended = tuple(with_ligament(fit, both, (*options.causes, FLUID), needed=False) for fit in fits)
         settled = tuple(fit for fit in extended if fit.ligament is not None)
+        if options.causes and not settled:
+            raise FittingError(_without_result(options))
         for fit in extended:
             if fit.ligament is None and settled:
                 undetermined[fit.law.name] = NOT_SETTLED
         if settled:
-            return comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
+            return fits, comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
     chosen, choice = choose(problem, options.inplane)
     if both is not None:
         choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
     fits, undetermined = _fits(chosen, options)
-    return fits, choice, undetermined
+    return fits, fits, choice, undetermined
+
+
+def _without_result(options: KDOptions) -> Fault:
+    return Fault(
+        "{correct} and {fluid} y",
+        "causes with which K and D are positive semidefinite",
+        ", ".join(options.causes),
+        next_step="Leave one of them out",
+    )
 
 
 def _fits(problem: Problem, options: KDOptions) -> tuple[tuple[LawFit, ...], dict[str, str]]:
@@ -186,7 +229,7 @@ def _result(
         stiffness, damping = ligament.stiffness, ligament.damping
     budget = budget_of(problem, lines, best)
     check_result(stiffness, damping, budget.covariance, budget.noise)
-    found = modes(problem.mass, stiffness, damping, problem.law)
+    found = modes(problem.vibrating_mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)
     fit = KDFit(
         options,

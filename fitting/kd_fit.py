@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.budget import Budget, Derived
+from fitting.causes.diagnosis import Diagnosis
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
+from fitting.fluid import FluidChoice
 from fitting.inplane import InplaneChoice
 from fitting.laws import LawFit
 from fitting.ligament.ligament import LigamentFit
@@ -69,6 +71,10 @@ class KDFit:
         footplate centre, while ``estimate`` and ``problem`` belong to the plane of the ligament.
     plain : LawFit or None
         With a ligament: what the three degrees of freedom alone give.
+    diagnosis : Diagnosis or None
+        What the scores say of every cause in the catalogue; with a ligament.
+    fluid : FluidChoice or None
+        What was decided about a mass of fluid; with a ligament.
     undetermined : mapping of str to str
         Why a damping law could not be fitted, by its name.
     """
@@ -98,6 +104,8 @@ class KDFit:
     joint_chi2: float | None = None
     ligament: LigamentFit | None = None
     plain: LawFit | None = None
+    diagnosis: Diagnosis | None = None
+    fluid: FluidChoice | None = None
     undetermined: Mapping[str, str] = field(default_factory=dict)
 
     @property

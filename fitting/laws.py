@@ -8,10 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.causes.catalogue import Setting, term_of
+from fitting.causes.correction import corrected_problem
 from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
 from fitting.estimators.problem import Problem
+from fitting.ligament.equations import Term
+from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament import LigamentFit, fit_ligament
 from fitting.model.damping import DampingLaw
 from fitting.model.laws import LAWS, law_of
@@ -106,14 +110,35 @@ def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
     return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
 
 
-def with_ligament(fit: LawFit, both: Observation) -> LawFit:
-    """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails."""
-    ligament = fit_ligament(fit.problem, both, fit.estimate.parameters)
+def with_ligament(fit: LawFit, both: Observation, names: tuple[str, ...] = (), needed: bool = True) -> LawFit:
+    """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
+
+    Parameters
+    ----------
+    fit : LawFit
+    both : Observation
+    names : tuple of str
+        Causes of the catalogue that are part of the model.
+    needed : bool
+        Whether they always are, or only where there is no result without them.
+    """
+    problem = fit.problem
+
+    def extend(lines: JointLines) -> tuple[Term, ...]:
+        setting = Setting(lines, lines.omega * problem.scale.omega, problem.inertia.matrix)
+        return tuple(term_of(name, setting) for name in names)
+
+    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, needed)
     if ligament is None:
         return fit
-    problem = replace(fit.problem.with_law(ligament.law), coupling=ligament.coupling)
     extended = LawFit(
-        ligament.law, problem, ligament.estimate, ligament.chi2, 0.0, ligament.exponent_sd, ligament
+        ligament.law,
+        corrected_problem(problem, ligament),
+        ligament.estimate,
+        ligament.chi2,
+        0.0,
+        ligament.exponent_sd,
+        ligament,
     )
     return replace(extended, bic=_bic(extended, 1.0))
 
@@ -131,6 +156,8 @@ def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Ma
 def _bic(fit: LawFit, spread: float) -> float:
     observation = fit.problem.observation
     unknowns = len(fit.estimate.parameters) + fit.law.unknowns
+    if fit.ligament is not None:
+        unknowns += len(fit.ligament.terms)
     equations = 2 * fit.problem.n * len(observation.freq_hz)
     return float(fit.chi2 / spread + unknowns * np.log(equations))
 

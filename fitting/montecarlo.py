@@ -93,7 +93,7 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
             failed += 1
             continue
         estimates.append(found)
-        mass = problem.mass + np.einsum("a,aij->ij", mass_change, by_mass)
+        mass = problem.vibrating_mass + np.einsum("a,aij->ij", mass_change, by_mass)
         pairs = modes(mass, *split(found, problem.n), problem.law).pairs
         same = len(pairs) == len(fit.modes.pairs)
         frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
@@ -112,7 +112,7 @@ def _joint_monte_carlo(fit: KDFit, repetitions: Repetitions, refits: int, rng: G
             failed += 1
             continue
         estimates.append(found)
-        mass = problem.mass + mass_change[np.ix_(places, places)]
+        mass = problem.vibrating_mass + mass_change[np.ix_(places, places)]
         pairs = modes(mass, *split(found, problem.n), problem.law).pairs
         same = len(pairs) == len(fit.modes.pairs)
         frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
@@ -129,7 +129,7 @@ def _fitted(fit: KDFit) -> ComplexArray:
     """Return the motion (lines, m) nearest to the measured one that obeys the fitted equations."""
     problem, lines, observation = fit.problem, fit.lines, fit.observation
     rows = problem.mass_rows()
-    difference, inertia = motion_rows(observation, rows, problem.scale, problem.base_mass)
+    difference, inertia = motion_rows(observation, rows, problem.scale, problem.mass_on_base)
     stiffness, damping = split(fit.estimate.parameters, problem.n)
     dynamic = stiffness + lines.factor[:, None, None] * damping
     equations = dynamic @ difference - (lines.omega**2)[:, None, None] * inertia

@@ -35,6 +35,18 @@ INPLANE = {
     "ignore": "left out",
 }
 USUAL_BANDS = 5
+FLUID = {
+    "auto": "taken where the data call for it, with a warning",
+    "none": "never",
+    "y": "always estimated, on the piston deflection",
+}
+CORRECT = ("delay", "phase", "gain", "fluid", "head_mass", "centre_x", "centre_y", "centre_z", "inertia")
+COCHLEA = {
+    "unknown": "",
+    "open": "no fluid is expected",
+    "drained": "no fluid is expected",
+    "closed": "a mass of fluid is expected",
+}
 
 _CONSTRAINED = "constrained estimator"
 _RULES = (
@@ -92,6 +104,19 @@ class KDOptions(OptionTable):
         choice(*LAWS, COMPARE), f"damping law; {summaries(LAWS)}; compare: all of them", "viscous"
     )
     inplane: str = option(choice(*INPLANE), f"measured motion outside {{dof}}; {summaries(INPLANE)}", "auto")
+    fluid: str = option(
+        choice(*FLUID), f"mass of fluid that moves with the stapes; {summaries(FLUID)}", "auto"
+    )
+    cochlea: str = option(
+        choice(*COCHLEA), "state of the cochlea, with which the mass of fluid is compared", "unknown"
+    )
+    correct: str = option(
+        TEXT,
+        f"causes to estimate with K and D and remove, separated by commas, out of {', '.join(CORRECT)}",
+        "",
+        metavar="NAMES",
+        example="delay",
+    )
     band_hz: tuple[float, float] | None = option(
         RANGE, "fit these frequencies only, Hz", unit="hz", example=[400, 5000]
     )
@@ -127,7 +152,27 @@ class KDOptions(OptionTable):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        raise_all(FittingError, self._faults_of_bounds())
+        raise_all(FittingError, [*self._faults_of_bounds(), *self._faults_of_causes()])
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Causes of the catalogue that are part of the model."""
+        given = tuple(dict.fromkeys(part.strip() for part in self.correct.split(",") if part.strip()))
+        return (*given, "fluid") if self.fluid == "y" and "fluid" not in given else given
+
+    def _faults_of_causes(self) -> list[Fault]:
+        """Check the names of causes, and that the model can hold them."""
+        if not self.causes:
+            return []
+        unknown = [name for name in self.causes if name not in CORRECT]
+        if unknown:
+            return [Fault("{correct}", f"names out of {', '.join(CORRECT)}", ", ".join(unknown))]
+        joint = self.estimator == "ml" and self.robust == "none" and self.inplane == "auto"
+        if joint and tuple(self.dof) == ("y", "alpha", "gamma"):
+            return []
+        step = "Leave the other choices at their defaults, or leave causes and fluid out"
+        wanted = "left out unless {estimator} is ml, {inplane} auto, {robust} none and {dof} y,alpha,gamma"
+        return [Fault("{correct} and {fluid} y", wanted, ", ".join(self.causes), "", step)]
 
     @property
     def dof_reordered(self) -> bool:

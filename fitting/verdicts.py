@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.options import CORRECT
 from fitting.uncertainty.identifiability import relative_sizes
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -104,6 +105,34 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
         text = f"{len(far)} of {len(fit.observation.freq_hz)} lines lie farther off than noise brings them"
         found.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
     return found
+
+
+def cause_notices(fit: KDFit) -> list[Notice]:
+    """Return warnings about a cause that the data speak for, and about a mass of fluid."""
+    from fitting.causes.catalogue import title_of, unit_of
+    from fitting.causes.diagnosis import largest_effect
+
+    found = [] if fit.fluid is None else list(fit.fluid.notices)
+    named = None if fit.diagnosis is None else fit.diagnosis.named
+    if named is None or fit.diagnosis is None:
+        return found
+    size = f"{named.size:.3g} ± {named.sd:.1g} {unit_of(named.name)}".rstrip()
+    size = f" of {size}" if named.sd > 0.0 else ""
+    place, change = largest_effect(named.effect, fit.stiffness, fit.damping)
+    others = [title_of(name) for name in fit.diagnosis.look_alikes]
+    text = (
+        f"The data speak for {title_of(named.name)} ({named.name}){size}; chi2 falls by {named.fall:.0f}, "
+        f"over {fit.diagnosis.threshold:.1f}. With it {fit.parameters[place]} changes by "
+        f"{100.0 * change:+.2g} % of sqrt(Xii Xjj)."
+    )
+    if others:
+        text += f" The data hardly tell it from {' or '.join(others)}."
+    text += f" --correct {named.name} estimates and removes it." if named.name in CORRECT else ""
+    if named.p_value < _MISFIT:
+        text += " It does not explain the whole misfit."
+    law = named.name.removeprefix("law_")
+    text += f" Use --damping {law}, or compare." if law != named.name else ""
+    return [*found, Notice("cause_found", text)]
 
 
 def outlying(fit: KDFit) -> Array:

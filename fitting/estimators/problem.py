@@ -36,6 +36,8 @@ class Problem:
         Mass coupled to the base motion, SI.
     coupling : ndarray, (n, c), optional
         Y of fitting.ligament: the mass rows become M_r - Y M_c, SI.
+    fluid : ndarray, (n, n), optional
+        Mass M_f on the deflection, Z = K + s D - w^2 M_f, SI: M + M_f on the structure, -M_f on the base.
     """
 
     observation: Observation
@@ -46,6 +48,7 @@ class Problem:
     options: EstimatorOptions
     base_mass: Array | None = None
     coupling: Array | None = None
+    fluid: Array | None = None
 
     @property
     def method(self) -> Method:
@@ -63,6 +66,18 @@ class Problem:
         return self.inertia.rows(self.observation.dof, ())
 
     @property
+    def vibrating_mass(self) -> Array:
+        """Mass matrix of free vibrations, the fluid on the deflection included, (n, n), SI."""
+        return self.mass if self.fluid is None else self.mass + self.fluid
+
+    @property
+    def mass_on_base(self) -> Array | None:
+        """Mass matrix that acts on the motion of the base, (n, n), SI; None without."""
+        if self.fluid is None:
+            return self.base_mass
+        return -self.fluid if self.base_mass is None else self.base_mass - self.fluid
+
+    @property
     def units(self) -> Array:
         """What scaled parameters are multiplied by to become SI, (p,)."""
         return self.scale.parameter_units(self.law)
@@ -70,12 +85,15 @@ class Problem:
     def lines(self, change: ComplexArray | None = None, mass_change: Array | None = None) -> Lines:
         """Return the scaled equations, with q (lines, m) or the inertial parameters (10,) changed."""
         observation = self.observation if change is None else self.observation.shifted(change)
-        return assemble(observation, self.mass_rows(mass_change), self.scale, self.law, self.base_mass)
+        return assemble(observation, self.mass_rows(mass_change), self.scale, self.law, self.mass_on_base)
 
     def mass_rows(self, mass_change: Array | None = None) -> Array:
         """Return the mass matrix of the equations, [M_rr, M_rc] less the coupling's part, (n, n + c), SI."""
         dof, load_dof = self.observation.dof, self.observation.load_dof
         rows = self.inertia.rows(dof, load_dof, mass_change)
+        if self.fluid is not None:
+            rows = rows.copy()
+            rows[:, : len(dof)] += self.fluid
         if self.coupling is None:
             return rows
         others = self.inertia.rows((*dof, *load_dof), (), mass_change)[len(dof) :]

@@ -66,6 +66,8 @@ class Equations:
         M_f, scaled.
     factor : ndarray, (lines,), or None
         c.
+    lossy : ndarray, (lines,), complex, or None
+        Added to s.
     """
 
     difference: Array
@@ -77,6 +79,7 @@ class Equations:
     terms: tuple[Term, ...] = ()
     fluid: Array | None = None
     factor: Array | None = None
+    lossy: ComplexArray | None = None
 
     @property
     def n(self) -> int:
@@ -121,6 +124,11 @@ class Equations:
             return self.law
         return self.law.with_exponent(float(parameters[self.entries]))
 
+    def damping_factor(self, parameters: Array, omega: Array) -> ComplexArray:
+        """Return s, (lines,)."""
+        factor = self.law_at(parameters).factor(omega)
+        return factor if self.lossy is None else factor + self.lossy
+
     def with_terms(self, terms: tuple[Term, ...]) -> Equations:
         """Return the equations with further unknown terms."""
         precision = np.array([0.0 if term.sd == 0.0 else 1.0 / term.sd for term in terms])
@@ -137,7 +145,7 @@ class Equations:
 def dynamic(equations: Equations, parameters: Array, omega: Array) -> ComplexArray:
     """Return Z, (lines, n, n)."""
     stiffness, damping = split(parameters[: equations.entries], equations.n)
-    factor = equations.law_at(parameters).factor(omega)
+    factor = equations.damping_factor(parameters, omega)
     made: Any = stiffness + factor[:, None, None] * damping
     if equations.factor is not None:
         made = made * equations.factor[:, None, None]

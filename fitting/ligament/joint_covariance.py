@@ -17,7 +17,6 @@ from fitting.ligament.equations import (
     Equations,
     inertia_rows,
     mass_at,
-    term_operators,
     times_turn,
     turned,
 )
@@ -54,9 +53,9 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
     size = flat.shape[1]
     noise = 2.0 * (flat.conj() @ sums.reshape(size, size) @ flat.T).real
     place = equations.term
-    if place.stop > place.start:
+    if at.operators is not None:
         raw = 1.0 if lines.factors is None else 1.0 / lines.factors[:, None, :]
-        own = term_operators(measured, unknown, parameters) * raw
+        own = at.operators * raw
         carried = precision @ own @ motion
         across = weights.conj() @ carried.transpose(1, 0, 2, 3).reshape(lines.count, -1)
         across = across.reshape(count, len(own), -1).transpose(1, 0, 2).reshape(len(own), -1)
@@ -70,7 +69,7 @@ def _weights(lines: JointLines, equations: Equations, parameters: Array) -> Comp
     """Return the functions u of the frequency, (m, lines): of K, of D, of masses, of an exponent."""
     law = equations.law_at(parameters)
     factor = np.ones(lines.count) if equations.factor is None else equations.factor
-    found = [factor, factor * law.factor(lines.omega), lines.omega**2]
+    found = [factor, factor * equations.damping_factor(parameters, lines.omega), lines.omega**2]
     if law.estimated:
         found.append(factor * law.slope(lines.omega))
     return np.array(found, dtype=complex)

@@ -54,6 +54,8 @@ class Expansion:
         C B^H, of the motion with the terms in it.
     fitted : ndarray, (lines, 12), complex
         yhat with the terms in it.
+    operators : ndarray, (t, lines, n, 12), complex, or None
+        Derivatives of the operator on the motion as measured by the terms.
     """
 
     value: float
@@ -63,6 +65,7 @@ class Expansion:
     whitening: ComplexArray
     gain: ComplexArray
     fitted: ComplexArray
+    operators: ComplexArray | None = None
 
 
 @dataclass(frozen=True)
@@ -112,9 +115,11 @@ def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expan
     multiplier = (whitening.conj().swapaxes(1, 2) @ white[:, :, None])[:, :, 0]
     fitted = lines.y - (gain @ multiplier[:, :, None])[:, :, 0]
     moved = moved_motion(fitted, turn, shift)
-    columns = [
-        whitening @ _structural_columns(measured, unknown, lines, equations, parameters, fitted, moved)
-    ]
+    operators = term_operators(measured, unknown, parameters) if unknown.terms else None
+    columns = [whitening @ _structural_columns(lines, equations, parameters, moved)]
+    if operators is not None:
+        raw = fitted if lines.factors is None else fitted / lines.factors
+        columns.append(whitening @ np.moveaxis((operators @ raw[:, :, None])[..., 0], 0, 2))
     if lines.errors:
         columns.append(_error_columns(lines, equations, parameters, whitening, bare, fitted, moved))
     jacobian = np.concatenate(columns, axis=2).reshape(lines.count * equations.n, -1)
@@ -129,25 +134,20 @@ def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expan
     hessian = 2.0 * (rows.T @ rows)
     hessian[:p, :p] += prior.root.T @ prior.root
     hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
-    return Expansion(value, gradient, hessian, white, whitening, gain, fitted)
+    return Expansion(value, gradient, hessian, white, whitening, gain, fitted, operators)
 
 
 def _structural_columns(
-    measured: JointLines,
-    unknown: Equations,
-    lines: JointLines,
-    equations: Equations,
-    parameters: Array,
-    fitted: ComplexArray,
-    moved: ComplexArray,
+    lines: JointLines, equations: Equations, parameters: Array, moved: ComplexArray
 ) -> ComplexArray:
-    """Return the derivatives of the residual by everything but the shared errors, (lines, n, p)."""
+    """Return the derivatives of the residual by all but terms and shared errors, (lines, n, p)."""
     n, law = equations.n, equations.law_at(parameters)
     deflection = (moved[:, :DOFS] - moved[:, DOFS:]) @ equations.difference_at(parameters).T
     factor = None if equations.factor is None else equations.factor[:, None]
+    lossy = equations.damping_factor(parameters, lines.omega)
     if factor is not None:
         deflection = deflection * factor
-    columns = [np.moveaxis(regressor(np.ascontiguousarray(deflection.T), law.factor(lines.omega)), 0, 1)]
+    columns = [np.moveaxis(regressor(np.ascontiguousarray(deflection.T), lossy), 0, 1)]
     if law.estimated:
         _, damping = split(parameters[: equations.entries], n)
         columns.append((law.slope(lines.omega)[:, None] * (deflection @ damping))[:, :, None])
@@ -160,10 +160,6 @@ def _structural_columns(
     if len(equations.shapes):
         bent = np.tensordot(moved[:, :DOFS] - moved[:, DOFS:], equations.shapes, (1, 2)).swapaxes(1, 2)
         columns.append(dynamic(equations, parameters, lines.omega) @ bent)
-    if len(equations.terms):
-        raw = fitted if lines.factors is None else fitted / lines.factors
-        operators = term_operators(measured, unknown, parameters)
-        columns.append(np.moveaxis((operators @ raw[:, :, None])[..., 0], 0, 2))
     return np.concatenate(columns, axis=2)
 
 

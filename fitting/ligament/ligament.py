@@ -12,6 +12,7 @@ K = K' + Y K_cc Y^T about the footplate centre follows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from fitting.estimators.base import Estimate
 from fitting.estimators.problem import Problem
-from fitting.ligament.equations import Equations
+from fitting.ligament.equations import Equations, Term
 from fitting.ligament.inplane_stiffness import (
     COLUMNS,
     INPLANE_DOF,
@@ -46,6 +47,9 @@ ComplexArray = NDArray[np.complex128]
 __all__ = ["INPLANE_DOF", "LigamentFit", "applies", "coupling_units", "fit_ligament"]
 INPLANE_STIFFNESS = "inplane_stiffness"
 _N = len(PRINCIPAL_DOF)
+
+
+Extension = Callable[[JointLines], tuple[Term, ...]]
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,8 @@ class LigamentFit:
         Residuals over their noise; real and imaginary parts have unit variance.
     lines, equations, joint
         What was solved.
+    terms : dict of str to (float, float)
+        Further unknowns that are part of the model, e.g. a fluid: value and sd, SI.
     """
 
     law: DampingLaw
@@ -103,6 +109,19 @@ class LigamentFit:
     lines: JointLines = field(repr=False)
     equations: Equations = field(repr=False)
     joint: JointFit = field(repr=False)
+    terms: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def fluid(self) -> Array | None:
+        """Mass of fluid on the deflection that is part of the model, (3, 3), SI; None without."""
+        _, equations = self.equations.applied(self.lines, self.joint.parameters)
+        root = self.lines.root_mass[ROWS]
+        return None if equations.fluid is None else np.asarray(equations.fluid * np.outer(root, root))
+
+    @property
+    def applied(self) -> JointLines:
+        """The lines with the further unknowns in them."""
+        return self.equations.applied(self.lines, self.joint.parameters)[0]
 
     @property
     def p_value(self) -> float:
@@ -163,7 +182,9 @@ def applies(problem: Problem, both: Observation) -> bool:
     )
 
 
-def fit_ligament(problem: Problem, both: Observation, start: Array) -> LigamentFit | None:
+def fit_ligament(
+    problem: Problem, both: Observation, start: Array, extend: Extension | None = None, needed: bool = True
+) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
 
     Parameters
@@ -174,6 +195,10 @@ def fit_ligament(problem: Problem, both: Observation, start: Array) -> LigamentF
         All six degrees of freedom of both bodies.
     start : ndarray, (12,)
         Scaled K and D of the plain model.
+    extend : callable, optional
+        Returns further unknowns of the lines.
+    needed : bool
+        Whether they are always in the model, or only where there is no result without them.
 
     Returns
     -------
@@ -183,14 +208,36 @@ def fit_ligament(problem: Problem, both: Observation, start: Array) -> LigamentF
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
-    fit = fit_joint(lines, equations, np.concatenate([begins, equations.prior.mean[len(begins) :]]))
-    if not fit.converged:
-        fit = fit_joint(lines, equations, np.concatenate([begins, np.zeros(_N * _N)]))
-    if not fit.converged:
+    found = None
+    for coupling in (equations.prior.mean[len(begins) :], np.zeros(_N * _N)):
+        found = fit_joint(lines, equations, np.concatenate([begins, coupling]))
+        if found.converged:
+            break
+    good = found is not None and found.converged and semidefinite(found.parameters[: equations.entries])
+    if extend is not None and found is not None and (needed or not good):
+        made = extended_fit(lines, equations, found, extend(lines))
+        if made is None or not semidefinite(made[1].parameters[: equations.entries]):
+            return None
+        return _result(problem, lines, *made)
+    return _result(problem, lines, equations, found) if good and found is not None else None
+
+
+def extended_fit(
+    lines: JointLines,
+    equations: Equations,
+    fit: JointFit,
+    terms: tuple[Term, ...],
+    begin: Array | None = None,
+) -> tuple[Equations, JointFit] | None:
+    """Minimise with further unknowns, from values ``begin`` (0) of theirs; None when it does not settle."""
+    extended = equations.with_terms(terms)
+    begin = np.zeros(len(terms)) if begin is None else begin
+    start = np.insert(fit.parameters, equations.unknowns, begin)
+    try:
+        found = fit_joint(lines, extended, start)
+    except np.linalg.LinAlgError:
         return None
-    if not semidefinite(fit.parameters[: equations.entries]):
-        return None
-    return _result(problem, lines, equations, fit)
+    return (extended, found) if found.converged else None
 
 
 def _piston_equations(problem: Problem, lines: JointLines) -> Equations:
@@ -231,8 +278,11 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
     coupling = fit.parameters[equations.coupling].reshape(_N, _N) * unit
     to_plane = _to_plane(problem, equations, fit.parameters, units, law)
     spread_root = coupling_root(widened * covariance[equations.coupling, equations.coupling])
-    corrected = lines.corrected(fit.parameters[p:])
-    inplane = inplane_stiffness(problem.with_law(law), lines, corrected, coupling / unit, spread_root, plane)
+    applied = equations.applied(lines, fit.parameters)[0]
+    corrected = applied.corrected(fit.parameters[p:])
+    inplane = inplane_stiffness(
+        problem.with_law(law), applied, corrected, coupling / unit, spread_root, plane
+    )
     slope, by_inplane = _slopes(coupling, inplane)
     to_centre = to_plane.copy()
     to_centre[:, equations.coupling] += slope * unit.ravel()
@@ -272,6 +322,10 @@ def _result(problem: Problem, lines: JointLines, equations: Equations, fit: Join
         lines,
         equations,
         fit,
+        {
+            term.name: (float(fit.parameters[at] * term.unit), float(np.sqrt(total[at, at]) * term.unit))
+            for at, term in enumerate(equations.terms, equations.term.start)
+        },
     )
 
 

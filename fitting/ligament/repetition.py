@@ -34,7 +34,9 @@ class Repetitions:
         self._start = fit.parameters[: equations.unknowns]
         errors = fit.parameters[equations.unknowns :]
         multiplier = fit.at.whitening.conj().swapaxes(1, 2) @ fit.at.residual[:, :, None]
-        fitted = lines.y - (fit.at.gain @ multiplier)[:, :, 0]
+        fitted = ligament.applied.y - (fit.at.gain @ multiplier)[:, :, 0]
+        factors = ligament.applied.factors
+        self._factors = np.ones_like(fitted) if factors is None else factors
         rest = 0.0 if lines.rests is None else lines.rests @ errors
         self._motion = np.concatenate(_turned(lines, errors, fitted), axis=1) + rest
         self._errors = errors
@@ -54,6 +56,7 @@ class Repetitions:
         y = np.concatenate(
             [half @ np.linalg.inv(one).T for half, one in zip(halves, turn, strict=True)], axis=1
         )
+        y = y / self._factors
         noise = rng.standard_normal((2, *y.shape)) * np.sqrt(0.5)
         y = y + np.einsum("lij,lj->li", self._root, noise[0] + 1j * noise[1])
         off = self._errors - errors

@@ -12,6 +12,7 @@ from fitting.kd_fit import KDFit
 from fitting.ligament.ligament import INPLANE_DOF
 from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import split
+from fitting.report.causes import causes_json
 
 SCHEMA = "stapeskit.kd/1"
 
@@ -54,6 +55,7 @@ def kd_json(fit: KDFit, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "overdamped_roots_1_s": list(fit.modes.overdamped_roots_1_s),
         "principal_axes": principal_axes_json(fit),
         "ligament": ligament_json(fit),
+        **causes_json(fit),
         "fit": _fit(fit),
         "frequency_dependence": _frequency(fit),
         "identifiability": _identifiability(fit),
@@ -113,7 +115,8 @@ def _model(fit: KDFit) -> dict[str, Any]:
 def _equation(fit: KDFit) -> str:
     """Return the equation of motion that was fitted, as text."""
     if fit.ligament is not None:
-        return "w^2 (M_r - Y M_c) q_s = Z'(w) (q_s - q_b)_r, Z = Z' + Y Z_cc Y^T"
+        fluid = "" if fit.ligament.fluid is None else " - w^2 M_f"
+        return f"w^2 (M_r - Y M_c) q_s = (Z'(w){fluid}) (q_s - q_b)_r, Z = Z' + Y Z_cc Y^T"
     if fit.inplane.used:
         return "w^2 (M_rr q_r + M_rc q_c) = Z(w) (q_s - q_b)_r"
     return "w^2 M q_s = Z(w) (q_s - q_b)"

@@ -58,8 +58,8 @@ def responses(fit: KDFit) -> Responses:
     stiffness, damping = split(fit.estimate.parameters * fit.problem.units, n)
     if observation.load_dof:
         force = omega[:, None] ** 2 * (observation.load @ rows[:, n:].T)
-    if fit.problem.base_mass is not None:
-        force = force + omega[:, None] ** 2 * (observation.base @ fit.problem.base_mass.T)
+    if fit.problem.mass_on_base is not None:
+        force = force + omega[:, None] ** 2 * (observation.base @ fit.problem.mass_on_base.T)
     simulated = simulate(rows[:, :n], stiffness, damping, observation.freq_hz, observation.base, force, law)
     dynamic = dynamic_stiffness(stiffness, damping, omega, law) - omega[:, None, None] ** 2 * rows[:, :n]
     pull = np.einsum("kij,lj->lik", basis(n), observation.base - simulated)

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import entry_units, join
+from fitting.report.causes import causes_section
 from fitting.report.figures import frequency_figure, principal_figure, residual_figure, response_figure
 from fitting.report.kd_json import principal_axes_json
 from fitting.report.ligament_section import ligament_section
@@ -49,6 +51,8 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
     sections = [_responses(fit), _matrices(fit), _modal(fit)]
     if fit.ligament is not None:
         sections.insert(2, ligament_section(fit, fit.ligament))
+    if fit.diagnosis is not None:
+        sections.insert(1, causes_section(fit, fit.diagnosis))
     axes = _axes(fit, outline_mm)
     if axes is not None:
         sections.append(axes)
@@ -110,6 +114,16 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         rows.append(
             ("plane of the ligament", f"{plus_minus(height, height_sd)} mm above the footplate centre")
         )
+    if fit.fluid is not None:
+        mass, sd = fit.fluid.mass_kg, fit.fluid.mass_sd_kg
+        used = "none" if mass is None or sd is None else f"{plus_minus(1e6 * mass, 1e6 * sd)} mg"
+        rows.append(("mass of fluid", f"{used}: {fit.fluid.reason}"))
+    if fit.diagnosis is not None:
+        named = fit.diagnosis.named
+        said = "no cause is called for" if named is None else f"the data speak for {title_of(named.name)}"
+        if named is None and fit.diagnosis.searched:
+            said = "NO, and no cause of the catalogue explains it"
+        rows.append(("is the model right?", said))
     worst = fit.identifiability
     rows.append(("worst combination", f"{worst.describe(0)}: relative sd {worst.percent(0)}"))
     return rows

@@ -260,7 +260,7 @@ def common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tup
         observation,
         problem.mass_rows(),
         problem.scale,
-        problem.base_mass,
+        problem.mass_on_base,
     )
     changes = observation.shared_derivatives
     stiffness, damping = split(parameters, lines.n)

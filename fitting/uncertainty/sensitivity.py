@@ -41,7 +41,7 @@ def slope_by_motion(problem: Problem, lines: Lines, parameters: Array) -> Comple
     """
     by_difference, by_force = _slopes(problem, lines, parameters)
     difference, inertia = motion_rows(
-        problem.observation, problem.mass_rows(), problem.scale, problem.base_mass
+        problem.observation, problem.mass_rows(), problem.scale, problem.mass_on_base
     )
     square = (lines.omega**2)[:, None, None]
     return np.asarray(difference.T @ by_difference + square * (inertia.T @ by_force))

@@ -1,0 +1,318 @@
+"""The catalogue of causes: what each does to motion, mass matrix or ligament, as one further unknown of a
+joint fit.
+
+A cause is one entry of CAUSES. Scores, refits, naming, the effect on K and D, ``--correct``, page and
+kd.json follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.ligament.equations import Equations, Term
+from fitting.ligament.joint_lines import DOFS, JointLines
+from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+Applied = tuple[JointLines, Equations]
+# Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159), m.
+HEAD_M = (0.0, 3.4e-3, 0.0)
+_HOLDER_QUALITY = 10.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a cause needs to know of a fit.
+
+    Attributes
+    ----------
+    lines : JointLines
+        Without any cause.
+    omega : ndarray, (lines,)
+        rad/s.
+    mass : ndarray, (6, 6)
+        SI.
+    """
+
+    lines: JointLines
+    omega: Array
+    mass: Array
+
+
+Apply = Callable[[float, JointLines, Equations], Applied]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause.
+
+    Attributes
+    ----------
+    title : str
+        As it stands in a sentence.
+    unit : str
+        In which its size is given.
+    per_unit : float
+        SI over that unit.
+    term : callable
+        Setting -> apply(value in the unit, lines, equations).
+    correctable : bool
+        Whether ``--correct`` takes it.
+    scored : bool
+        Whether data can show it; others are sensitivities only.
+    example : float
+        The size whose effect on K and D the report gives, in the unit.
+    starts : tuple of float
+        Where a refit starts as well, for sizes that are far from first order.
+    refitted : bool
+        Whether its term is more than a score: damping laws are fitted as such.
+    positive : bool
+        Whether a negative size is impossible.
+    """
+
+    title: str
+    unit: str
+    per_unit: float
+    term: Callable[[Setting], Apply]
+    correctable: bool = False
+    scored: bool = True
+    example: float = 1.0
+    starts: tuple[float, ...] = (0.0,)
+    refitted: bool = True
+    positive: bool = False
+
+
+def title_of(name: str) -> str:
+    """Return what a cause is called in a sentence; ``law_NAME`` is a damping law."""
+    if name in CAUSES:
+        return CAUSES[name].title
+    return f"{name.removeprefix('law_')} damping"
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of the size of a cause."""
+    return CAUSES[name].unit if name in CAUSES else ""
+
+
+def term_of(name: str, setting: Setting) -> Term:
+    """Return the unknown term of a cause; its parameter counts units of the cause."""
+    cause = CAUSES[name]
+    return Term(name, cause.term(setting), cause.per_unit)
+
+
+def _between_bodies(factor: Callable[[float, Array], ComplexArray]) -> Callable[[Setting], Apply]:
+    """Multiply the motion of the structure alone."""
+
+    def made(setting: Setting) -> Apply:
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            factors = np.ones((lines.count, 2 * DOFS), dtype=complex)
+            factors[:, :DOFS] = factor(value, setting.omega)[:, None]
+            return lines.multiplied(factors), equations
+
+        return apply
+
+    return made
+
+
+def _mass(change: Callable[[float, Setting], Array]) -> Callable[[Setting], Apply]:
+    """Change the ten inertial parameters (SI)."""
+
+    def made(setting: Setting) -> Apply:
+        root = setting.lines.root_mass
+
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            added = matrix_from_parameters(change(value, setting)) / np.outer(root, root)
+            return replace(lines, mass=lines.mass + added), equations
+
+        return apply
+
+    return made
+
+
+def _ligament(factor: Callable[[Setting], Array]) -> Callable[[Setting], Apply]:
+    """Multiply K and D by 1 + value * factor(lines)."""
+
+    def made(setting: Setting) -> Apply:
+        shape = factor(setting)
+
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            before = 1.0 if equations.factor is None else equations.factor
+            return lines, replace(equations, factor=before * (1.0 + 0.01 * value * shape))
+
+        return apply
+
+    return made
+
+
+def _law(factor: Callable[[Array], ComplexArray]) -> Callable[[Setting], Apply]:
+    """Add value * factor(scaled frequency) to the factor s of the damping law."""
+
+    def made(setting: Setting) -> Apply:
+        shape = factor(setting.lines.omega)
+
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            before = 0.0 if equations.lossy is None else equations.lossy
+            return lines, replace(equations, lossy=np.asarray(before + value * shape, dtype=complex))
+
+        return apply
+
+    return made
+
+
+def _fluid(places: tuple[int, ...]) -> Callable[[Setting], Apply]:
+    """Add a mass (mg at the place of the piston, or as inertia at 1 mm) on the deflection of these rows."""
+
+    def made(setting: Setting) -> Apply:
+        rows = np.array([1, 3, 5])
+        unit = np.zeros((3, 3))
+        for place in places:
+            arm = 1.0 if place == 0 else 1e-6
+            unit[place, place] = 1e-6 * arm / setting.lines.root_mass[rows[place]] ** 2
+
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            before = 0.0 if equations.fluid is None else equations.fluid
+            return lines, replace(equations, fluid=before + value * unit)
+
+        return apply
+
+    return made
+
+
+def _holder(frequency_hz: float) -> Callable[[Setting], Apply]:
+    """Add a resonance of the holder to the motion of the base."""
+
+    def made(setting: Setting) -> Apply:
+        ratio = setting.omega / (2.0 * np.pi * frequency_hz)
+        shape = (1.0 / _HOLDER_QUALITY) / (1.0 - ratio**2 + 1j * ratio / _HOLDER_QUALITY)
+
+        def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+            factors = np.ones((lines.count, 2 * DOFS), dtype=complex)
+            factors[:, DOFS:] = (1.0 + 0.01 * value * shape)[:, None]
+            return lines.multiplied(factors), equations
+
+        return apply
+
+    return made
+
+
+def _point_mass(value: float, _: Setting) -> Array:
+    """Return the inertial parameters of a mass (mg) at the head."""
+    mass, place = 1e-6 * value, np.array(HEAD_M)
+    tensor = mass * (place @ place * np.eye(3) - np.outer(place, place))
+    entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]]
+    return np.array([mass, *(mass * place), *entries])
+
+
+def _centre(axis: int) -> Callable[[float, Setting], Array]:
+    """Return the change of the inertial parameters when the centre of mass lies elsewhere (mm)."""
+
+    def change(value: float, setting: Setting) -> Array:
+        made = np.zeros(10)
+        made[1 + axis] = 1e-3 * value * setting.mass[0, 0]
+        return made
+
+    return change
+
+
+def _part(places: slice) -> Callable[[float, Setting], Array]:
+    """Return a share (%) of some of the inertial parameters."""
+
+    def change(value: float, setting: Setting) -> Array:
+        made = np.zeros(10)
+        made[places] = 0.01 * value * parameters_from_matrix(setting.mass)[places]
+        return made
+
+    return change
+
+
+def _time(setting: Setting) -> Array:
+    """Return time over the measurement, -0.5 to 0.5: lines are measured in their order."""
+    return np.linspace(-0.5, 0.5, setting.lines.count)
+
+
+def _level(setting: Setting) -> Array:
+    """Return the squared piston deflection over its mean, less one."""
+    square = np.abs(setting.lines.y[:, 1] - setting.lines.y[:, 1 + DOFS]) ** 2
+    return np.asarray(square / np.mean(square) - 1.0)
+
+
+def _delayed(value: float, omega: Array) -> ComplexArray:
+    return np.asarray(np.exp(1e-6j * value * omega))
+
+
+def _turned(value: float, omega: Array) -> ComplexArray:
+    return np.full(len(omega), np.exp(1j * np.radians(value)))
+
+
+def _gained(value: float, omega: Array) -> ComplexArray:
+    return np.full(len(omega), 1.0 + 0.01 * value, dtype=complex)
+
+
+CAUSES: dict[str, Cause] = {
+    "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delayed), True),
+    "phase": Cause(
+        "a phase between stapes and base",
+        "degrees",
+        np.pi / 180.0,
+        _between_bodies(_turned),
+        True,
+        example=0.5,
+    ),
+    "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gained), True),
+    "fluid": Cause(
+        "a mass of fluid that moves with the piston deflection",
+        "mg",
+        1e-6,
+        _fluid((0,)),
+        True,
+        starts=(0.0, 3.0),
+        positive=True,
+    ),
+    "head_mass": Cause(
+        "a mass at the head of the stapes",
+        "mg",
+        1e-6,
+        _mass(_point_mass),
+        True,
+        example=0.1,
+        starts=(0.0, 4.0),
+    ),
+    "centre_x": Cause("a centre of mass elsewhere along x", "mm", 1e-3, _mass(_centre(0)), True, example=0.1),
+    "centre_y": Cause("a centre of mass elsewhere along y", "mm", 1e-3, _mass(_centre(1)), True, example=0.1),
+    "centre_z": Cause("a centre of mass elsewhere along z", "mm", 1e-3, _mass(_centre(2)), True, example=0.1),
+    "inertia": Cause(
+        "moments of inertia of another size", "%", 0.01, _mass(_part(slice(4, 10))), True, example=5.0
+    ),
+    "drift": Cause("a ligament that stiffens over the measurement", "%", 0.01, _ligament(_time)),
+    "level": Cause("a stiffness that depends on the amplitude", "%", 0.01, _ligament(_level)),
+    "law_power": Cause(
+        "damping that rises with another power of the frequency",
+        "",
+        1.0,
+        _law(lambda omega: 1j * omega * np.log(1j * omega)),
+        refitted=False,
+    ),
+    "law_relaxation": Cause(
+        "a ligament that relaxes (standard linear solid)",
+        "",
+        1.0,
+        _law(lambda omega: omega**2 + 0j),
+        refitted=False,
+    ),
+    **{
+        f"holder_{round(hz)}_hz": Cause(
+            f"a resonance of the holder near {round(hz)} Hz", "%", 0.01, _holder(hz)
+        )
+        for hz in np.geomspace(500.0, 4500.0, 6)
+    },
+    "mass": Cause(
+        "another mass and density", "%", 0.01, _mass(_part(slice(0, 10))), scored=False, example=10.0
+    ),
+}
+"""By name; `fitting.causes.diagnosis` ranks them by evidence."""

@@ -1,0 +1,156 @@
+"""Whether a mass of fluid on the piston deflection is part of the model: never silently, and only by
+evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.causes.catalogue import title_of
+from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected, with_refits
+from fitting.errors import FittingError
+from fitting.laws import LawFit, fit_law, with_ligament
+from fitting.model.laws import LAWS
+from fitting.model.observation import Observation
+from fitting.model.symmetric import join
+from fitting.options import COMPARE, KDOptions
+from stapeskit.warnings import Notice
+
+FLUID = "fluid"
+# Sizes below this many of their standard deviations are no mass.
+_SIGNIFICANT = 2.0
+
+
+@dataclass(frozen=True)
+class FluidChoice:
+    """What was decided about a mass of fluid, and why.
+
+    Attributes
+    ----------
+    option, cochlea : str
+        As given.
+    used : bool
+    mass_kg, mass_sd_kg : float or None
+        Of the fluid where it is part of the model.
+    reason : str
+        One sentence.
+    notices : tuple of Notice
+    """
+
+    option: str
+    cochlea: str
+    used: bool
+    mass_kg: float | None
+    mass_sd_kg: float | None
+    reason: str
+    notices: tuple[Notice, ...] = ()
+
+
+def choose_fluid(
+    best: LawFit, plain: LawFit, both: Observation, options: KDOptions
+) -> tuple[LawFit, Diagnosis, FluidChoice]:
+    """Diagnose a joint fit and take a mass of fluid into it where the data call for one.
+
+    Parameters
+    ----------
+    best : LawFit
+        With the plane of the ligament.
+    plain : LawFit
+        The same without it, from which it was extended.
+    both : Observation
+    options : KDOptions
+
+    Returns
+    -------
+    fit, diagnosis, choice
+    """
+    assert best.ligament is not None  # noqa: S101
+    found = with_corrected(diagnose(best.problem, best.ligament), best.ligament)
+    if found.searched and options.damping != COMPARE:
+        found = with_refits(found, _other_laws(best, plain, both, options))
+    if FLUID in best.ligament.terms:
+        asked = FLUID in options.causes
+        reason = "asked for" if asked else "without it there is no positive semidefinite K and D"
+        return best, found, _used(best, options, reason, asked)
+    named = found.named
+    candidates = () if named is None else (named.name, *found.look_alikes)
+    if FLUID not in candidates or options.fluid == "none":
+        reason = "left out as asked for" if options.fluid == "none" else "the data do not call for it"
+        return best, found, _unused(options, reason)
+    refit = next(one for one in found.refits if one.name == FLUID)
+    expected = options.cochlea == "closed"
+    if refit.size < _SIGNIFICANT * refit.sd or not (candidates[0] == FLUID or expected):
+        return best, found, _unused(options, f"{title_of(candidates[0])} explains the data better")
+    if options.cochlea in ("open", "drained"):
+        text = (
+            f"A mass of fluid of {refit.size:.2g} ± {refit.sd:.1g} mg on the piston deflection would lower "
+            f"chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
+            "Check that the window is dry, or use --fluid y."
+        )
+        choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
+        return best, found, choice
+    made = with_ligament(plain, both, (*options.causes, FLUID))
+    if made.ligament is None:
+        return best, found, _unused(options, "the fit with it did not settle")
+    again = with_corrected(diagnose(made.problem, made.ligament), made.ligament)
+    others = [title_of(name) for name in candidates if name != FLUID]
+    also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
+    reason = f"chi2 falls by {refit.fall:.0f}, over {found.threshold:.1f}"
+    return made, again, _used(made, options, reason, False, also)
+
+
+def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptions) -> list[Refit]:
+    """Refit under the damping laws that were not asked for; their exponents count as an unknown."""
+    assert best.ligament is not None  # noqa: S101
+    names = tuple(best.ligament.terms)
+    found = []
+    for name in LAWS:
+        if name == best.law.name:
+            continue
+        try:
+            other = with_ligament(fit_law(plain.problem, name, options.lower, options.upper), both, names)
+        except (FittingError, np.linalg.LinAlgError):
+            continue
+        if other.ligament is None:
+            continue
+        level = max(1.0, other.ligament.chi2 / other.ligament.n_dof)
+        fall = (best.ligament.chi2 - other.ligament.chi2) / level
+        change = join(
+            other.ligament.plane_stiffness - best.ligament.plane_stiffness,
+            np.full_like(best.ligament.plane_damping, np.nan),
+        )
+        size = other.law.exponent
+        left = other.ligament.p_value
+        found.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left))
+    return found
+
+
+def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:
+    assert fit.ligament is not None  # noqa: S101
+    value, sd = fit.ligament.terms[FLUID]
+    notices: tuple[Notice, ...] = ()
+    if not asked:
+        text = (
+            f"A mass of fluid of {1e6 * value:.3g} ± {1e6 * sd:.1g} mg moves with the piston deflection and "
+            f"is part of the model ({reason}).{also} K and D are those without it; its resistance is part of "
+            "D11. --fluid none leaves it out."
+        )
+        notices = (Notice("fluid_found", text),)
+    if options.cochlea == "closed" and value < _SIGNIFICANT * sd:
+        notices += (_missing(),)
+    if options.cochlea in ("open", "drained") and not asked:
+        text = f"The cochlea is {options.cochlea}, but only a mass of fluid explains the data."
+        notices += (Notice("fluid_contradicts", text),)
+    return FluidChoice(options.fluid, options.cochlea, True, value, sd, reason, notices)
+
+
+def _unused(options: KDOptions, reason: str, notices: tuple[Notice, ...] = ()) -> FluidChoice:
+    if options.cochlea == "closed" and options.fluid == "auto":
+        notices += (_missing(),)
+    return FluidChoice(options.fluid, options.cochlea, False, None, None, reason, notices)
+
+
+def _missing() -> Notice:
+    text = "The cochlea is closed, but the data show no mass of fluid that moves with the stapes."
+    return Notice("fluid_contradicts", text)

@@ -1,0 +1,176 @@
+"""What may be wrong, what a mass of fluid is, and what no data can show: for kd.json and the page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.causes.catalogue import CAUSES, title_of, unit_of
+from fitting.causes.diagnosis import Diagnosis, largest_effect, relative_effect
+from fitting.kd_fit import KDFit
+from fitting.model.symmetric import join
+from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.page import Section
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+Array = NDArray[np.float64]
+# Relative error of the frequency axis whose effect is given.
+_FREQUENCY = 1e-3
+
+
+def causes_json(fit: KDFit) -> dict[str, Any]:
+    """Return the keys ``causes``, ``sensitivities`` and ``fluid`` of kd.json; null without the joint fit."""
+    found, fluid = fit.diagnosis, fit.fluid
+    if found is None or fluid is None:
+        return {"causes": None, "sensitivities": None, "fluid": None}
+    named = found.named
+    scored = zip(
+        found.tested,
+        found.scores.z,
+        found.scores.p_values,
+        found.scores.estimate,
+        found.scores.sd,
+        strict=True,
+    )
+    return {
+        "causes": {
+            "searched": found.searched,
+            "named": None if named is None else named.name,
+            "look_alikes": list(found.look_alikes),
+            "least_fall_of_chi2": found.threshold,
+            "scores": [
+                {
+                    "name": name,
+                    "z": float(z),
+                    "p_value": float(p),
+                    "estimate": float(size),
+                    "sd": float(sd),
+                    "unit": unit_of(name),
+                }
+                for name, z, p, size, sd in scored
+            ],
+            "refits": [
+                {
+                    "name": one.name,
+                    "title": title_of(one.name),
+                    "size": one.size,
+                    "sd": one.sd,
+                    "unit": unit_of(one.name),
+                    "fall_of_chi2": one.fall,
+                    "p_value": one.p_value,
+                    "change_si": _by_entry(fit, one.effect),
+                }
+                for one in found.refits
+            ],
+            "corrected": {
+                name: {"size": size, "sd": sd, "unit": unit_of(name)}
+                for name, (size, sd) in found.corrected.items()
+            },
+        },
+        "sensitivities": [
+            {"name": name, "title": title, "size": size, "unit": unit, "change_si": _by_entry(fit, change)}
+            for name, title, size, unit, change in sensitivities(fit, found)
+        ],
+        "fluid": {
+            "option": fluid.option,
+            "cochlea": fluid.cochlea,
+            "used": fluid.used,
+            "mass_kg": fluid.mass_kg,
+            "mass_sd_kg": fluid.mass_sd_kg,
+            "reason": fluid.reason,
+        },
+    }
+
+
+def sensitivities(fit: KDFit, found: Diagnosis) -> list[tuple[str, str, float, str, Array]]:
+    """Return name, title, size, unit and change of K and D, SI, of errors that are there and left out."""
+    rows = [
+        (name, cause.title, cause.example, cause.unit, found.sensitivities[name])
+        for name, cause in CAUSES.items()
+        if cause.refitted and not name.startswith("holder") and name in found.sensitivities
+    ]
+    axis = join(2.0 * fit.stiffness, (2.0 - fit.law.exponent) * fit.damping) * _FREQUENCY
+    rows.append(("frequency_axis", "frequencies that are too high", 100.0 * _FREQUENCY, "%", axis))
+    return rows
+
+
+def _by_entry(fit: KDFit, change: Array) -> dict[str, float | None]:
+    return {
+        name: float(value) if np.isfinite(value) else None
+        for name, value in zip(fit.parameters, change, strict=True)
+    }
+
+
+def causes_section(fit: KDFit, found: Diagnosis) -> Section:
+    """Return whether to believe the fit: the named cause, what was refitted, scores and sensitivities."""
+    section = Section("Is the model right?", key="causes")
+    named = found.named
+    if named is None and not found.searched:
+        words = (
+            "No error of the catalogue is called for: none of the directed scores is improbable, and the "
+            "residuals are those of noise and shared errors."
+        )
+    elif named is None:
+        words = (
+            "Something is wrong, but no cause of the catalogue explains it: K and D are not to be trusted."
+        )
+    else:
+        words = f"The data speak for {title_of(named.name)}; see the warnings."
+    section.add(page.text(words))
+    if found.corrected:
+        rows = [
+            (title_of(name), f"{plus_minus(size, sd)} {unit_of(name)}")
+            for name, (size, sd) in found.corrected.items()
+        ]
+        section.add(page.subheading("Estimated with K and D"), page.table(("", "size"), rows))
+    if found.refits:
+        section.add(page.subheading("Refits"), _refit_table(fit, found))
+    section.add(page.subheading("Scores"), _score_table(found))
+    section.add(
+        page.subheading("What an error that is left out does"),
+        page.text(
+            "Changes of the entries over sqrt(Xii Xjj), to first order, in %. The data cannot show those "
+            "that are smaller than the sd of their score; another mass and the frequency axis are never seen."
+        ),
+        _sensitivity_table(fit, found),
+    )
+    return section
+
+
+def _refit_table(fit: KDFit, found: Diagnosis) -> Markup:
+    rows = []
+    for one in found.refits:
+        place, change = largest_effect(one.effect, fit.stiffness, fit.damping)
+        size = plus_minus(one.size, one.sd) if one.sd > 0.0 else f"{one.size:.3g}"
+        rows.append(
+            (
+                title_of(one.name),
+                f"{size} {unit_of(one.name)}",
+                f"{one.fall:.1f}",
+                f"{one.p_value:.2g}",
+                f"{fit.parameters[place]} {100.0 * change:+.2g} %",
+            )
+        )
+    return page.table(("cause", "size", "fall of chi2", "p of the rest", "largest change"), rows)
+
+
+def _score_table(found: Diagnosis) -> Markup:
+    scores = found.scores
+    rows = [
+        (title_of(name), f"{z:+.1f}", f"{size:.2g} ± {sd:.1g} {unit_of(name)}")
+        for name, z, size, sd in zip(found.tested, scores.z, scores.estimate, scores.sd, strict=True)
+    ]
+    return page.table(("cause", "z", "size to first order"), rows)
+
+
+def _sensitivity_table(fit: KDFit, found: Diagnosis) -> Markup:
+    rows = []
+    for _, title, size, unit, change in sensitivities(fit, found):
+        relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
+        rows.append((f"{title}: {size:g} {unit}", *(f"{value:+.2g}" for value in relative)))
+    return page.table(("error", *fit.parameters), rows)

@@ -1,0 +1,140 @@
+"""Causes that other code simulates are found, named, sized and removed; clean ears have none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.ring_ears import ERRORS, PISTON, EarSettings, ear
+from fitting.causes.catalogue import CAUSES, term_of
+from fitting.causes.diagnosis import setting_of
+from fitting.errors import FittingError
+from fitting.kd import fit_kd
+from fitting.kd_fit import KDFit
+from fitting.ligament.equations import operator_of
+from fitting.model.symmetric import join
+from fitting.options import CORRECT, KDOptions
+from fitting.report.kd_json import kd_json
+from fitting.report.sections import kd_page
+from tests.fitting.cases import M, paper_motion
+
+BARE = KDOptions(bands=0)
+BLOCK = np.ix_(PISTON, PISTON)
+
+
+def case_of(cause: str, seed: int = 0, law: str = "viscous", size: float = 0.0):
+    size = size or ERRORS.get(cause, 0.0)
+    settings = EarSettings(0.1, 0.01, lines=60, cause=cause, size=size, law=law)
+    return ear(settings, np.random.default_rng([70, seed]))
+
+
+def fitted(case, **options) -> KDFit:
+    return fit_kd(case.motion, case.mass, replace(BARE, **options))
+
+
+def off(fit: KDFit, case) -> np.ndarray:
+    wanted = join(case.stiffness[BLOCK], case.damping[BLOCK])
+    return (join(fit.stiffness, fit.damping) - wanted) / np.sqrt(np.diag(fit.covariance))
+
+
+def codes(fit: KDFit) -> set[str]:
+    return {notice.code for notice in fit.notices}
+
+
+@pytest.fixture(scope="module")
+def clean() -> KDFit:
+    return fitted(case_of(""))
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_cause_of_no_size_changes_nothing_and_one_of_some_size_does(clean: KDFit, name: str) -> None:
+    ligament = clean.ligament
+    term = term_of(name, setting_of(clean.problem, ligament))
+    before = (
+        operator_of(ligament.lines, ligament.equations, ligament.joint.parameters)
+        @ ligament.lines.y[..., None]
+    )
+    for value, same in ((0.0, True), (1.0, False)):
+        lines, equations = term.apply(value, ligament.lines, ligament.equations)
+        after = operator_of(lines, equations, ligament.joint.parameters) @ lines.y[..., None]
+        assert np.allclose(after, before, rtol=1e-12, atol=0.0) == same
+
+
+def test_clean_ears_have_no_cause_and_scores_of_unit_variance() -> None:
+    fits = [fitted(case_of("", seed)) for seed in range(4)]
+    z = np.array([fit.diagnosis.scores.z for fit in fits])
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
+    for fit in fits:
+        assert not {"cause_found", "fluid_found", "misfit"} & codes(fit)
+        assert not fit.fluid.used
+
+
+@pytest.mark.parametrize("cause", ["delay", "gain", "centre_z"])
+def test_a_cause_is_named_with_its_size_and_removed(cause: str) -> None:
+    case = case_of(cause, 1)
+    fit = fitted(case)
+    assert "cause_found" in codes(fit)
+    assert fit.diagnosis.named.name == cause
+    fixed = fitted(case, correct=cause)
+    size, sd = fixed.diagnosis.corrected[cause]
+    assert size == pytest.approx(ERRORS[cause], abs=4.0 * sd)
+    assert "cause_found" not in codes(fixed)
+    assert np.mean(np.abs(off(fixed, case)) < 1.96) > 0.8
+    assert fixed.ligament.p_value > 1e-3
+
+
+def test_fluid_is_found_by_evidence_and_never_silently() -> None:
+    case = case_of("fluid", 2, size=0.15)
+    fit = fitted(case)
+    assert "fluid_found" in codes(fit)
+    assert 1e6 * fit.fluid.mass_kg == pytest.approx(0.15, abs=4e6 * fit.fluid.mass_sd_kg)
+    assert np.all(np.abs(off(fit, case)) < 4.0)
+    content = json.loads(json.dumps(kd_json(fit, {})))
+    assert content["fluid"]["used"]
+    assert "M_f" in content["model"]["equation"]
+    without = fitted(case, fluid="none")
+    assert without.diagnosis.named.name == "fluid"
+    true = case.stiffness[1, 1]
+    assert abs(without.stiffness[0, 0] - true) > 2.0 * abs(fit.stiffness[0, 0] - true)
+    contradicted = fitted(case, cochlea="open")
+    assert "fluid_contradicts" in codes(contradicted)
+    assert not contradicted.fluid.used
+    assert "fluid_contradicts" in codes(fitted(case_of(""), cochlea="closed"))
+
+
+def test_where_only_fluid_gives_semidefinite_matrices_it_is_taken() -> None:
+    case = case_of("fluid", 2, size=1.5)
+    fit = fitted(case, cochlea="open")
+    assert fit.fluid.used
+    assert {"fluid_found", "fluid_contradicts"} <= codes(fit)
+    assert np.all(np.abs(off(fit, case)) < 4.0)
+
+
+def test_another_damping_law_is_named() -> None:
+    fit = fitted(case_of("", 3, "hysteretic"))
+    assert fit.diagnosis.named.name == "law_hysteretic"
+
+
+def test_page_and_record_say_what_was_looked_for(clean: KDFit) -> None:
+    content = json.loads(json.dumps(kd_json(clean, {})))
+    assert {one["name"] for one in content["causes"]["scores"]} == {n for n, c in CAUSES.items() if c.scored}
+    mass = next(one for one in content["sensitivities"] if one["name"] == "mass")
+    assert mass["change_si"]["K11"] == pytest.approx(-0.1 * clean.stiffness[0, 0], rel=0.05)
+    assert "causes" in [section.key for section in kd_page(clean, {}).sections]
+
+
+def test_the_option_knows_every_cause_that_can_be_corrected() -> None:
+    assert set(CORRECT) == {name for name, cause in CAUSES.items() if cause.correctable}
+
+
+def test_causes_need_names_that_are_known_and_the_joint_model() -> None:
+    for options in ({"correct": "moon"}, {"correct": "drift"}, {"fluid": "y", "estimator": "pinv"}):
+        with pytest.raises(FittingError) as caught:
+            KDOptions(**options)
+        assert caught.value.faults[0].thing.startswith("{correct}")
+    with pytest.raises(FittingError) as caught:
+        fit_kd(paper_motion(0.01, 0, 40), M, KDOptions(correct=CORRECT[0]))
+    assert caught.value.faults[0].thing.startswith("{correct}")
