@@ -93,14 +93,17 @@ class LabelledVolume:
 
     @cached_property
     def packed(self) -> Later[bytes]:
-        """The labels as the bytes of a compressed NRRD; begun in the background on first use."""
+        """The voxels of the labels as gzip; packed in the background from the first use on."""
         from ct_inertia.volume.label_file import packed_labels
 
         return Later(packed_labels, self)
 
     def write(self, path: Path | str) -> None:
-        """Write the labels as NRRD (compressed) that lies on the scan in 3D Slicer and ITK-SNAP."""
-        Path(path).write_bytes(self.packed.result())
+        """Write the labels as NRRD; as a segmentation of 3D Slicer where the name ends in ``.seg.nrrd``."""
+        from ct_inertia.volume.label_file import label_volume, segmentation
+
+        content = segmentation if Path(path).name.endswith(".seg.nrrd") else label_volume
+        Path(path).write_bytes(content(self, self.packed.result()))
 
 
 @dataclass(frozen=True)

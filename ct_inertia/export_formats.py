@@ -19,7 +19,7 @@ EXPORTS = {
     "glb": ExportFormat("glb", ("stapes.glb",), "m, footplate axes"),
     "mjcf": ExportFormat("mjcf", ("stapes.xml", "stapes.obj"), "MuJoCo"),
     "urdf": ExportFormat("urdf", ("stapes.urdf", "stapes.obj"), "robot description"),
-    "abaqus": ExportFormat("abaqus", ("stapes.inp",), "finite elements"),
+    "abaqus": ExportFormat("abaqus", ("stapes.inp",), "finite elements, also CalculiX"),
     "mat": ExportFormat("matlab", ("mass.mat",), "MATLAB"),
 }
 FORMATS: tuple[str, ...] = tuple(EXPORTS)

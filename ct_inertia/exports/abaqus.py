@@ -1,4 +1,4 @@
-"""Abaqus: a point mass with rotary inertia at the centre of mass, tied rigidly to the footplate centre."""
+"""Abaqus and CalculiX: six point masses that move with the footplate frame as one rigid body."""
 
 from __future__ import annotations
 
@@ -19,31 +19,38 @@ UNITS = {
 }
 _TONNE = 1e-3
 _TONNE_MM2 = 1e3
+CENTRE, ROTATION, FIRST_POINT = 900001, 900002, 900003
+"""Nodes: the footplate centre, the rotation vector of the footplate, and the first of six point masses."""
 _TEXT = """** Stapes made by stapeskit from {source}
 ** Consistent units: tonne, mm, s (N, MPa). 1 kg = 1e-3 tonne, 1 kg m2 = 1e3 tonne mm2.
 ** Coordinates: the footplate frame (x anterior, y lateral, origin at the footplate centre).
 ** scan = R footplate + t, R and t (mm) by rows:
 {pose}
-** Node 900001 is the footplate centre, node 900002 the centre of mass. The rigid body ties both, so that
-** loads, springs and boundary conditions of the footplate go to node 900001.
-** Inertia about the centre of mass in footplate axes, tonne mm2 (tensor elements, Jxy = -integral of x y dm):
+** Node {centre} is the footplate centre. Degrees of freedom 1, 2, 3 of node {rotation} are the small
+** rotations alpha, beta, gamma of the footplate about its axes, in rad: a spring there is in N mm / rad.
+** Mass {mass} tonne, centre of mass (mm) {com}
+** Inertia about the centre of mass in footplate axes, tonne mm2 (tensor, Jxy = -integral of x y dm):
 {tensor}
-** It is given in its principal axes, where no product is left whose sign could be mistaken.
+** Six equal masses on its principal axes have this mass, this centre and this inertia. Equations tie them to
+** the two nodes: u = u_centre + rotation x r, for small rotations.
 *NODE, NSET=STAPES_FOOTPLATE
-900001, 0., 0., 0.
-*NODE, NSET=STAPES_COM
-900002, {com}
-*ORIENTATION, NAME=STAPES_PRINCIPAL, SYSTEM=RECTANGULAR
-{axes}
+{centre}, 0., 0., 0.
+*NODE, NSET=STAPES_ROTATION
+{rotation}, 0., 0., 0.
+*NODE, NSET=STAPES_POINTS
+{points}
 *ELEMENT, TYPE=MASS, ELSET=STAPES_MASS
-900001, 900002
+{elements}
 *MASS, ELSET=STAPES_MASS
-{mass}
-*ELEMENT, TYPE=ROTARYI, ELSET=STAPES_ROTARY
-900002, 900002
-*ROTARY INERTIA, ELSET=STAPES_ROTARY, ORIENTATION=STAPES_PRINCIPAL
-{moments}, 0., 0., 0.
-*RIGID BODY, REF NODE=900001, TIE NSET=STAPES_COM
+{sixth}
+** Springs along each axis, which no rigid motion stretches, show CalculiX which unknowns are coupled.
+*ELEMENT, TYPE=SPRINGA, ELSET=STAPES_AXES
+{springs}
+*SPRING, ELSET=STAPES_AXES
+
+1.
+*EQUATION
+{equations}
 """
 
 
@@ -52,24 +59,55 @@ def write(body: ExportBody, folder: Path) -> list[str]:
 
     Notes
     -----
-    *ORIENTATION: a point on the local x axis, then one in the local xy plane: here the first two principal
-    axes. *ROTARY INERTIA: I11, I22, I33 and the products, at a node that is the centre of mass (Abaqus
-    Analysis User's Guide, Rotary inertia). *RIGID BODY with TIE NSET carries mass and rotary inertia of a
-    tied node to the reference node.
+    Masses m / 6 at distances +-d_k along the principal axes: the second moment along axis k is m d_k^2 / 3,
+    which is (J_1 + J_2 + J_3) / 2 - J_k. CalculiX has no *ROTARY INERTIA, and the two programs write rigid
+    bodies differently; *MASS, *SPRING and *EQUATION are the same in both (Abaqus Keywords Guide; CalculiX
+    CrunchiX User's Manual, section 7).
     """
     moments, axes = body.principal()
     pose = np.hstack([body.scan_from_footplate.rotation, body.scan_from_footplate.translation_mm[:, None]])
+    second = np.maximum(0.5 * moments.sum() - moments, 0.0)
+    distances_mm = np.sqrt(3.0 * second / body.mass_kg) * 1e3
+    places = [sign * distances_mm[k] * axes[:, k] for k in range(3) for sign in (1.0, -1.0)]
+    points = body.com_m * 1e3 + np.array(places)
+    nodes = range(FIRST_POINT, FIRST_POINT + len(points))
     text = _TEXT.format(
         source=body.source,
+        centre=CENTRE,
+        rotation=ROTATION,
         pose="\n".join(f"**   {_numbers(row)}" for row in pose),
         tensor="\n".join(f"**   {_numbers(row)}" for row in body.inertia_kg_m2 * _TONNE_MM2),
-        com=_numbers(body.com_m * 1e3),
-        axes=_numbers(axes[:, :2].T.ravel()),
         mass=f"{body.mass_kg * _TONNE:.12e}",
-        moments=_numbers(moments * _TONNE_MM2),
+        com=_numbers(body.com_m * 1e3),
+        points="\n".join(f"{node}, {_numbers(point)}" for node, point in zip(nodes, points, strict=True)),
+        elements="\n".join(f"{node}, {node}" for node in nodes),
+        springs="\n".join(f"{nodes[-1] + 1 + k}, {nodes[2 * k]}, {nodes[2 * k + 1]}" for k in range(3)),
+        sixth=f"{body.mass_kg * _TONNE / len(points):.12e}",
+        equations="\n".join(
+            line for node, point in zip(nodes, points, strict=True) for line in _equations(node, point)
+        ),
     )
     (folder / "stapes.inp").write_text(text, encoding="utf-8")
     return ["stapes.inp"]
+
+
+def _equations(node: int, point_mm: NDArray[np.floating]) -> list[str]:
+    """Return u_node - u_centre - rotation x point = 0 along x, y, z."""
+    lines = []
+    for axis in range(3):
+        second, third = (axis + 1) % 3, (axis + 2) % 3
+        terms = [
+            (node, axis, 1.0),
+            (CENTRE, axis, -1.0),
+            (ROTATION, second, -point_mm[third]),
+            (ROTATION, third, point_mm[second]),
+        ]
+        terms = [term for term in terms if term[2] != 0.0]
+        lines += [
+            str(len(terms)),
+            ", ".join(f"{where}, {along + 1}, {factor:.12e}" for where, along, factor in terms),
+        ]
+    return lines
 
 
 def _numbers(values: NDArray[np.floating]) -> str:

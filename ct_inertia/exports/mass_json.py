@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.exports.output_files import LABELS
+from ct_inertia.exports.output_files import LABELS, SCAN_CROP, SEGMENTS
+from ct_inertia.exports.scan_crop import needs_crop, write_crop
 from ct_inertia.grey.border import CODE as CUT_BY_BORDER
 from ct_inertia.grey.coat import BARE
 from ct_inertia.mass.budget import budget, not_included
@@ -115,7 +116,7 @@ def mass_json(
 
 
 def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, Any]) -> list[str]:
-    """Write mass.json, stapes.ply, plate.ply and the labels where they apply; return their names.
+    """Write mass.json, surfaces, labels and the part of the scan under them; return their names.
 
     Raises
     ------
@@ -128,7 +129,11 @@ def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, A
     if result.plate is not None:
         write_surface(folder / "plate.ply", result.plate)
     if result.bodies is not None:
-        result.bodies.labels.write(folder / content["labels_file"])
+        labels = content["labels_file"]
+        result.bodies.labels.write(folder / labels)
+        result.bodies.labels.write(folder / SEGMENTS[labels])
+    if needs_crop(result):
+        write_crop(result, folder / SCAN_CROP)
     if result.inputs is not None:  # labels and pictures were read from the scan until here
         result.inputs.check()
     return names_of(result, content)
@@ -138,7 +143,9 @@ def names_of(result: MassMeasurement, content: Mapping[str, Any]) -> list[str]:
     """Return the names of the files that `write_outputs` writes."""
     names = ["mass.json", "stapes.ply"]
     names += [] if result.plate is None else ["plate.ply"]
-    return names + ([] if result.bodies is None else [content["labels_file"]])
+    if result.bodies is not None:
+        names += [content["labels_file"], SEGMENTS[content["labels_file"]]]
+    return names + ([SCAN_CROP] if needs_crop(result) else [])
 
 
 def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:

@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from ct_inertia.options import MassOptions
     from stapeskit.own_files import OutputSet
 
-LABELS = "labels.nrrd"
-MEASURED_LABELS = "labels.measured.nrrd"
-RESULT = ("mass.json", "stapes.ply", "plate.ply", LABELS, MEASURED_LABELS)
+LABELS, MEASURED_LABELS = "labels.nrrd", "labels.measured.nrrd"
+SEGMENTS = {LABELS: "labels.seg.nrrd", MEASURED_LABELS: "labels.measured.seg.nrrd"}
+"""The segmentation with names and colours beside each name of the labels."""
+SCAN_CROP = "scan_crop.nrrd"
+RESULT = ("mass.json", "stapes.ply", "plate.ply", LABELS, MEASURED_LABELS, *SEGMENTS.values(), SCAN_CROP)
 """Files that the next commands read together; one of another origin among them would be taken for a part."""
 REPORT, DISPLAY = "report.html", "stapes_display.ply"
+_CORRECTED = (LABELS, SEGMENTS[LABELS])
 
 
 def labels_name(folder: Path, given: Path | None) -> str:
@@ -26,15 +29,16 @@ def labels_name(folder: Path, given: Path | None) -> str:
     Labels that were corrected in place and are given as ``--labels`` stay as they are: what is measured from
     them is written beside them.
     """
-    kept = Path(folder) / LABELS
-    if given is not None and kept.exists() and Path(given).exists() and os.path.samefile(kept, given):
-        return MEASURED_LABELS
+    for name in _CORRECTED:
+        kept = Path(folder) / name
+        if given is not None and kept.exists() and Path(given).exists() and os.path.samefile(kept, given):
+            return MEASURED_LABELS
     return LABELS
 
 
 def result_names(labels: str) -> tuple[str, ...]:
     """Return the files of a result whose labels have this name: without those of the user."""
-    return tuple(name for name in RESULT if labels == LABELS or name != LABELS)
+    return tuple(name for name in RESULT if labels == LABELS or name not in _CORRECTED)
 
 
 def output_set(
@@ -68,7 +72,10 @@ def output_set(
 
     more = [name for name, wanted in ((REPORT, report), (DISPLAY, display)) if wanted]
     names = (*result_names(labels_name(folder, options.labels)), *more, *files_of(exports))
-    leftovers = tuple(name for name in (REPORT, DISPLAY, *FILES) if name not in names)
+    leftovers = tuple(name for name in (REPORT, DISPLAY, *_CORRECTED, *FILES) if name not in names)
     read = tuple(path for path in (*options.inputs.values(), config) if path is not None)
-    hint = f"Measure corrected labels with {named('labels')} {folder / LABELS}, which stay as they are"
-    return OutputSet("ct2mass", folder, names, read, force, leftovers, hints={LABELS: hint})
+    hints = {
+        name: f"Measure corrected labels with {named('labels')} {folder / name}, which stay as they are"
+        for name in _CORRECTED
+    }
+    return OutputSet("ct2mass", folder, names, read, force, leftovers, hints=hints)

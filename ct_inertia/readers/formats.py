@@ -68,6 +68,8 @@ class Format:
         Those of them that belong to a header beside a file of voxels.
     sniffs : tuple of str
         ``file`` and ``folder``: recognised by content, in the order of the table, where no suffix decides.
+    placed : bool
+        Other programs read spacing, origin and direction of the format as they are read here.
     """
 
     title: str
@@ -75,6 +77,7 @@ class Format:
     suffixes: tuple[str, ...] = ()
     headers: tuple[str, ...] = ()
     sniffs: tuple[str, ...] = ()
+    placed: bool = False
 
     def read(self, path: Path, options: ReadOptions) -> Volume:
         """Read a scan.
@@ -113,16 +116,16 @@ class Format:
 RAW = Format("raw voxels", "raw", (".raw", ".vol", ".bin", ".dat", ".img"))
 FORMATS = (
     Format("TIFF", "tiff", (".tif", ".tiff", ".btf", ".tf8", ".tf2")),
-    Format("NRRD", "nrrd", (".nrrd", ".nhdr"), headers=(".nhdr",)),
-    Format("MHA, MHD", "metaimage", (".mha", ".mhd"), headers=(".mhd",)),
-    Format("NIfTI", "nifti", (".nii", ".nii.gz", ".hdr"), headers=(".hdr",)),
+    Format("NRRD", "nrrd", (".nrrd", ".nhdr"), headers=(".nhdr",), placed=True),
+    Format("MHA, MHD", "metaimage", (".mha", ".mhd"), headers=(".mhd",), placed=True),
+    Format("NIfTI", "nifti", (".nii", ".nii.gz", ".hdr"), headers=(".hdr",), placed=True),
     Format("ISQ", "isq", (".isq", ".rsq", ".rad")),
     Format("AIM", "aim", (".aim",)),
     Format("VGI", "vgi", (".vgi",), headers=(".vgi",)),
     Format("AM", "amira", (".am",)),
     RAW,
     Format("OME-Zarr", "ome_zarr", sniffs=("folder",)),
-    Format("DICOM", "dicom", (".dcm", ".dicom", ".ima"), sniffs=("file", "folder")),
+    Format("DICOM", "dicom", (".dcm", ".dicom", ".ima"), sniffs=("file", "folder"), placed=True),
     Format("a folder of slices", "slices", sniffs=("folder",)),
 )
 

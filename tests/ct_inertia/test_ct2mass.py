@@ -67,7 +67,8 @@ class TestAScan:
     def test_writes_every_file_and_nothing_else(self, result):
         out, outcome = result
         names = sorted(path.name for path in out.iterdir())
-        assert names == [".stapeskit", "labels.nrrd", "mass.json", "plate.ply", "report.html", "stapes.ply"]
+        written = ["labels.nrrd", "labels.seg.nrrd", "mass.json", "plate.ply", "report.html", "stapes.ply"]
+        assert names == [".stapeskit", *written]  # no scan_crop.nrrd: NRRD carries its place
         assert sorted(path.name for path in outcome.files) == names[1:]
         assert not list(out.parent.glob(".stapeskit*"))
 
@@ -180,12 +181,15 @@ class TestAScan:
             assert made.result["labels_file"] == "labels.measured.nrrd"
             assert made.result["provenance"]["inputs"]["labels"]["hash"] == content_hash(labels)
             assert {path.name for path in made.files} >= {"labels.measured.nrrd", "mass.json"}
+            assert (out / "labels.measured.seg.nrrd").exists()
+            assert not (out / "labels.seg.nrrd").exists()  # of the result before
             assert labels not in made.files
         with pytest.raises(StapeskitError, match="edited since"):
             run(words)
         assert run([*words, "--force"]).result["labels_file"] == "labels.nrrd"
         assert labels.read_bytes() != before
         assert not (out / "labels.measured.nrrd").exists()
+        assert not (out / "labels.measured.seg.nrrd").exists()
 
     def test_a_calibration_needs_and_uses_grey_values(self, scan, result, tmp_path):
         folder, made = scan
