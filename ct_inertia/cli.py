@@ -85,8 +85,8 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     from ct_inertia.ct2mass import ct2mass
     from ct_inertia.exports.output_files import output_set
     from ct_inertia.report.summary import summary_rows
-    from ct_inertia.volume.progress import told_on_terminal
     from stapeskit.command import Outcome
+    from stapeskit.progress import stage_on_terminal
     from stapeskit.provenance import Hashes
 
     outputs = output_set(
@@ -100,7 +100,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     )
     outputs.check()
     hashes = Hashes(options.inputs.values(), given.sha256)
-    with told_on_terminal(not given.quiet and not given.json) as progress:
+    with stage_on_terminal(not given.quiet and not given.json) as progress:
         result = ct2mass(options, progress)
         progress("writing" if given.no_report else "drawing the report")
         files, content, notices = _write(given, outputs, result, hashes)

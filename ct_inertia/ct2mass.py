@@ -26,10 +26,10 @@ from ct_inertia.options import MassOptions
 from ct_inertia.readers.mapping import lost_pages
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, read_surface
-from ct_inertia.volume.progress import Tell, untold
 from stapeskit.background import Later
 from stapeskit.faults import Fault
 from stapeskit.frames import vector_from_rotation
+from stapeskit.progress import Tell, silent
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.unchanged import InputStates
 from stapeskit.vocabulary import named
@@ -102,7 +102,7 @@ class _Known:
     calibration: Calibration | None
 
 
-def ct2mass(options: MassOptions, progress: Tell = untold) -> MassMeasurement:
+def ct2mass(options: MassOptions, progress: Tell = silent) -> MassMeasurement:
     """Find the stapes, its frames and its mass matrix.
 
     Parameters

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.ct2mass import MassMeasurement, ct2mass
-from ct_inertia.volume.progress import Tell, untold
+from stapeskit.progress import Tell, silent
 from stapeskit.results import Result, extended
 
 if TYPE_CHECKING:
@@ -102,6 +102,6 @@ class MassResult(Result, MassMeasurement):
         return tuple(target / name for name in names)
 
 
-def mass_of(options: MassOptions, progress: Tell = untold) -> MassResult:
+def mass_of(options: MassOptions, progress: Tell = silent) -> MassResult:
     """Measure the mass properties of a stapes; see `ct_inertia.ct2mass.ct2mass`."""
     return extended(MassResult, ct2mass(options, progress))

@@ -48,15 +48,18 @@ def _work(arguments: list[str]) -> tuple[Given, Outcome]:
     from fitting.options import KDOptions
     from fitting.report.sections import summary_rows
     from stapeskit.command import Outcome
+    from stapeskit.progress import stage_on_terminal
 
-    result = dof2kd(
-        given.motion,
-        given.mass,
-        given.make(KDOptions),
-        given.out or Path("kd.json"),
-        force=given.force,
-        config=given.config,
-    )
+    with stage_on_terminal(not given.quiet and not given.json) as progress:
+        result = dof2kd(
+            given.motion,
+            given.mass,
+            given.make(KDOptions),
+            given.out or Path("kd.json"),
+            force=given.force,
+            config=given.config,
+            progress=progress,
+        )
     return given, Outcome(
         "stiffness and damping",
         summary_rows(result.fit),

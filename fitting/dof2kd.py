@@ -19,6 +19,7 @@ from fitting.plan.plan_page import plan_page
 from fitting.results import KDResult
 from stapeskit.faults import Fault
 from stapeskit.own_files import OutputSet
+from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
 from stapeskit.records.motion_files import read_motion
 
@@ -48,6 +49,7 @@ def dof2kd(
     *,
     force: bool = False,
     config: Path | None = None,
+    progress: Tell = silent,
 ) -> WrittenFit:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
 
@@ -63,6 +65,8 @@ def dof2kd(
         that is not the one that the motion was computed with.
     config : Path, optional
         The file of options, another input.
+    progress : callable
+        Takes the stage at work, in words.
 
     Raises
     ------
@@ -76,11 +80,14 @@ def dof2kd(
     beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
     outputs = _outputs(out, [motion_path, beside, mass_path, config], force)
     outputs.check()
+    progress("reading motion and mass")
     mass, mass_record = read_mass(mass_path, options.dof)
     motion = read_motion(motion_path)
     chain = check_chain(motion, motion_path.name, mass_record, mass_path, force)
     provenance = record({"motion": motion_path, "mass": mass_path}, options.parameters())
+    progress("fitting stiffness and damping")
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
+    progress("drawing the report")
     with outputs.staged() as folder:
         names = fit.write_into(folder, out.name)
     return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))

@@ -75,13 +75,19 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
     from kinematics.measure_motion import measure, motion_inputs
     from kinematics.motion_outputs import output_set
     from kinematics.options import LdvOptions
+    from stapeskit.progress import stage_on_terminal
 
     ldv = given.make(LdvOptions)
-    inputs = motion_inputs(ldv)
-    outputs = output_set(given.out, [*inputs.by_role.values(), given.config], given.mass, given.force)
-    outputs.check()
-    result = measure(ldv, inputs, given.mass, ["points2dof", *arguments])
-    return given, _outcome(result, _write(given, result, outputs))
+    with stage_on_terminal(not given.quiet and not given.json) as progress:
+        progress("reading the measurement")
+        inputs = motion_inputs(ldv)
+        outputs = output_set(given.out, [*inputs.by_role.values(), given.config], given.mass, given.force)
+        outputs.check()
+        progress("fitting rigid motion, looking for faults")
+        result = measure(ldv, inputs, given.mass, ["points2dof", *arguments])
+        progress("drawing the report")
+        files = _write(given, result, outputs)
+    return given, _outcome(result, files)
 
 
 def _write(options: Given, result: MotionResult, outputs: OutputSet) -> list[Path]:

@@ -27,10 +27,10 @@ from ct_inertia.segment.search import look
 from ct_inertia.segment.sight import SearchOptions, Sight
 from ct_inertia.surface.isosurface import volume_matched
 from ct_inertia.volume.coarse import Glance, calmed, take_glance
-from ct_inertia.volume.progress import Tell, untold
 from ct_inertia.volume.volume import Volume
 from stapeskit.background import Later
 from stapeskit.faults import Fault
+from stapeskit.progress import Tell, silent
 from stapeskit.warnings import unique
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ _NEEDED_LATER = ("numpy.ma", "numpy.random", "ct_inertia.frames.plane_faces", "c
 def find_bodies(
     volume: Volume | None,
     options: SearchOptions | None = None,
-    progress: Tell = untold,
+    progress: Tell = silent,
     glance: Later[Glance] | None = None,
     coat: Coat | None = None,
 ) -> Bodies:

@@ -9,7 +9,7 @@ import pytest
 from ct_inertia.cli import work
 from ct_inertia.ct2mass import ct2mass
 from ct_inertia.options import MassOptions
-from ct_inertia.volume.progress import told_on_terminal
+from stapeskit.progress import stage_on_terminal
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.shapes import stapes
 
@@ -54,7 +54,7 @@ def test_the_command_shows_them_on_a_terminal(monkeypatch, tmp_path, words, show
 
 
 def interrupted():
-    with told_on_terminal(True) as tell:
+    with stage_on_terminal(True) as tell:
         tell("reading")
         raise KeyboardInterrupt
 
@@ -70,6 +70,6 @@ def test_the_line_is_wiped_when_the_work_fails(monkeypatch):
 def test_a_file_gets_no_line(monkeypatch):
     made = io.StringIO()
     monkeypatch.setattr("sys.stderr", made)
-    with told_on_terminal(True) as tell:
+    with stage_on_terminal(True) as tell:
         tell("reading")
     assert made.getvalue() == ""

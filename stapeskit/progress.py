@@ -11,12 +11,12 @@ Tell = Callable[[str], None]
 _CLEAR = "\r\x1b[2K"
 
 
-def untold(_stage: str) -> None:
+def silent(_stage: str) -> None:
     """Show nothing."""
 
 
 @contextmanager
-def told_on_terminal(shown: bool) -> Iterator[Tell]:
+def stage_on_terminal(shown: bool) -> Iterator[Tell]:
     """Lend a function that shows the stage at work, and the time since the start, on standard error.
 
     The line is wiped when the block ends, however it ends.
@@ -27,7 +27,7 @@ def told_on_terminal(shown: bool) -> Iterator[Tell]:
         False: nothing is shown, as when standard error is no terminal.
     """
     if not shown or not sys.stderr.isatty():
-        yield untold
+        yield silent
         return
     start = time.perf_counter()
 
