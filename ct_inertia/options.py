@@ -41,6 +41,15 @@ _FRAMES = "frames"
 _OUTPUT = "output"
 
 
+# Voxels in which a stapes of 3 mm would have 30 000 voxels a side, or less than one.
+_SPACING_MM = (1e-4, 3.0)
+
+
+def _plausible_spacing(spacing_mm: tuple[float, ...]) -> bool:
+    """Return whether voxel sizes can be meant in mm."""
+    return _SPACING_MM[0] <= min(spacing_mm) and max(spacing_mm) <= _SPACING_MM[1]
+
+
 def is_mesh(scan: Path | None) -> bool:
     """Return whether an input is a surface mesh, by its suffix."""
     from ct_inertia.surface.surface import SURFACE_SUFFIXES
@@ -98,6 +107,13 @@ class MassOptions(OptionTable):
             "given by at least one of {density}, {mass_mg} and {calibration}",
             "none of them",
             "Bone has 1400 to 2200 kg/m3",
+        ),
+        Rule(
+            lambda v: v.spacing_mm is not None and not _plausible_spacing(v.spacing_mm),
+            "{spacing}",
+            f"the voxel size in mm, {_SPACING_MM[0]:g} to {_SPACING_MM[1]:g}",
+            next_step="Divide a size in um by 1000; multiply a size in m by 1000",
+            shows="spacing",
         ),
         *(_half_a_layout(name) for name in ("shape", "dtype")),
         *(needs(name, "labels", "whose numbers it names") for name in ("stapes_label", "plate_label")),

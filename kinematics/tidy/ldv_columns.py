@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -16,6 +17,22 @@ POSITION = ("x_mm", "y_mm", "z_mm")
 DIRECTION = ("dir_x", "dir_y", "dir_z")
 _EXTRA = ("n_avg", "coherence")
 KNOWN = ("body", "point", *POSITION, "dir", *DIRECTION, "freq_hz", "run", "repeat", "level", *_EXTRA)
+# Names that people give to columns, and what they are called here.
+_OTHER_NAMES = {
+    "direction": "dir",
+    "beam": "dir",
+    "frequency": "freq_hz",
+    "frequency_hz": "freq_hz",
+    "frequency_[hz]": "freq_hz",
+    "freq": "freq_hz",
+    "f_hz": "freq_hz",
+    "node": "point",
+    "part": "body",
+    "x": "x_mm",
+    "y": "y_mm",
+    "z": "z_mm",
+}
+_WIDE = re.compile(r"(?:^|[_ ])(?:mag|magnitude|phase|amplitude|real|imag\w*)(?:[_ ]|$)")
 
 
 @dataclass(frozen=True)
@@ -109,7 +126,15 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         missing += [name for name in POSITION if name not in header]
     if missing:
         step = "Add the column, or correct its name in the header (points2dof --help lists them)"
-        if POSITION[0] in missing:
+        meant = _meant(missing, header)
+        if set(header).isdisjoint(KNOWN) and any(_WIDE.search(name) for name in header):
+            step = (
+                "It seems to have one column per channel. Write one row per point, beam and frequency: body, "
+                "point, dir, freq_hz, amp_m_s, phase_deg"
+            )
+        elif meant:
+            step = f"Did you mean {meant}?"
+        elif POSITION[0] in missing:
             step = f"Give the positions in the table or with {named('points')}"
         faults.append(Fault("the table", "complete", f"no column {', '.join(missing)}", place, step))
     if "dir" in header and any(name in header for name in DIRECTION):
@@ -136,6 +161,22 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     )
     used = made.numbers | made.texts | {""}
     return replace(made, ignored=tuple(name for name in header if name not in used))
+
+
+def _meant(missing: Sequence[str], header: Sequence[str]) -> str:
+    """Return the missing columns that seem to have another name in the header: ``dir for direction``."""
+    found = []
+    for name in header:
+        wanted = _OTHER_NAMES.get(name.replace(" ", "_"))
+        fixed = name in KNOWN or name.startswith("freq_")
+        near = [] if fixed else get_close_matches(name, missing, 1, 0.75)
+        if wanted == "dir" and DIRECTION[0] in missing:
+            found.append(f"dir for {name}")
+        elif wanted in missing:
+            found.append(f"{wanted} for {name}")
+        elif near:
+            found.append(f"{near[0]} for {name}")
+    return ", ".join(found)
 
 
 def ignored_notice(columns: Columns, file: str) -> list[Notice]:
