@@ -28,6 +28,7 @@ _OTHER_NAMES = {
     "f_hz": "freq_hz",
     "node": "point",
     "part": "body",
+    "bodies": "body",
     "x": "x_mm",
     "y": "y_mm",
     "z": "z_mm",
