@@ -5,10 +5,11 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
-.PHONY: help setup demo test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs site pictures clean
+.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
+	@echo "make cohort       12 simulated ears with a planted law, and the truth beside what was found"
 	@echo "make test         set up and run the tests"
 	@echo "make test-shared  also the tests on data that may not be copied into the repository"
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
@@ -39,6 +40,12 @@ demo: $(READY)
 	$(BIN)/scan2kd sample_volumes/study.toml --out demo
 	$(BIN)/python -m fitting.examples.paper_page demo/paper.html --force
 	@echo "Open demo/report.html"
+
+cohort: $(READY)
+	$(BIN)/python -m sample_volumes.make_cohort demo/cohort
+	$(BIN)/scan2kd demo/cohort/ears/*/study.toml --out demo/cohort/out --jobs 2 --export all
+	$(BIN)/python -m sample_volumes.make_cohort demo/cohort --compare
+	@echo "Open demo/cohort/out/cohort.html"
 
 # one thread of linear algebra per process: two processes share two cores
 test: export OPENBLAS_NUM_THREADS = 1

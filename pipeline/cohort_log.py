@@ -12,6 +12,7 @@ from typing import Self
 
 from pipeline.runners.process import End
 from stapeskit.own_files import RECORDS
+from stapeskit.process import on_forced_end
 
 LIVE_NAME = "cohort.log"
 
@@ -19,8 +20,8 @@ LIVE_NAME = "cohort.log"
 class CohortLog:
     """Writes each line when it comes, with its time, so that the log survives whatever ends the run.
 
-    The file lies in the program's own folder within the output folder. Unless `keep` is called it is removed
-    at the end, with folders that it alone has filled.
+    The file lies in the program's own folder within the output folder. Where no ear was finished it is
+    removed at the end, with folders that it alone has filled.
 
     Parameters
     ----------
@@ -33,13 +34,14 @@ class CohortLog:
 
     def __init__(self, out: Path, ears: int, tell: Callable[[str], None] | None = None) -> None:
         self.path = out / RECORDS / LIVE_NAME
-        self._ears, self._ended, self._kept = ears, 0, False
+        self._ears, self._ended, self._finished = ears, 0, 0
         self._tell = tell or (lambda _line: None)
         self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.path.open("w", encoding="utf-8")
+        on_forced_end(self._close)
         return self
 
     def __exit__(
@@ -47,17 +49,16 @@ class CohortLog:
     ) -> None:
         if value is not None:
             self.tell("", f"{type(value).__name__}: {value}")
+        self._close()
+
+    def _close(self) -> None:
         self._stream.close()
-        if self._kept:
+        if self._finished:
             return
         with suppress(OSError):
-            self.path.unlink()
+            self.path.unlink(missing_ok=True)
             self.path.parent.rmdir()
             self.path.parent.parent.rmdir()
-
-    def keep(self) -> None:
-        """Keep the log: something was finished."""
-        self._kept = True
 
     def tell(self, name: str, line: str) -> None:
         """Write a line about an ear, or about the run where ``name`` is empty."""
@@ -72,6 +73,7 @@ class CohortLog:
     def ended(self, name: str, end: End) -> None:
         """Write how an ear ended, and how many have."""
         self._ended += 1
+        self._finished += end.code == 0
         reason = " ".join(end.fault.split())
         how = "done" if not end.code else f"failed: {reason}"
         self.tell(name, f"{how} ({self._ended} of {self._ears} ears)")

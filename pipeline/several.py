@@ -131,7 +131,6 @@ def run_studies(
         )
         files: list[Path] = []
         if ears:
-            log.keep()
             records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
             with outputs.staged() as fresh:
                 cohort = cohort_laws_or_notice(ears, faults, **choices.for_laws())
@@ -188,7 +187,6 @@ def _run_all(
         done = [name for name, end in ends.items() if not end.code]
         if not done:
             raise
-        log.keep()
         text = f"interrupted; the finished studies stand in {out}: {', '.join(done)}."
         raise KeyboardInterrupt(text) from stop
     return {name: ends[name] for name in studies}

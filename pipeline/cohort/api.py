@@ -42,7 +42,7 @@ class Cohort(CohortLaws, Result):
 
     def plot(self) -> Any:
         """Draw the planned laws with their bands."""
-        from pipeline.cohort.law_page import laws_figure
+        from pipeline.cohort.law_figures import laws_figure
 
         return laws_figure(self)
 

@@ -17,7 +17,7 @@ from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.law import Law, fit_law
 from pipeline.cohort.log_table import LogTable, log_table
 from pipeline.cohort.mass_content import mass_content
-from pipeline.cohort.prediction import Prediction, Predictor, left_out_errors
+from pipeline.cohort.prediction import LeftOut, Prediction, Predictor, left_out
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
@@ -52,15 +52,15 @@ class CohortLaw:
         ``primary`` or ``exploratory``.
     q_value : float
         False discovery rate within the family.
-    prediction_error : float
-        Root mean square of ln y less its prediction from the ears of all other persons.
+    left_out : LeftOut
+        What the ears of all other persons say of each ear that has both quantities.
     """
 
     response: str
     predictor: str
     law: Law
     family: str
-    prediction_error: float
+    left_out: LeftOut
     q_value: float = float("nan")
 
     def as_json(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class CohortLaw:
             "predictor_sd_log": law.tau,
             "reliability": law.reliability,
             "correlation_of_pairs": law.rho,
-            "prediction_error_log": _number(self.prediction_error),
+            "prediction_error_log": _number(self.left_out.rms),
             "n": law.n,
         }
 
@@ -168,13 +168,13 @@ class CohortLaws:
         shared = float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
         columns = table.covariates.of_ear(stated(ear))
         x = float(alone.values[0, column])
-        return self._predictor(law).predict(x, float(variance), shared, columns)
+        return self.predictor(law).predict(x, float(variance), shared, columns)
 
     def tolerance(self, response: str, predictor: str = "mass") -> tuple[float, float]:
         """Return the 95 % range of ln of a response over ears of this population: "is this ear normal"."""
-        return self._predictor(self.law(response, predictor)).tolerance()
+        return self.predictor(self.law(response, predictor)).tolerance()
 
-    def _predictor(self, law: CohortLaw) -> Predictor:
+    def predictor(self, law: CohortLaw) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
         key = (law.response, law.predictor)
         if key not in self._predictors:
@@ -318,11 +318,8 @@ def _law(table: LogTable, response: str, predictor: str, planned: bool) -> Cohor
         return None
     if min(float(np.ptp(pairs.x)), float(np.ptp(pairs.y))) < 1e-9 or not pairs.covariates_are_independent():
         return None
-    errors = left_out_errors(pairs)
-    known = errors[np.isfinite(errors)]
-    error = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
     family = "primary" if planned else "exploratory"
-    return CohortLaw(response, predictor, fit_law(pairs), family, error)
+    return CohortLaw(response, predictor, fit_law(pairs), family, left_out(pairs))
 
 
 def _components(table: LogTable) -> Components | None:

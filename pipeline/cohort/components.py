@@ -27,7 +27,8 @@ class Components:
     sd : ndarray, (p,)
         Standard deviations of the components of the true logarithms over ears, the largest first.
     loadings : ndarray, (p, p)
-        Row k: what one standard deviation of component k changes in the logarithm of each quantity.
+        Row k: what one standard deviation of component k changes in the logarithm of each quantity; the
+        sign, which is free, makes the largest entry positive.
     """
 
     estimate: int
@@ -90,7 +91,9 @@ def independent_parameters(
     sd, axes = np.linalg.eigh(between)
     order = np.argsort(sd)[::-1]
     sizes = np.sqrt(np.maximum(sd[order], 0.0))
-    return Components(lower, (lower, upper), sizes, (axes[:, order] * sizes).T)
+    loadings = (axes[:, order] * sizes).T
+    signs = np.sign(loadings[np.arange(p), np.argmax(np.abs(loadings), axis=1)])
+    return Components(lower, (lower, upper), sizes, loadings * np.where(signs == 0.0, 1.0, signs)[:, None])
 
 
 def _intrinsic(values: Array, own: Array) -> Array:

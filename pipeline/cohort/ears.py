@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,10 @@ class Quantity:
         good = self.values[np.isfinite(self.values)]
         return float(np.std(good, ddof=1)) if len(good) > 1 else float("nan")
 
+    def mirrored(self, right: NDArray[np.bool_]) -> Quantity:
+        """Return the quantity with right ears as their mirror images on the left; ``right`` is (ears,)."""
+        return replace(self, values=np.where(right & self.turns, -self.values, self.values))
+
     def homogeneity(self) -> tuple[float, int, float]:
         """Return Cochran's Q of "all ears are alike", its degrees of freedom and its p-value.
 
@@ -131,7 +135,7 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     for letter, key in (("K", "stiffness"), ("D", "damping")):
         for row, first in enumerate(dof):
             for second in dof[row:]:
-                unit = _unit(letter, first, second)
+                unit = unit_of_entry(letter, first, second)
                 found.append(
                     _quantity(
                         ears,
@@ -207,7 +211,9 @@ def _quantity(
     numbers = [np.array([_float(read(ear)) for ear in ears]) for read in (value, deviation)]
     own = None
     if shared is not None:
-        own = np.sqrt(np.maximum(numbers[1] ** 2 - np.array([shared(ear) for ear in ears]), 0.0))
+        variance = numbers[1] ** 2 - np.array([shared(ear) for ear in ears])
+        # What rounding leaves of a difference is no error of an ear.
+        own = np.sqrt(np.where(variance < 1e-9 * numbers[1] ** 2, 0.0, variance))
     return Quantity(name, unit, numbers[0], numbers[1], turns, own)
 
 
@@ -231,7 +237,8 @@ def _mode(kd: Mapping[str, Any], mode: int, key: str) -> float | None:
     return kd["modes"][mode].get(key) if mode < len(kd["modes"]) else None
 
 
-def _unit(letter: str, first: str, second: str) -> str:
+def unit_of_entry(letter: str, first: str, second: str) -> str:
+    """Return the SI unit of an entry of K or D between two degrees of freedom."""
     turns = sum(name in ("alpha", "beta", "gamma") for name in (first, second))
     force = "N" if letter == "K" else "N s"
     return (f"{force}/m", force, f"{force} m/rad")[turns]
@@ -243,19 +250,9 @@ def labels(ears: Sequence[Ear]) -> list[str]:
     return [ear.name if times[ear.name] == 1 else f"{ear.name} ({ear.folder})" for ear in ears]
 
 
-def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] | None = None) -> None:
-    """Write one row per ear: name, side, warnings, and each quantity with its sd; SI units in the names.
-
-    Parameters
-    ----------
-    path : Path
-    ears : sequence of Ear
-    faults : mapping of str to str, optional
-        Studies that failed, by folder, and why: rows at the end with nothing but the column error.
-    """
+def ear_table(ears: Sequence[Ear]) -> Any:
+    """Return a pandas table, one row per ear: name, side, warnings, each quantity with its sd; SI units."""
     import pandas as pd
-
-    failed = {} if faults is None else faults
 
     columns: dict[str, Any] = {
         "study": [as_text_cell(ear.name) for ear in ears],
@@ -268,8 +265,23 @@ def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] 
         end = _column_unit(one.unit)
         columns[f"{one.name}{end}"] = one.values
         columns[f"{one.name}_sd{end}"] = one.deviations
-    columns["error"] = [""] * len(ears)
-    table = pd.DataFrame(columns)
+    return pd.DataFrame(columns)
+
+
+def write_cohort_csv(path: Path, ears: Sequence[Ear], faults: Mapping[str, str] | None = None) -> None:
+    """Write `ear_table` and a column error.
+
+    Parameters
+    ----------
+    path : Path
+    ears : sequence of Ear
+    faults : mapping of str to str, optional
+        Studies that failed, by folder, and why: rows at the end with nothing but the column error.
+    """
+    import pandas as pd
+
+    failed = {} if faults is None else faults
+    table = ear_table(ears).assign(error="")
     if failed:
         errors = [as_text_cell(" ".join(text.split())) for text in failed.values()]
         names = [as_text_cell(name) for name in failed]

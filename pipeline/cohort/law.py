@@ -94,13 +94,11 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> Law:
         raise ValueError(f"a law of {2 + pairs.covariates.shape[1]} unknowns needs more ears; got {pairs.n}")
     profile = Profile(pairs.centred().without_common_errors())
     best = profile.best
-    from scipy.special import stdtr, stdtrit
+    from scipy.special import stdtrit
 
     k = pairs.degrees
     limit = (k + 1) * np.log1p(stdtrit(k, 0.5 * (1.0 + level)) ** 2 / k)
     interval = (profile.side(-1.0, limit), profile.side(1.0, limit))
-    # The interval of a restricted likelihood is the same for x and y about any origin, and so is its test.
-    t = np.sqrt(max(k * np.expm1(profile.rise(0.0) / (k + 1)), 0.0))
     tau, b, sigma = np.exp(best.point[0]), best.point[1], np.exp(best.point[2])
     _, mean, _ = profile.likelihood.means(best.point)
     error = float(np.median(pairs.own[:, 0, 0]))
@@ -113,7 +111,7 @@ def fit_law(pairs: LogPairs, level: float = 0.95) -> Law:
         n=pairs.n,
         exponent=float(b),
         interval=(float(interval[0]), float(interval[1])),
-        p_value=float(2.0 * stdtr(k, -t)),
+        p_value=profile.p_value(),
         tau=float(tau),
         sigma=float(sigma),
         sigma_interval=scatter_interval(pairs, float(b), level),
@@ -179,6 +177,14 @@ class Profile:
     def rise(self, b: float) -> float:
         """Return w(b), twice the drop of the restricted log likelihood."""
         return max(2.0 * (self.at(b).value - self.best.value), 0.0)
+
+    def p_value(self, b: float = 0.0) -> float:
+        """Return the two-sided p-value of an exponent, by default of none at all."""
+        from scipy.special import stdtr
+
+        k = self._pairs.degrees
+        t = np.sqrt(max(k * np.expm1(self.rise(b) / (k + 1)), 0.0))
+        return float(2.0 * stdtr(k, -t))
 
     def side(self, sign: float, limit: float) -> float:
         """Return where w reaches a limit on one side of the estimate; infinite where it does not."""

@@ -1,63 +1,75 @@
-"""Sections of cohort.html on the laws: pictures with bands and error ellipses, tables, components."""
+"""Sections of cohort.html on laws: figures, tables, influence of single ears, components, left and right."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
-from pipeline.cohort.pairs import LogPairs
-from pipeline.cohort.prediction import Predictor
+from pipeline.cohort.ears import labels, unit_of_entry
+from pipeline.cohort.law_figures import (
+    components_figure,
+    exponents_figure,
+    laws_figure,
+    paired_ears,
+    pairs_figure,
+    residuals_figure,
+)
+from pipeline.cohort.law_labels import law_name
 from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
 
-_BLUE, _GREY, _BAND = "#0b6e99", "#9aa5b1", "#d7e8f0"
-# Quantities for people: label, factor from SI.
-_SHOWN = {
-    "mass_kg": ("mass (mg)", 1e6),
-    "J1_kg_m2": ("J1 (mg mm²)", 1e12),
-    "J2_kg_m2": ("J2 (mg mm²)", 1e12),
-    "J3_kg_m2": ("J3 (mg mm²)", 1e12),
-    "footplate_area_m2": ("footplate area (mm²)", 1e6),
-    "footplate_length_m": ("footplate length (mm)", 1e3),
-    "footplate_width_m": ("footplate width (mm)", 1e3),
-    "height_m": ("height (mm)", 1e3),
-    "gap_m": ("gap (mm)", 1e3),
-}
+# From so many ears on pictures are pixels: drawn as paths they would be larger than the rest of the page.
+MOST_AS_PATHS = 60
+_MOST_NAMED = 10
 
 
 def law_sections(cohort: CohortLaws) -> list[Section]:
-    """Return the sections on laws; a cohort without laws says why."""
-    said = [page.notices(cohort.notices)] if cohort.notices else []
+    """Return the sections on laws; a cohort without laws gives the reason."""
+    notices = [page.notices(cohort.notices)] if cohort.notices else []
     if not cohort.laws or cohort.table is None:
-        return [Section("Laws", said)] if said else []
+        return [Section("Laws", notices, "laws")] if notices else []
     primary = [law for law in cohort.laws if law.family == "primary"]
     others = sorted(
         (law for law in cohort.laws if law.family == "exploratory"), key=lambda law: law.law.p_value
     )
-    blocks = [
-        page.text(
-            "Laws ln y = a + b ln x with errors of measurement in both and scatter of the ears about the law "
-            "(restricted maximum likelihood; 95 % intervals by the profile). Planned laws come first; the "
-            "others are exploratory: their q is the share of false findings among those with a q as small."
-        ),
-        *said,
-        page.figure(
-            laws_figure(cohort),
-            "Planned laws. Points: ears with ellipses of one standard deviation of their own errors; line: "
-            "law; band: 95 % of further ears.",
-            "responses over predictors, with laws and bands",
-        ),
-        page.table(_HEADER, [_row(law) for law in primary]),
-        page.subheading("Exponents of the planned laws"),
-        page.figure(
-            _forest(primary), "Exponents with 95 % intervals; arrows: not bounded by the data.", "forest plot"
-        ),
-        page.folded("Exploratory laws", page.table(_HEADER, [_row(law) for law in others])),
+    as_paths = len(cohort.ears) <= MOST_AS_PATHS
+    adjusted = ", ".join(cohort.table.covariates.names)
+    words = (
+        "Laws ln y = a + b ln x with errors of measurement in both and scatter of the ears about the law "
+        "(restricted maximum likelihood; 95 % intervals by the profile). Planned laws come first; the "
+        "others are exploratory: their q is the share of false findings among those with a q as small."
+    )
+    blocks = [page.text(words), *notices]
+    if adjusted:
+        blocks.append(page.text(f"Adjusted for {adjusted}."))
+    if primary:
+        blocks += [
+            page.figure(
+                laws_figure(cohort),
+                "Planned laws. Points: ears, with ellipses of one standard deviation of their own errors; "
+                "line: law; band: 95 % of further ears.",
+                "responses over predictors, with laws and bands",
+                vector=as_paths,
+            ),
+            page.table(_HEADER, [_row(law) for law in primary]),
+            page.subheading("Exponents of the planned laws"),
+            page.figure(
+                exponents_figure(primary),
+                "Exponents with 95 % intervals; arrows: not bounded by the data.",
+                "forest plot",
+            ),
+        ]
+    blocks.append(page.folded("Exploratory laws", page.table(_HEADER, [_row(law) for law in others])))
+    return [
+        Section("Laws", blocks, "laws"),
+        *_influence_section(cohort, primary, as_paths),
+        *_normal_section(cohort),
+        *_component_section(cohort),
+        *_pairs_section(cohort),
     ]
-    return [Section("Laws", blocks), *_component_section(cohort)]
 
 
 _HEADER = ("law", "exponent", "95 %", "p", "q", "scatter (ln)", "95 %", "prediction error (ln)", "ears")
@@ -67,82 +79,67 @@ def _row(one: CohortLaw) -> tuple[str, ...]:
     law = one.law
     low, high = law.sigma_interval
     return (
-        f"{one.response} ~ {_label(one.predictor)}",
+        law_name(one),
         f"{law.exponent:.2f}",
         " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in law.interval),
         f"{law.p_value:.2g}",
         f"{one.q_value:.2g}",
         f"{law.sigma:.3f}",
         f"{low:.3f} to {high:.3f}",
-        f"{one.prediction_error:.3f}",
+        f"{one.left_out.rms:.3f}",
         str(law.n),
     )
 
 
-def _label(predictor: str) -> str:
-    return _SHOWN.get(predictor, (predictor, 1.0))[0]
+def _influence_section(cohort: CohortLaws, primary: Sequence[CohortLaw], as_paths: bool) -> list[Section]:
+    """Return residuals of ears left out, and how much each ear moves an exponent."""
+    if not primary or cohort.table is None:
+        return []
+    named, rows = dict(zip((ear.folder for ear in cohort.ears), labels(cohort.ears), strict=True)), []
+    for one in primary:
+        _, keep = cohort.table.pairs(one.response, one.predictor)
+        ears = [folder for folder, used in zip(cohort.table.ears, keep, strict=True) if used]
+        change = one.left_out.exponents - one.law.exponent
+        for k in np.argsort(-np.abs(np.nan_to_num(change)))[:2]:
+            if np.isfinite(change[k]):
+                error = one.left_out.errors[k]
+                rows.append((law_name(one), named[ears[k]], f"{change[k]:+.2f}", f"{error:+.2f}"))
+    blocks = [
+        page.text(
+            "Each ear against what the ears of all other persons predict from its predictor. An ear far from "
+            "zero does not follow the law; an ear that moves the exponent by as much as the half width of "
+            "its interval carries the law alone."
+        ),
+        page.figure(
+            residuals_figure(cohort, primary),
+            "ln of the response less its prediction, over the predictor; band: two standard deviations of "
+            "the scatter.",
+            "residuals of ears left out",
+            vector=as_paths,
+        ),
+    ]
+    if rows:
+        blocks.append(
+            page.table(("law", "ear", "change of exponent without it", "residual (ln)"), rows, named_by=2)
+        )
+    return [Section("Residuals and influence", blocks, "influence")]
 
 
-def laws_figure(cohort: CohortLaws) -> Any:
-    """Draw one panel for each planned law."""
-    laws = [law for law in cohort.laws if law.family == "primary"]
-    columns = 3
-    lines = max(-(-len(laws) // columns), 1)
-    drawing = page.new_figure(10.5, 3.1 * lines)
-    panels = drawing.subplots(lines, columns, squeeze=False).ravel()
-    for panel, one in zip(panels, laws, strict=False):
-        if cohort.table is not None:
-            _draw_law(panel, one, cohort.table.pairs(one.response, one.predictor)[0])
-    for panel in panels[len(laws) :]:
-        panel.set_axis_off()
-    return drawing
-
-
-def _draw_law(panel: Any, one: CohortLaw, pairs: LogPairs) -> None:
-    factor = _SHOWN.get(one.predictor, ("", 1.0))[1]
-    angle = np.linspace(0.0, 2.0 * np.pi, 41)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    for value, covariance in zip(pairs.values, pairs.own, strict=True):
-        sizes, axes = np.linalg.eigh(covariance)
-        ellipse = value[:, None] + axes * np.sqrt(np.maximum(sizes, 0.0)) @ circle
-        panel.plot(np.exp(ellipse[0]) * factor, np.exp(ellipse[1]), color=_GREY, lw=0.7)
-    margin = 0.1 * float(np.ptp(pairs.x))
-    x = np.linspace(pairs.x.min() - margin, pairs.x.max() + margin, 25)
-    predictor = Predictor(pairs)
-    ends = np.array([predictor.predict(float(at)).interval for at in x])
-    panel.fill_between(np.exp(x) * factor, np.exp(ends[:, 0]), np.exp(ends[:, 1]), color=_BAND, lw=0)
-    panel.plot(np.exp(x) * factor, np.exp(one.law.intercept + one.law.exponent * x), color=_BLUE, lw=1.5)
-    panel.plot(np.exp(pairs.x) * factor, np.exp(pairs.y), "o", color=_BLUE, ms=4)
-    panel.set(xlabel=_label(one.predictor), ylabel=f"{one.response} (SI)")
-    panel.tick_params(labelsize=8)
-    panel.grid(True, color="#eef1f4")
-    panel.spines[["top", "right"]].set_visible(False)
-
-
-def _forest(laws: Sequence[CohortLaw]) -> Any:
-    drawing = page.new_figure(7.5, 0.5 + 0.4 * len(laws))
-    panel = drawing.subplots()
-    ends = np.array([one.law.interval for one in laws], dtype=float)
-    finite = ends[np.isfinite(ends)]
-    exponents = [one.law.exponent for one in laws]
-    limits = (min([*exponents, *finite]) - 1.0, max([*exponents, *finite]) + 1.0)
-    for place, one in enumerate(laws):
-        low, high = np.clip(np.nan_to_num(one.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
-        panel.plot([low, high], [place, place], color=_BLUE, lw=1.5)
-        for end, open_end, marker in zip((low, high), ~np.isfinite(one.law.interval), "<>", strict=True):
-            if open_end:
-                panel.plot(end, place, marker, color=_BLUE, ms=6)
-        panel.plot(one.law.exponent, place, "o", color=_BLUE, ms=5)
-    panel.axvline(0.0, color=_GREY, lw=1)
-    panel.set(
-        xlim=limits,
-        yticks=range(len(laws)),
-        yticklabels=[f"{one.response} ~ {_label(one.predictor)}" for one in laws],
-        xlabel="exponent",
-    )
-    panel.invert_yaxis()
-    panel.spines[["top", "right"]].set_visible(False)
-    return drawing
+def _normal_section(cohort: CohortLaws) -> list[Section]:
+    """Return the range of each response over ears of this population."""
+    units = {
+        f"{letter}{k + 1}{k + 1}": unit_of_entry(letter, name, name)
+        for letter in "KD"
+        for k, name in enumerate(cohort.ears[0].kd["dof"])
+    }
+    rows = [
+        (f"{name} ({units[name]})" if name in units else name, f"{low:.4g} to {high:.4g}")
+        for name, (low, high) in cohort.normal_ranges().items()
+    ]
+    if not rows:
+        return []
+    text = "95 % of further ears of this population lie within these, whatever their size."
+    return [Section("Normal ranges", [page.text(text), page.table(("", "95 %"), rows)], "normal_ranges")]
 
 
 def _component_section(cohort: CohortLaws) -> list[Section]:
@@ -152,14 +149,63 @@ def _component_section(cohort: CohortLaws) -> list[Section]:
         return []
     low, high = found.interval
     names = [name for name in table.responses if "principal" not in name]
+    shown = max(high, 1)
     rows = [
         (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in found.loadings[k]))
-        for k, size in enumerate(found.sd[: max(high, 1)])
+        for k, size in enumerate(found.sd[:shown])
     ]
+    plural = "" if found.estimate == 1 else "s"
     words = (
-        f"The ears vary in {found.estimate} independent way{'s' if found.estimate != 1 else ''} by more "
-        f"than 5 % "
-        f"beyond their errors (95 %: {low} to {high}). Rows: what one standard deviation of each changes in "
-        "the logarithms."
+        f"The ears vary in {found.estimate} independent way{plural} by more than 5 % beyond their errors "
+        f"(95 %: {low} to {high}). Rows: what one standard deviation of each changes in the logarithms. "
+        "Quantities that change together could be one parameter of a model."
     )
-    return [Section("Independent parameters", [page.text(words), page.table(("", "sd (ln)", *names), rows)])]
+    figure = page.figure(
+        components_figure(names, found, max(low, 1)),
+        "What one standard deviation of each component changes, as a factor.",
+        "loadings of the components",
+    )
+    blocks = [page.text(words), figure, page.table(("", "sd (ln)", *names), rows)]
+    return [Section("Independent parameters", blocks, "components")]
+
+
+def _pairs_section(cohort: CohortLaws) -> list[Section]:
+    """Return left against right ears of the same persons."""
+    pairs = paired_ears(cohort)
+    if len(pairs) < 2:
+        return []
+    rhos = [law.law.rho for law in cohort.laws if law.family == "primary"]
+    words = f"{len(pairs)} persons have both ears in the cohort."
+    if rhos:
+        words += f" Estimated correlation of the two ears in the planned laws: {_span(rhos)}."
+    rows = [(subject, *_ratios(cohort, left, right)) for subject, left, right in pairs[:_MOST_NAMED]]
+    header = ("person", *(f"{name} left / right" for name in _responses(cohort)))
+    figure = page.figure(
+        pairs_figure(cohort, pairs),
+        "Left against right ears of the same persons; line: equal.",
+        "left against right",
+    )
+    return [Section("Left and right", [page.text(words), figure, page.table(header, rows)], "pairs")]
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = min(values), max(values)
+    return f"{low:.2f}" if high - low < 0.005 else f"{low:.2f} to {high:.2f}"
+
+
+def _responses(cohort: CohortLaws) -> list[str]:
+    return [] if cohort.table is None else [n for n in cohort.table.responses if "principal" not in n]
+
+
+def _ratios(cohort: CohortLaws, left: int, right: int) -> list[str]:
+    """Return the ratio of each response of two ears, with its standard deviation."""
+    table = cohort.table
+    if table is None:
+        return []
+    cells = []
+    for name in _responses(cohort):
+        column = table.column(name)
+        ratio = float(np.exp(table.values[left, column] - table.values[right, column]))
+        variance = table.own[left, column, column] + table.own[right, column, column]
+        cells.append(plus_minus(ratio, ratio * float(np.sqrt(variance))) if np.isfinite(ratio) else "–")
+    return cells

@@ -58,6 +58,8 @@ class LogTable:
     subject : ndarray of int, (n,)
     notices : tuple of Notice
     covariates : Covariates
+    ears : tuple of str
+        Folders of the ears, one a row.
     """
 
     predictors: tuple[str, ...]
@@ -69,6 +71,7 @@ class LogTable:
     subject: NDArray[np.int64]
     notices: tuple[Notice, ...]
     covariates: Covariates
+    ears: tuple[str, ...]
 
     def column(self, name: str) -> int:
         """Return the column of a quantity.
@@ -148,6 +151,7 @@ def log_table(ears: Sequence[Ear], covariates: Covariates | None = None) -> LogT
         np.array([known.index(person) for person in persons]),
         tuple(dict.fromkeys(notice for row in rows for notice in row.notices)),
         Covariates((), np.zeros((len(ears), 0))) if covariates is None else covariates,
+        tuple(ear.folder for ear in ears),
     )
 
 

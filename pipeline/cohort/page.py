@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
+from pipeline.cohort.covariates import stated
 from pipeline.cohort.ears import Ear, Quantity, labels, quantities
-from pipeline.cohort.law_page import law_sections
+from pipeline.cohort.law_page import MOST_AS_PATHS, law_sections
 from stapeskit.page import page
 from stapeskit.page.drawings import plain
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page
 
-_FEW = 5
+# Up to so many ears tables have a column for each; up to so many they are not folded.
+_FEW, _SOME = 5, 20
 
 
 def write_cohort_page(
@@ -42,7 +44,8 @@ def write_cohort_page(
         for ear in ears
     ]
     header = ("study", "folder", "side", "degrees of freedom", "estimator", "warnings")
-    made.section("Studies", page.table(header, rows, words=True))
+    table = page.table(header, rows, words=True)
+    made.section("Studies", table if len(ears) <= _SOME else page.folded(f"All {len(ears)} studies", table))
     made.sections.extend([] if cohort is None else law_sections(cohort))
     made.section("Side by side", *_side_by_side(ears, found))
     made.section("Do the ears differ?", *_comparison(ears, found))
@@ -56,16 +59,17 @@ def _side_by_side(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
             _figure(ears, [one for one in found if _on_diagonal(one)]),
             "Each ear with two standard deviations of its own; line: plain mean.",
             "values of all ears with error bars",
+            vector=len(ears) <= MOST_AS_PATHS,
         )
     ]
     for heading, part in _groups(found):
-        blocks.append(page.subheading(heading))
         if len(ears) <= _FEW:
             cells = [(_headed(one), *(_cell(one, k) for k in range(len(ears)))) for one in part]
-            blocks.append(page.table(("", *labels(ears)), cells))
+            table = page.table(("", *labels(ears)), cells)
         else:
             cells = [(name, *(_cell(one, k) for one in part)) for k, name in enumerate(labels(ears))]
-            blocks.append(page.table(("study", *map(_headed, part)), cells))
+            table = page.table(("study", *map(_headed, part)), cells)
+        blocks += [page.subheading(heading), table] if len(ears) <= _SOME else [page.folded(heading, table)]
     return blocks
 
 
@@ -83,15 +87,21 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
     for panel, one in zip(panels, shown, strict=False):
         places = np.arange(len(ears))
         panel.errorbar(
-            places, one.values, 2.0 * np.nan_to_num(one.deviations), fmt="o", ms=4, color="#0b6e99", capsize=3
+            places,
+            one.values,
+            2.0 * np.nan_to_num(one.deviations),
+            fmt="o",
+            ms=4 if len(ears) <= MOST_AS_PATHS else 2,
+            color="#0b6e99",
+            capsize=3 if len(ears) <= MOST_AS_PATHS else 0,
         )
         panel.axhline(one.mean, color="#9aa5b1", lw=1, zorder=0)
         panel.set_title(_headed(one), fontsize=9, loc="right")
-        panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places)
+        step = -(-len(ears) // _SOME)
+        panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places[::step])
         few = len(ears) <= _FEW
-        panel.set_xticklabels(
-            [_narrow(one) if few else str(k + 1) for k, one in enumerate(named)], fontsize=8
-        )
+        ticks = [_narrow(one) if few else str(k + 1) for k, one in enumerate(named)]
+        panel.set_xticklabels(ticks[::step], fontsize=8)
         panel.tick_params(axis="y", labelsize=8)
         panel.grid(True, axis="y", color="#eef1f4")
         panel.spines[["top", "right"]].set_visible(False)
@@ -133,10 +143,12 @@ def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
     """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
     if len(ears) < 2:
         return [page.text("One ear alone cannot be compared.")]
-    mixed = len({ear.side for ear in ears}) > 1 or not all(ear.side for ear in ears)
+    sides = [str(stated(ear).get("side", "")) for ear in ears]
+    known = set(sides) <= {"left", "right"}
+    right = np.array([side == "right" for side in sides])
     rows = []
-    for one in found:
-        if one.turns and mixed:
+    for one in (quantity.mirrored(right) for quantity in found):
+        if one.turns and not known:
             continue
         q, count, p = one.homogeneity()
         sd = one.deviations if one.own is None else one.own
@@ -154,11 +166,16 @@ def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
             "frequencies."
         ),
     ]
-    if mixed:
+    if not known or len(set(sides)) > 1:
+        turned = (
+            "right ears enter as their mirror images on the left"
+            if known
+            else "the side of some ears is not known, and these entries are not compared"
+        )
         blocks.append(
             page.text(
-                "The ears are not all known to be of one side: z is superior in a left ear and inferior in a "
-                "right one, so that entries which change their sign between mirror images are not compared."
+                "z is superior in a left ear and inferior in a right one, so that some entries change their "
+                f"sign between mirror images: {turned}."
             )
         )
     return blocks

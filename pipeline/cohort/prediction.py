@@ -158,12 +158,35 @@ def _grid(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
     return points, volume
 
 
-def left_out_errors(pairs: LogPairs) -> Array:
-    """Return ln y of every ear less its prediction from the ears of all other persons, (n,)."""
+@dataclass(frozen=True)
+class LeftOut:
+    """What the ears of all other persons say of each ear.
+
+    Attributes
+    ----------
+    errors : ndarray, (n,)
+        ln y less its prediction; NaN where the others are too few.
+    exponents : ndarray, (n,)
+        The exponent without the ear; NaN where there are so many ears that one hardly changes it.
+    """
+
+    errors: Array
+    exponents: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the errors; NaN where there are none."""
+        known = self.errors[np.isfinite(self.errors)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def left_out(pairs: LogPairs) -> LeftOut:
+    """Predict every ear from the ears of all other persons."""
     centred = pairs.centred().without_common_errors()
     whole = Profile(centred).best.point
+    exponents = np.full(pairs.n, np.nan)
     if pairs.n > _REFITTED:
-        return _left_out_of_many(centred, whole)
+        return LeftOut(_left_out_of_many(centred, whole), exponents)
     errors = np.full(pairs.n, np.nan)
     for subject in np.unique(pairs.subject):
         out = pairs.subject == subject
@@ -174,12 +197,12 @@ def left_out_errors(pairs: LogPairs) -> Array:
         likelihood = RestrictedLikelihood(rest)
         rows = centred.covariates[out]
         means = np.concatenate([likelihood.means(point, row)[1] for row in rows])
-        errors[out] = _residuals(centred.select(out), point, means)
-    return errors
+        errors[out], exponents[out] = _residuals(centred.select(out), point, means), point[1]
+    return LeftOut(errors, exponents)
 
 
 def _left_out_of_many(pairs: LogPairs, point: Array) -> Array:
-    """Return the same with tau, b and sigma of all ears, which one of many hardly changes."""
+    """Return the errors with tau, b and sigma of all ears, which one of many hardly changes."""
     weight = np.linalg.inv(covariance_between_ears(point[None])[0] + pairs.own)
     design = np.einsum("nc,ij->nicj", np.column_stack([np.ones(pairs.n), pairs.covariates]), np.eye(2))
     design = design.reshape(pairs.n, 2, -1)

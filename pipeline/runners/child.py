@@ -14,27 +14,25 @@ import threading
 import time
 import traceback
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from stapeskit.faults import StapeskitError
+from stapeskit.process import listen
 
-_PARENT_CHECK_S = 0.2  # how long an orphan may live; a study takes seconds before it writes
+_PARENT_CHECK_S = 0.1  # how long an orphan may live; a study takes seconds before it writes
+_PATIENCE_S = 0.3  # less than that of the process that waits for this one
 
 
 def end_with_parent() -> None:
-    """Leave at once when the parent process is gone, whatever this process does then."""
+    """Ask this process to leave when its parent is gone."""
     parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(_PARENT_CHECK_S)
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _stop(_signal: int, _frame: object) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def run_child(words: list[str]) -> dict[str, Any]:
@@ -59,8 +57,8 @@ def run_child(words: list[str]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    listen("scan2kd", _PATIENCE_S)
     end_with_parent()
-    signal.signal(signal.SIGTERM, _stop)
     given = sys.argv[1:]
     sys.argv = ["scan2kd", *(Path(word).name for word in given[:1])]  # the command in the provenance
     sys.stdout.write(json.dumps(run_child(given)) + "\n")

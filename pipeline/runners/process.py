@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _PATIENCE_S = 20.0  # for the process to clean up after it was asked to leave
+_ASK_AGAIN_S = 3.0  # not sooner: a second signal would interrupt the cleaning up
 _POLL_S = 0.02
 _MEMORY_POLLS = 10  # memory is looked at once in so many polls
 # One thread each: sums then have one order, and the numbers do not depend on how many studies run at a time.
@@ -154,7 +155,7 @@ def _read_end(code: int, output: dict[str, str]) -> End:
 
 
 def _end_process(process: subprocess.Popen[str]) -> None:
-    """Ask a process to clean up and leave, again each second, and end it when it does not.
+    """Ask a process to clean up and leave, again after a while, and end it when it does not.
 
     Once is not enough: an exception that a signal raises within a callback of the import machinery is lost.
     """
@@ -162,7 +163,7 @@ def _end_process(process: subprocess.Popen[str]) -> None:
     while time.monotonic() < deadline:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(1.0)
+            process.wait(_ASK_AGAIN_S)
             return
     process.kill()
 

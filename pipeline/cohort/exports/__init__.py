@@ -33,4 +33,10 @@ class Export(NamedTuple):
 
 EXPORTS = {
     "csv": Export("laws_csv", ("cohort_laws.csv",), "table of the laws"),
+    "xlsx": Export("xlsx", ("cohort.xlsx",), "workbook of ears, laws and components"),
+    "latex": Export("latex", ("cohort.tex",), "tables of ears and planned laws"),
+    "svg": Export("svg", ("cohort_laws.svg", "cohort_exponents.svg"), "figures of the planned laws"),
+    "hdf5": Export("hdf5", ("cohort.h5",), "all matrices with their covariances"),
+    # the last one: it lists the files of the others
+    "rocrate": Export("rocrate", ("ro-crate-metadata.json",), "RO-Crate description of the run"),
 }

@@ -10,7 +10,7 @@ from pipeline.cohort.covariates import covariates_of
 from pipeline.cohort.ears import Ear
 from pipeline.cohort.law import fit_law
 from pipeline.cohort.pairs import LogPairs
-from pipeline.cohort.prediction import Predictor, left_out_errors
+from pipeline.cohort.prediction import Predictor, left_out
 from pipeline.errors import PipelineError
 
 
@@ -83,10 +83,10 @@ def test_predictions_follow_the_covariates_of_an_ear(confounded):
     few = LogPairs(
         confounded.x[:12], confounded.y[:12], confounded.own[:12], covariates=confounded.covariates[:12]
     )
-    assert np.std(left_out_errors(few)) < 0.25
+    assert np.std(left_out(few).errors) < 0.25
 
 
 def test_leaving_out_many_knows_the_covariates(confounded, monkeypatch):
-    refitted = left_out_errors(confounded)
+    refitted = left_out(confounded).errors
     monkeypatch.setattr("pipeline.cohort.prediction._REFITTED", 1)
-    assert left_out_errors(confounded) == pytest.approx(refitted, abs=0.05)
+    assert left_out(confounded).errors == pytest.approx(refitted, abs=0.05)

@@ -76,16 +76,20 @@ def test_entries_that_turn_with_the_side(finished):
     assert turns == wanted
 
 
-def test_page_compares_only_what_can_be_compared(finished, tmp_path):
+def test_right_ears_are_compared_as_mirror_images(finished, tmp_path):
     left, right = ears_like(finished, 1)[0], ears_like(finished, 1, "right")[0]
-    write_cohort_page(tmp_path / "same.html", [left, left], {})
-    write_cohort_page(tmp_path / "mixed.html", [left, right], {"ear 9": "no scan"})
+    unknown = ears_like(finished, 1, "")[0]
+    write_cohort_page(tmp_path / "same.html", [left, right], {})
+    write_cohort_page(tmp_path / "mixed.html", [left, unknown], {"ear 9": "no scan"})
     same, mixed = ((tmp_path / name).read_text(encoding="utf-8") for name in ("same.html", "mixed.html"))
     assert same.count("K(y, alpha)") == 2
     assert mixed.count("K(y, alpha)") == 1
     assert "no scan" in mixed
     assert "http://" not in same
     assert "https://" not in same
+    entry = next(one for one in quantities([left, right]) if one.name == "K_y_alpha")
+    turned = entry.mirrored(np.array([False, True]))
+    assert turned.values[1] == -turned.values[0]
 
 
 def test_studies_of_one_name_are_told_apart(finished, tmp_path):

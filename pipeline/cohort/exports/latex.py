@@ -1,0 +1,94 @@
+"""Tables of a cohort for LaTeX (booktabs)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.cohort.cohort_laws import CohortLaws
+from pipeline.cohort.ears import labels, quantities
+from pipeline.cohort.law_labels import law_name
+from stapeskit.page.numbers import plus_minus
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "±": r"$\pm$",
+    "·": r"$\cdot$",
+    "−": "$-$",
+    "–": "--",
+}
+_LOWERED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+
+
+def escaped(text: str) -> str:
+    """Return a text whose special signs LaTeX prints as they are."""
+    plain = "".join(_SPECIAL.get(sign, sign) for sign in text)
+    return _RAISED.sub(lambda power: f"$^{{{power.group().translate(_LOWERED)}}}$", plain)
+
+
+def _table(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [" & ".join(map(escaped, row)) + r" \\" for row in (header, *rows)]
+    return "\n".join(
+        [
+            r"\begin{table}",
+            rf"\caption{{{escaped(caption)}}}",
+            rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}",
+            r"\toprule",
+            lines[0],
+            r"\midrule",
+            *lines[1:],
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None:
+    """Write cohort.tex."""
+    shown = [one for one in quantities(cohort.ears) if _on_diagonal(one.name)]
+    rows = [
+        [
+            name,
+            *(
+                plus_minus(float(one.values[k]), float(one.deviations[k]))
+                if np.isfinite(one.deviations[k])
+                else f"{one.values[k]:.4g}"
+                for one in shown
+            ),
+        ]
+        for k, name in enumerate(labels(cohort.ears))
+    ]
+    header = ["ear", *(f"{one.name.replace('_', ' ')} ({one.unit})" for one in shown)]
+    parts = [r"% \usepackage{booktabs}", _table("Ears with standard deviations, SI units.", header, rows)]
+    laws = [one for one in cohort.laws if one.family == "primary"]
+    if laws:
+        rows = [
+            [
+                law_name(one),
+                f"{one.law.exponent:.2f}",
+                " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in one.law.interval),
+                f"{one.law.p_value:.2g}",
+                f"{one.q_value:.2g}",
+                f"{one.law.sigma:.3f}",
+                str(one.law.n),
+            ]
+            for one in laws
+        ]
+        header = ["law", "exponent", "95 % interval", "p", "q", "scatter (ln)", "ears"]
+        parts.append(_table("Planned laws.", header, rows))
+    (folder / "cohort.tex").write_text("\n".join(parts), encoding="utf-8")
+
+
+def _on_diagonal(name: str) -> bool:
+    letter, *dof = name.split("_")
+    return name == "mass" or (letter in "KD" and dof[0] == dof[1])

@@ -1,0 +1,158 @@
+"""Figures of a cohort: laws with bands, exponents, residuals and influence, components, pairs of ears."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
+from pipeline.cohort.components import Components
+from pipeline.cohort.covariates import stated
+from pipeline.cohort.law_labels import SHOWN, label, law_name
+from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.prediction import Predictor
+from stapeskit.page import page
+
+_BLUE, _GREY, _BAND = "#0b6e99", "#9aa5b1", "#d7e8f0"
+_MOST_ELLIPSES = 200
+_COLUMNS = 3
+
+
+def _panels(count: int, height: float) -> tuple[Any, list[Any]]:
+    """Return a figure and its panels in rows of three; panels beyond the count are empty."""
+    lines = max(-(-count // _COLUMNS), 1)
+    drawing = page.new_figure(10.5, height * lines)
+    panels = list(drawing.subplots(lines, _COLUMNS, squeeze=False).ravel())
+    for panel in panels[count:]:
+        panel.set_axis_off()
+    for panel in panels[:count]:
+        panel.tick_params(labelsize=8)
+        panel.locator_params(nbins=5)
+        panel.grid(True, color="#eef1f4")
+        panel.spines[["top", "right"]].set_visible(False)
+    return drawing, panels[:count]
+
+
+def laws_figure(cohort: CohortLaws) -> Any:
+    """Draw one panel for each planned law."""
+    laws = [law for law in cohort.laws if law.family == "primary"]
+    drawing, panels = _panels(len(laws), 3.1)
+    for panel, one in zip(panels, laws, strict=True):
+        if cohort.table is not None:
+            pairs = cohort.table.pairs(one.response, one.predictor)[0]
+            _draw_law(panel, one, pairs, cohort.predictor(one))
+    return drawing
+
+
+def _draw_law(panel: Any, one: CohortLaw, pairs: LogPairs, predictor: Predictor) -> None:
+    factor = SHOWN.get(one.predictor, ("", 1.0))[1]
+    angle = np.linspace(0.0, 2.0 * np.pi, 41)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    few = pairs.n <= _MOST_ELLIPSES
+    for value, covariance in zip(pairs.values, pairs.own, strict=True) if few else ():
+        sizes, axes = np.linalg.eigh(covariance)
+        ellipse = value[:, None] + axes * np.sqrt(np.maximum(sizes, 0.0)) @ circle
+        panel.plot(np.exp(ellipse[0]) * factor, np.exp(ellipse[1]), color=_GREY, lw=0.7)
+    margin = 0.1 * float(np.ptp(pairs.x))
+    x = np.linspace(pairs.x.min() - margin, pairs.x.max() + margin, 25)
+    ends = np.array([predictor.predict(float(at)).interval for at in x])
+    panel.fill_between(np.exp(x) * factor, np.exp(ends[:, 0]), np.exp(ends[:, 1]), color=_BAND, lw=0)
+    panel.plot(np.exp(x) * factor, np.exp(one.law.intercept + one.law.exponent * x), color=_BLUE, lw=1.5)
+    panel.plot(np.exp(pairs.x) * factor, np.exp(pairs.y), "o", color=_BLUE, ms=4 if few else 2)
+    panel.set(xlabel=label(one.predictor), ylabel=f"{one.response} (SI)")
+
+
+def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
+    """Draw the exponents of laws with their intervals, one below another."""
+    drawing = page.new_figure(7.5, 0.5 + 0.4 * len(laws))
+    panel = drawing.subplots()
+    ends = np.array([one.law.interval for one in laws], dtype=float)
+    finite = ends[np.isfinite(ends)]
+    exponents = [one.law.exponent for one in laws]
+    limits = (min([*exponents, *finite]) - 1.0, max([*exponents, *finite]) + 1.0)
+    for place, one in enumerate(laws):
+        low, high = np.clip(np.nan_to_num(one.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
+        panel.plot([low, high], [place, place], color=_BLUE, lw=1.5)
+        for end, open_end, marker in zip((low, high), ~np.isfinite(one.law.interval), "<>", strict=True):
+            if open_end:
+                panel.plot(end, place, marker, color=_BLUE, ms=6)
+        panel.plot(one.law.exponent, place, "o", color=_BLUE, ms=5)
+    panel.axvline(0.0, color=_GREY, lw=1)
+    panel.set(
+        xlim=limits,
+        yticks=range(len(laws)),
+        yticklabels=[law_name(one) for one in laws],
+        xlabel="exponent",
+    )
+    panel.invert_yaxis()
+    panel.spines[["top", "right"]].set_visible(False)
+    return drawing
+
+
+def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Any:
+    """Draw the residuals of ears left out, one panel for each law."""
+    drawing, panels = _panels(len(laws), 2.4)
+    for panel, one in zip(panels, laws, strict=True):
+        if cohort.table is None:
+            continue
+        factor = SHOWN.get(one.predictor, ("", 1.0))[1]
+        pairs = cohort.table.pairs(one.response, one.predictor)[0]
+        panel.axhspan(-2.0 * one.law.sigma, 2.0 * one.law.sigma, color=_BAND, lw=0)
+        panel.axhline(0.0, color=_GREY, lw=1)
+        few = pairs.n <= _MOST_ELLIPSES
+        panel.plot(np.exp(pairs.x) * factor, one.left_out.errors, "o", color=_BLUE, ms=4 if few else 2)
+        panel.set(xlabel=label(one.predictor), ylabel=f"residual of ln {one.response}")
+    return drawing
+
+
+def components_figure(names: Sequence[str], found: Components, count: int) -> Any:
+    """Draw what one standard deviation of each component changes in every quantity."""
+    drawing = page.new_figure(7.5, 1.2 + 1.5 * count)
+    panels = drawing.subplots(count, 1, squeeze=False, sharex=True).ravel()
+    for k, panel in enumerate(panels):
+        panel.bar(range(len(names)), np.exp(found.loadings[k]) - 1.0, bottom=1.0, color=_BLUE, width=0.6)
+        panel.axhline(1.0, color=_GREY, lw=1)
+        panel.set(ylabel=f"component {k + 1}", xticks=range(len(names)), xticklabels=names)
+        panel.tick_params(labelsize=8)
+        panel.spines[["top", "right"]].set_visible(False)
+    return drawing
+
+
+def paired_ears(cohort: CohortLaws) -> list[tuple[str, int, int]]:
+    """Return the persons with a left and a right ear, and the rows of these in the table of logarithms."""
+    table = cohort.table
+    if table is None:
+        return []
+    known = {ear.folder: ear for ear in cohort.ears}
+    sides: dict[int, dict[str, int]] = {}
+    for row, (folder, subject) in enumerate(zip(table.ears, table.subject, strict=True)):
+        ear = known[folder]
+        sides.setdefault(int(subject), {})[str(stated(ear).get("side", ""))] = row
+    return [
+        (str(known[table.ears[rows["left"]]].about.get("subject", "")), rows["left"], rows["right"])
+        for rows in sides.values()
+        if {"left", "right"} <= set(rows)
+    ]
+
+
+def pairs_figure(cohort: CohortLaws, pairs: Sequence[tuple[str, int, int]]) -> Any:
+    """Draw left against right ears of the same persons, one panel for each diagonal entry of K and D."""
+    table = cohort.table
+    names = [] if table is None else [name for name in table.responses if "principal" not in name]
+    drawing, panels = _panels(len(names), 2.9)
+    left, right = np.array([pair[1] for pair in pairs]), np.array([pair[2] for pair in pairs])
+    for panel, name in zip(panels, names, strict=True):
+        if table is None:
+            continue
+        column = table.column(name)
+        sides = [(np.exp(table.values[k, column]), table.own[k, column, column]) for k in (left, right)]
+        bars = [2.0 * values * np.sqrt(variance) for values, variance in sides]
+        panel.errorbar(
+            sides[0][0], sides[1][0], bars[1], bars[0], fmt="o", ms=4, color=_BLUE, ecolor=_GREY, lw=0.8
+        )
+        ends = [min(np.nanmin(side[0]) for side in sides), max(np.nanmax(side[0]) for side in sides)]
+        panel.plot(ends, ends, color=_GREY, lw=1)
+        panel.set(xlabel=f"{name} left (SI)", ylabel=f"{name} right (SI)")
+    return drawing

@@ -1,0 +1,20 @@
+"""A cohort of nine ears with a planted law, fitted once."""
+
+import numpy as np
+import pytest
+
+from pipeline.cohort.api import Cohort
+from pipeline.cohort.cohort_laws import cohort_laws
+from stapeskit.results import extended
+from tests.pipeline.cohort.simulated_ears import ear
+
+
+@pytest.fixture(scope="session")
+def ears():
+    rng = np.random.default_rng(11)
+    return [ear(k, rng) for k in range(9)]
+
+
+@pytest.fixture(scope="session")
+def studied(ears):
+    return extended(Cohort, cohort_laws(ears))
