@@ -179,7 +179,7 @@ def _residuals(fit: KDFit) -> Section:
 
 
 def _frequency(found: FrequencyDependence) -> Section:
-    verdict = "holds" if not found.notices() else "does NOT hold"
+    verdict = found.verdict
     return Section("K and D over the band", key="kd_over_band").add(
         page.figure(
             frequency_figure(found),

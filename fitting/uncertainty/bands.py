@@ -4,8 +4,9 @@ In band b the dynamic stiffness is (1 + a_b) K + (1 + d_b) s D. A step of Newton
 factors about the estimate gives them to first order, with their covariance as that of an estimate
 (`fitting.estimators.regressor_noise`).
 A common factor of all bands is K (or D) itself: factors are relative to their
-mean. Common errors of motion and mass move the residual and are carried through the same map; a wrong mass
-matrix looks like a stiffness that changes with w^2, so that its uncertainty belongs here.
+mean, weighted by the information of each band, so that a noisy band does not move the others. Common errors
+of motion and mass move the residual and are carried through the same map; a wrong mass matrix looks like a
+stiffness that changes with w^2, so that its uncertainty belongs here.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _FEWEST_LINES = 8
 _SIGNIFICANT = 1e-3
+# Below this it is not said that one pair of matrices holds.
+_DOUBTFUL = 0.05
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class FrequencyDependence:
         First and last line of each band, Hz.
     lines : ndarray, (bands,), int
     stiffness, damping : ndarray, (bands,)
-        Factors of K and of D; their means are 1.
+        Factors of K and of D; their means, weighted by information, are 1.
     stiffness_sd, damping_sd : ndarray, (bands,)
         From all sources.
     chi2 : float
@@ -74,6 +77,13 @@ class FrequencyDependence:
             f"compare, or fit parts with {named('band')}."
         )
         return [Notice("frequency_dependent", text)]
+
+    @property
+    def verdict(self) -> str:
+        """Whether one pair of matrices holds over the band, in words."""
+        if self.p_value < _SIGNIFICANT:
+            return "does NOT hold"
+        return "may not hold" if self.p_value < _DOUBTFUL else "holds"
 
     def words(self) -> str:
         """Say between which factors K and D vary."""
@@ -147,6 +157,7 @@ def frequency_dependence(
     )
     p = lines.parameters
     turned = _without_common_factor(p, bands)
+    weights_of_bands = np.einsum("rp,rp->p", rows[:, p:], rows[:, p:]).reshape(2, bands)
     rows = rows @ turned
     residual = real_rows(now.residual * root)
     noise = turned.T @ _noise(found.parameters, lines, now, band, bands, weights) @ turned
@@ -163,7 +174,7 @@ def frequency_dependence(
         moved = real_rows(forward(now.factor, changes) * root[:, None])
         effect = inverse @ (rows.T @ moved)
         covariance = covariance + effect @ part @ effect.T
-    return _result(problem, band, turned[p:, p:], factors[p:], covariance[p:, p:])
+    return _result(problem, band, turned[p:, p:], factors[p:], covariance[p:, p:], weights_of_bands)
 
 
 def _without_common_factor(parameters: int, bands: int) -> Array:
@@ -206,12 +217,18 @@ def _noise(
 
 
 def _result(
-    problem: Problem, band: NDArray[np.intp], contrasts: Array, factors: Array, covariance: Array
+    problem: Problem,
+    band: NDArray[np.intp],
+    contrasts: Array,
+    factors: Array,
+    covariance: Array,
+    weights: Array,
 ) -> FrequencyDependence:
     from scipy.special import chdtrc
 
     rank, bands = len(factors), len(contrasts) // 2
     statistic = float(factors @ invert(covariance) @ factors)
+    contrasts = _about_weighted_mean(weights) @ contrasts
     local = contrasts @ factors
     sd = np.sqrt(np.maximum(np.diag(contrasts @ covariance @ contrasts.T), 0.0))
     freq = problem.observation.freq_hz
@@ -228,6 +245,16 @@ def _result(
         rank,
         float(chdtrc(rank, statistic)),
     )
+
+
+def _about_weighted_mean(weights: Array) -> Array:
+    """Return the map (2 bands, 2 bands) that subtracts the weighted means of K's and of D's factors."""
+    bands = weights.shape[1]
+    turned = np.eye(2 * bands)
+    for part, own in enumerate(weights):
+        place = slice(part * bands, (part + 1) * bands)
+        turned[place, place] -= own / max(float(own.sum()), 1e-300)
+    return turned
 
 
 def _local_columns(

@@ -60,11 +60,31 @@ def test_growing_stiffness_is_seen_and_measured() -> None:
             for low, high in zip(found.low_hz, found.high_hz, strict=True)
         ]
     )
-    assert found.stiffness == pytest.approx(truth / truth.mean(), abs=0.02)
+    assert found.stiffness / found.stiffness.mean() == pytest.approx(truth / truth.mean(), abs=0.02)
     assert np.all(np.diff(found.stiffness) > 0.0)
     notice = next(one for one in fit.notices if one.code == "frequency_dependent")
     assert "K by factors of" in notice.text
     assert found.lines.sum() == 200
+
+
+def test_a_noisy_band_does_not_move_the_others() -> None:
+    """The last fifth of the lines is 100 times noisier: its own factor is unknown, the others stay."""
+    motion, exact = paper_motion(0.005, 4), paper_motion(0.005, None)
+    louder = np.where(np.arange(len(FREQ)) >= 160, 100.0, 1.0)
+    q = exact.q + (motion.q - exact.q) * louder[:, None]
+    noisy = replace(motion, q=q, covariance=motion.covariance * (louder**2)[:, None, None])
+    before, found = (fit_kd(one, M).frequency for one in (motion, noisy))
+    assert found.stiffness_sd[4] > 10.0 * before.stiffness_sd[4]
+    assert np.all(found.stiffness_sd[:4] < 3.0 * before.stiffness_sd[:4])
+    assert np.all(np.abs(found.stiffness[:4] - 1.0) < 4.0 * found.stiffness_sd[:4])
+
+
+@pytest.mark.parametrize(
+    ("p_value", "words"), [(0.5, "holds"), (0.02, "may not hold"), (1e-4, "does NOT hold")]
+)
+def test_what_is_said_of_one_pair_of_matrices(p_value: float, words: str) -> None:
+    found = fit_kd(paper_motion(0.03, 0), M).frequency
+    assert replace(found, p_value=p_value).verdict == words
 
 
 def test_constant_matrices_bring_no_warning() -> None:
