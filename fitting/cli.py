@@ -59,6 +59,7 @@ def _work(arguments: list[str]) -> tuple[Given, Outcome]:
             force=given.force,
             config=given.config,
             progress=progress,
+            export=given.export,
         )
     return given, Outcome(
         "stiffness and damping",

@@ -10,6 +10,7 @@ from typing import Any
 
 from fitting.chain import check_chain
 from fitting.errors import FittingError
+from fitting.export_formats import file_name
 from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
@@ -50,6 +51,7 @@ def dof2kd(
     force: bool = False,
     config: Path | None = None,
     progress: Tell = silent,
+    export: Sequence[str] = (),
 ) -> WrittenFit:
     """Read, fit and write ``out`` (kd.json) and the page of the same name.
 
@@ -67,6 +69,8 @@ def dof2kd(
         The file of options, another input.
     progress : callable
         Takes the stage at work, in words.
+    export : sequence of str
+        Names out of fitting.export_formats.EXPORTS.
 
     Raises
     ------
@@ -78,7 +82,7 @@ def dof2kd(
     out = _json_name(out)
     motion_path, mass_path = Path(motion_path), Path(mass_path)
     beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
-    outputs = _outputs(out, [motion_path, beside, mass_path, config], force)
+    outputs = _outputs(out, [motion_path, beside, mass_path, config], force, export)
     outputs.check()
     progress("reading motion and mass")
     mass, mass_record = read_mass(mass_path, options.dof)
@@ -89,7 +93,7 @@ def dof2kd(
     fit = kd_of(motion, mass, options, mass_record, provenance, chain=chain)
     progress("drawing the report")
     with outputs.staged() as folder:
-        names = fit.write_into(folder, out.name)
+        names = fit.write_into(folder, out.name, export)
     return WrittenFit(fit, fit.content(), tuple(out.parent / name for name in names))
 
 
@@ -127,9 +131,9 @@ def plan2kd(
     return found, content, (out, html)
 
 
-def _outputs(out: Path, inputs: Sequence[Path | None], force: bool) -> OutputSet:
-    """Return the result file and its page, beside the files that are read."""
-    names = (out.name, out.with_suffix(".html").name)
+def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:
+    """Return the result file, its page and exports, beside the files that are read."""
+    names = (out.name, out.with_suffix(".html").name, *(file_name(out.stem, name) for name in export))
     return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from fitting.errors import FittingError
 from fitting.estimators import CONSTRAINTS, ESTIMATORS, ROBUST, estimator
+from fitting.export_formats import EXPORTS
 from fitting.model.laws import LAWS
 from stapeskit.faults import Fault, raise_all
 from stapeskit.option_kinds import (
@@ -23,6 +24,7 @@ from stapeskit.option_kinds import (
     choice,
     file,
     output,
+    several,
     summaries,
     whole,
 )
@@ -257,6 +259,9 @@ class KDFiles(OptionTable):
         example="plan.toml",
     )
     out: Path | None = option(output(".json"), "default kd.json; plan.json with --plan", example="kd.json")
+    export: tuple[str, ...] = option(
+        several(*EXPORTS), f"further files beside OUT, separated by commas; {summaries(EXPORTS)}", ()
+    )
     force: bool = option(
         FLAG,
         "replace outputs that this command did not write, or that were edited",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.export_formats import exported, file_name
 from fitting.kd_fit import KDFit
 from fitting.montecarlo import MonteCarlo, monte_carlo_json, monte_carlo_section
 from stapeskit.results import Result
@@ -98,8 +99,8 @@ class KDResult(Result, KDFit):
         drawn = responses(self)
         return response_figure(drawn, int(np.min(drawn.run)))
 
-    def write_into(self, folder: Path, name: str) -> list[str]:
-        """Write ``name``, X.json, and the page X.html into an empty folder; return their names."""
+    def write_into(self, folder: Path, name: str, export: Sequence[str] = ()) -> list[str]:
+        """Write ``name``, X.json, the page X.html and exports into an empty folder; return their names."""
         from fitting.report.sections import kd_page
 
         html = Path(name).with_suffix(".html").name
@@ -109,15 +110,21 @@ class KDResult(Result, KDFit):
         if self.scatter is not None:
             made.sections.insert(-1, monte_carlo_section(self, self.scatter))
         made.write(Path(folder) / html)
-        return [name, html]
+        more = [file_name(Path(name).stem, one) for one in export]
+        for one, file in zip(export, more, strict=True):
+            (Path(folder) / file).write_bytes(exported(self, one))
+        return [name, html, *more]
 
-    def write(self, folder: Path | str, *, force: bool = False, name: str = "kd.json") -> tuple[Path, ...]:
-        """Write kd.json and kd.html."""
+    def write(
+        self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
+    ) -> tuple[Path, ...]:
+        """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
         from stapeskit.own_files import OutputSet
 
         html = Path(name).with_suffix(".html").name
-        outputs = OutputSet("dof2kd", Path(folder), (name, html), self.files, force)
+        more = tuple(file_name(Path(name).stem, one) for one in export)
+        outputs = OutputSet("dof2kd", Path(folder), (name, html, *more), self.files, force)
         outputs.check()
         with outputs.staged() as stage:
-            names = self.write_into(stage, name)
+            names = self.write_into(stage, name, export)
         return tuple(outputs.folder / name for name in names)

@@ -1,0 +1,31 @@
+"""The table of exports of K, D and M.
+
+An export is a module of fitting.exports with a function ``content(fit) -> bytes`` and one line in this table;
+option, help and the contract test follow from it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+EXPORTS: dict[str, str] = {
+    "mat": "K, D, M with covariance for MATLAB and Octave (X.mat)",
+    "csv": "entries with sd, interval and covariance (X.entries.csv)",
+    "tex": "matrices as LaTeX (X.tex)",
+    "inp": "springs, dashpots and masses for CalculiX and Abaqus (X.inp)",
+    "joint": "M, K, D and shared errors with their joint covariance (X.joint.json)",
+    "methods": "a paragraph on the methods (X.methods.txt)",
+}
+_ENDINGS = {"csv": ".entries.csv", "joint": ".joint.json", "methods": ".methods.txt"}
+
+
+def file_name(stem: str, name: str) -> str:
+    """Return the file of an export beside ``stem``.json."""
+    return f"{stem}{_ENDINGS.get(name, f'.{name}')}"
+
+
+def exported(fit: Any, name: str) -> bytes:
+    """Return the content of an export of a fit (fitting.kd_fit.KDFit)."""
+    found: bytes = import_module(f"fitting.exports.{name}").content(fit)
+    return found

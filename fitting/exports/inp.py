@@ -1,0 +1,134 @@
+"""Springs, dashpots and point masses for CalculiX and Abaqus.
+
+A symmetric positive definite matrix X of y, alpha and gamma is that of four equal springs X11 / 4 along
+y, two on each of its principal axes: at +-a with 2 (X11 / 4) a^2 = the rocking stiffness across that axis.
+A rigid body of ten inertial parameters is six equal point masses on the principal axes of inertia through its
+centre of mass, at +-sqrt(3 P_i / m) with the principal second moments P_i = (J_j + J_k - J_i) / 2. A rigid
+body ties them to the footplate; springs 1e4 times stiffer hold x, z and beta.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.kd_fit import KDFit
+from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
+from stapeskit.faults import Fault
+from stapeskit.spatial import parameters_from_matrix
+
+Array = NDArray[np.float64]
+_GROUND_M = 1e-3
+# In-plane over piston and rocking stiffness: changes the natural frequencies by less than 1e-3.
+_RIGID = 1e4
+
+
+def spring_points(matrix: Array) -> Array:
+    """Return the places (4, 2), x and z in m, of four equal springs along y that make a matrix (3, 3)."""
+    found = principal_axes(matrix)
+    angle = found.angle_rad
+    axis, other = np.array([np.cos(angle), -np.sin(angle)]), np.array([np.sin(angle), np.cos(angle)])
+    origin = np.array([found.origin_x_m, found.origin_z_m])
+    about_axis, about_other = np.sqrt(2.0 * np.maximum(found.stiffness[1:], 0.0) / matrix[0, 0])
+    return np.array(
+        [
+            origin + about_other * axis,
+            origin - about_other * axis,
+            origin + about_axis * other,
+            origin - about_axis * other,
+        ]
+    )
+
+
+def mass_points(parameters: Array) -> Array:
+    """Return the places (6, 3), m, of six equal point masses that make ten inertial parameters (SI)."""
+    mass, centre = parameters[0], parameters[1:4] / parameters[0]
+    xx, yy, zz, xy, yz, xz = parameters[4:]
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    central = tensor - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    moments, axes = np.linalg.eigh(central)
+    second = 0.5 * moments.sum() - moments
+    arms = np.sqrt(3.0 * np.maximum(second, 0.0) / mass)
+    return np.concatenate([centre + axes.T * arms[:, None], centre - axes.T * arms[:, None]])
+
+
+def content(fit: KDFit) -> bytes:
+    """Return an input deck in m, N, kg, s with a step that finds the first natural frequency.
+
+    Raises
+    ------
+    FittingError
+        The degrees of freedom are not y, alpha, gamma, or K is not positive semidefinite.
+    """
+    if fit.dof != PRINCIPAL_DOF or not fit.passive[0]:
+        wanted = "for y,alpha,gamma with a positive semidefinite K"
+        raise FittingError(Fault("the export inp", wanted, ",".join(fit.dof), "", "Leave it out of {export}"))
+    nodes: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    moving: list[int] = []
+    elements: list[str] = []
+    count = 0
+
+    def node(x: float, y: float, z: float) -> int:
+        nodes.append((float(x), float(y), float(z)))
+        return len(nodes)
+
+    def axial(kind: str, keyword: str, matrix: Array) -> None:
+        nonlocal count
+        name = keyword.lower()
+        elements.append(f"*ELEMENT, TYPE={kind}, ELSET={name}")
+        for x, z in spring_points(matrix):
+            foot, ground = node(x, 0.0, z), node(x, _GROUND_M, z)
+            moving.append(foot)
+            fixed.append(ground)
+            count += 1
+            elements.append(f"{count}, {foot}, {ground}")
+        blank = "\n" if keyword == "SPRING" else ""
+        elements.append(f"*{keyword}, ELSET={name}\n{blank}{matrix[0, 0] / 4.0:.10e}")
+
+    fixed: list[int] = []
+    axial("SPRINGA", "SPRING", fit.stiffness)
+    comments = ["** Stiffness and damping of the annular ligament; units m, N, kg, s, rad; footplate axes."]
+    if fit.law.name == "viscous" and fit.passive[1]:
+        axial("DASHPOTA", "DASHPOT", fit.damping)
+    else:
+        comments.append(f"** No dashpots: the dynamic stiffness is {fit.law.formula}, or D is not passive.")
+    if fit.problem.inertia.complete:
+        parameters = parameters_from_matrix(fit.problem.inertia.matrix)
+        elements.append("*ELEMENT, TYPE=MASS, ELSET=stapes")
+        for place in mass_points(parameters):
+            moving.append(node(*place))
+            count += 1
+            elements.append(f"{count}, {moving[-1]}")
+        elements.append(f"*MASS, ELSET=stapes\n{parameters[0] / 6.0:.10e}")
+        if fit.problem.fluid is not None:
+            moving.append(node(0.0, 0.0, 0.0))
+            count += 1
+            elements.append(f"*ELEMENT, TYPE=MASS, ELSET=fluid\n{count}, {moving[-1]}")
+            elements.append(f"*MASS, ELSET=fluid\n{fit.problem.fluid[0, 0]:.10e}")
+    else:
+        comments.append("** No masses: the mass matrix has three degrees of freedom only.")
+    stiffest = float(max(fit.stiffness[1, 1], fit.stiffness[2, 2]))
+    held = ((1, 1, fit.stiffness[0, 0]), (1, 3, fit.stiffness[0, 0]), (2, 2, stiffest))
+    for number, (at, direction, value) in enumerate(held, 1):
+        count += 1
+        elements.append(f"*ELEMENT, TYPE=SPRING1, ELSET=held{number}\n{count}, {at}")
+        elements.append(f"*SPRING, ELSET=held{number}\n{direction}\n{_RIGID * value:.10e}")
+    lines = [
+        *comments,
+        "** Node 1: footplate centre (translations); node 2: its rotations in degrees of freedom 1 to 3.",
+        "*NODE, NSET=all",
+        *(f"{place}, {x:.10e}, {y:.10e}, {z:.10e}" for place, (x, y, z) in enumerate(nodes, 1)),
+        *elements,
+        "*NSET, NSET=footplate",
+        *(f"{place}," for place in moving),
+        "*NSET, NSET=bone",
+        *(f"{place}," for place in fixed),
+        "*RIGID BODY, NSET=footplate, REF NODE=1, ROT NODE=2",
+        "*BOUNDARY",
+        "bone, 1, 3",
+    ]
+    if fit.problem.inertia.complete:
+        lines += ["** CalculiX looks for four times as many vectors as modes: one mode of six freedoms."]
+        lines += ["*STEP", "*FREQUENCY", "1", "*NODE FILE", "U", "*END STEP"]
+    return ("\n".join(lines) + "\n").encode()
