@@ -90,7 +90,7 @@ def body_of(result: MassMeasurement, stapes: Surface | None = None) -> ExportBod
     """Return what the exports need of a result; ``stapes`` replaces the surface by a lighter one."""
     source = result.options.scan or result.options.labels
     return ExportBody(
-        source="" if source is None else source.name,
+        source="" if source is None else printable(source.name),
         matrix=result.matrix,
         plate_matrix=result.plate_matrix,
         scan_from_footplate=result.footplate.scan_from_footplate,
@@ -100,6 +100,11 @@ def body_of(result: MassMeasurement, stapes: Surface | None = None) -> ExportBod
         density_kg_m3=result.body.density_kg_m3,
         volume_m3=result.body.volume_m3,
     )
+
+
+def printable(name: str) -> str:
+    """Return a file name with ``?`` for what no text file can hold on one line: line ends, bytes of no UTF-8."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
 def quaternion(rotation: Array) -> Array:

@@ -114,7 +114,8 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page as UTF-8."""
-        Path(path).write_text(self.html(), encoding="utf-8")
+        # Names of files may hold bytes that are no UTF-8.
+        Path(path).write_text(self.html(), encoding="utf-8", errors="replace")
 
 
 def template(source: str, **values: Any) -> Markup:

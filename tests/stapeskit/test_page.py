@@ -110,3 +110,8 @@ def test_a_page_forbids_itself_the_network():
     policy = html.partition('Content-Security-Policy" content="')[2].partition('">')[0]
     assert "default-src &#39;none&#39;" in policy
     assert "http" not in policy
+
+
+def test_names_of_no_utf8_do_not_stop_a_page(tmp_path):
+    Page("b\udcff.tif", "").write(tmp_path / "a.html")
+    assert "b?.tif" in (tmp_path / "a.html").read_text(encoding="utf-8")

@@ -261,3 +261,20 @@ def test_unreadable_files(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", denied)
     fault = refused(path)
     assert (fault.expected, fault.got) == ("a file that can be read", "Permission denied")
+
+
+def test_names_that_are_no_utf8_are_written(tmp_path, monkeypatch):
+    from ct_inertia.cli import work
+    from ct_inertia.surface.surface import write_surface
+    from tests.ct_inertia.shapes import stapes
+
+    write_surface(tmp_path / "a.ply", stapes(0.15))
+    name = os.fsdecode(b"b\xff\n*STEP.ply")
+    os.replace(tmp_path / "a.ply", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    words = ["--density", "1900", "--export", "abaqus,mjcf,mat", "--out", "out", "--no-report"]
+    files = work([name, *words])[1].files
+    assert {path.name for path in files} >= {"mass.json", "stapes.inp", "stapes.xml", "mass.mat"}
+    deck = (tmp_path / "out" / "stapes.inp").read_text(encoding="utf-8")
+    assert deck.splitlines()[0].endswith("b??*STEP.ply")
+    assert json.loads((tmp_path / "out" / "mass.json").read_text())["provenance"]["inputs"]["scan"]
