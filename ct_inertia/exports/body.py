@@ -103,7 +103,7 @@ def body_of(result: MassMeasurement, stapes: Surface | None = None) -> ExportBod
 
 
 def printable(name: str) -> str:
-    """Return a file name with ``?`` for what no text file can hold on one line: line ends, bytes of no UTF-8."""
+    """Return a file name with ``?`` for line ends and for bytes that are no UTF-8."""
     return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
