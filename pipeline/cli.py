@@ -49,7 +49,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome] | None:
 
         sys.stdout.write(TEMPLATE)
         return None
-    if len(given.studies) == 1:
+    if len(given.studies) == 1 and given.bids is None:
         return given, _one(given)
     return given, _several(given)
 
@@ -102,22 +102,29 @@ def _several(given: Given) -> Outcome:
         if not given.quiet:
             sys.stderr.write(f"{line}\n")
 
-    out = Path("cohort_out") if given.out is None else given.out
+    studies, out = given.studies, Path("cohort_out")
+    if given.bids is not None:
+        from pipeline.bids import derivatives, read_dataset, write_dataset
+
+        studies = write_dataset(studies, given.bids) if studies else read_dataset(given.bids)
+        out = derivatives(given.bids)
+    out = given.out or out
     planned = tuple(planned_law(text) for text in given.laws)
     choices = CohortChoices(given.mix, given.covariates, planned, given.export)
-    result = run_studies(given.studies, out, given.jobs, given.force, tell, given.scheduler, choices)
+    result = run_studies(studies, out, given.jobs, given.force, tell, given.scheduler, choices)
     if result.faults:
         raise _failure(result)
     return Outcome(
         f"scan2kd: {len(result.ears)} studies",
         [(ear.folder, _line(ear.kd)) for ear in result.ears],
-        (),
+        result.notices,
         [out / file.name for file in result.files],
         {
             "schema": "stapeskit.cohort/1",
             "out": str(result.out),
             "studies": [{"name": ear.name, "folder": str(result.out / ear.folder)} for ear in result.ears],
             "files": [str(file) for file in result.files],
+            "warnings": [notice.as_json() for notice in result.notices],
         },
     )
 

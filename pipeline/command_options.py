@@ -17,7 +17,7 @@ class StudyOptions(OptionTable):
     title = "scan2kd"
     rules = (
         Rule(
-            lambda v: not v.studies and not v.template,
+            lambda v: not v.studies and not v.template and not v.bids,
             "scan2kd",
             "given a study file",
             "none",
@@ -31,7 +31,11 @@ class StudyOptions(OptionTable):
             "Name each once",
         ),
         Rule(
-            lambda v: len(v.studies) == 1 and (v.scheduler or v.covariates or v.laws or v.mix or v.export),
+            lambda v: (
+                len(v.studies) == 1
+                and not v.bids
+                and (v.scheduler or v.covariates or v.laws or v.mix or v.export)
+            ),
             "scan2kd",
             "given several study files with {scheduler}, {covariates}, {laws}, {mix} or {export}",
             "one study file",
@@ -51,6 +55,12 @@ class StudyOptions(OptionTable):
         FOLDER,
         "default <study name>_out for one study; cohort_out, with a subfolder each, for several",
         example="cohort",
+    )
+    bids: Path | None = option(
+        FOLDER,
+        "a folder of ears in the manner of BIDS: study files are copied there with all their files and run "
+        "there; without study files, all ears of the folder are run; results are in derivatives/stapeskit",
+        example="ears_bids",
     )
     jobs: int = option(at_least(1), "studies that run at a time on this machine", 1)
     scheduler: str | None = option(

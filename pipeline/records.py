@@ -107,7 +107,7 @@ def fingerprint(
     """
     made = {"stapeskit": code_hash(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
     for role, path in inputs.items():
-        for place, file in enumerate(() if path is None else _with_data(path)):
+        for place, file in enumerate(() if path is None else with_data(path)):
             made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
     for name, value in parameters.items():
         made[name] = _short(json.dumps(value, sort_keys=True))
@@ -121,7 +121,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 120 else xxhash.xxh3_128_hexdigest(text.encode())
 
 
-def _with_data(path: Path) -> list[Path]:
+def with_data(path: Path) -> list[Path]:
     """Return a file with the data files that a header of its kind points to by name."""
     path = Path(path)
     if path.suffix.lower() not in _HEADERS:

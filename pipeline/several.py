@@ -18,6 +18,7 @@ from pipeline.runners.process import End, Task
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.own_files import OutputSet
+from stapeskit.warnings import Notice
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class CohortResult:
     codes : mapping of str to int
         Exit code of each study that failed.
     files : tuple of Path
+    notices : tuple of Notice
+        About the cohort; those of an ear are in its own files.
     """
 
     out: Path
@@ -66,15 +69,23 @@ class CohortResult:
     faults: Mapping[str, str]
     codes: Mapping[str, int]
     files: tuple[Path, ...]
+    notices: tuple[Notice, ...]
 
 
 def folder_names(studies: Sequence[Path]) -> list[str]:
     """Name a folder for each study: the stem of its file, or its folder's name where stems coincide.
 
-    Leading dots are left out: ``..`` would be another folder, and hidden ones are the program's.
+    Leading dots are left out: ``..`` would be another folder, and hidden ones are the program's. The ending
+    ``_study`` of names in the manner of BIDS is left out too.
     """
-    stems = Counter(path.stem for path in studies)
-    names = [path.stem if stems[path.stem] == 1 else path.resolve().parent.name for path in studies]
+    own = [
+        path.stem.removesuffix("_study") if path.stem.startswith("sub-") else path.stem for path in studies
+    ]
+    times = Counter(own)
+    names = [
+        name if times[name] == 1 else path.resolve().parent.name
+        for name, path in zip(own, studies, strict=True)
+    ]
     made: list[str] = []
     for name in names:
         plain = name.lstrip(".") or "study"
@@ -129,7 +140,7 @@ def run_studies(
             for name, path in named.items()
             if name not in faults
         )
-        files: list[Path] = []
+        files, notices = list[Path](), tuple[Notice, ...]()
         if ears:
             records = {ear.folder: out / ear.folder / "kd.json" for ear in ears}
             with outputs.staged() as fresh:
@@ -139,8 +150,8 @@ def run_studies(
                 )
                 log.tell("", f"laws and page: {len(cohort.laws)} laws over {len(ears)} ears")
                 shutil.copyfile(log.path, fresh / LOG_FILE)
-            files = [out / name for name in (*written, LOG_FILE)]
-    return CohortResult(out, ears, faults, codes, tuple(files))
+            files, notices = [out / name for name in (*written, LOG_FILE)], cohort.notices
+    return CohortResult(out, ears, faults, codes, tuple(files), notices)
 
 
 def _checked_outputs(
