@@ -47,6 +47,8 @@ class MotionInputs:
         positions alone.
     reading : InputOptions
         What the vibrometer files do not say themselves.
+    leave_out : tuple of str
+        Channels that are not used, BODY:POINT or BODY:POINT:BEAM.
     """
 
     files: tuple[Path, ...]
@@ -58,6 +60,7 @@ class MotionInputs:
     mirror: str | None = None
     mirror_points: str | None = None
     reading: InputOptions = field(default_factory=InputOptions)
+    leave_out: tuple[str, ...] = ()
 
     @property
     def by_role(self) -> dict[str, Path | None]:
@@ -105,8 +108,9 @@ def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
     Raises
     ------
     KinematicsError
-        What is wrong with the files, row by row.
+        What is wrong with the files, row by row, or a channel to be left out that they do not hold.
     """
+    from kinematics.leave_out import without_channels
     from kinematics.readers import read_measurement
     from kinematics.registration.fiducials import read_fiducials
     from kinematics.registration.surface_points import read_surface_points
@@ -125,7 +129,7 @@ def read_inputs(inputs: MotionInputs) -> MeasurementInputs:
     with collecting(faults):
         measurement = read_measurement(inputs.files, inputs.points, inputs.source_frame, inputs.reading)
     raise_all(KinematicsError, dict.fromkeys(faults))
-    read = MeasurementInputs(measurement, fiducials, clouds)
+    read = MeasurementInputs(without_channels(measurement, inputs.leave_out), fiducials, clouds)
     for axis, points_only in ((inputs.mirror, False), (inputs.mirror_points, True)):
         if axis is not None:
             read = read.mirrored(axis, points_only)
@@ -200,6 +204,7 @@ def motion_inputs(options: LdvOptions) -> MotionInputs:
         mirror=options.mirror,
         mirror_points=options.mirror_points,
         reading=input_options(options),
+        leave_out=options.leave_out,
     )
 
 

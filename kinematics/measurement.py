@@ -129,6 +129,15 @@ class Take:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A channel that the user left out: body and point, and its beam (3,) as in the file."""
+
+    body: str
+    point: str
+    direction: Array
+
+
+@dataclass(frozen=True)
 class RecordNoise:
     """Noise of a reference that the channels recorded with it share, where others have other records.
 
@@ -179,6 +188,8 @@ class Measurement:
         What channels share that were recorded together while others were not (points scanned one by one).
     said : tuple of str
         What the files say about their coordinates, units, resolution and averages.
+    left_out : tuple of LeftOut
+        Channels of the files that the user left out.
     """
 
     frame: str
@@ -193,6 +204,7 @@ class Measurement:
     line_spread: float = 1.0
     said: tuple[str, ...] = ()
     record_noise: tuple[RecordNoise, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
     def __post_init__(self) -> None:
         faults = []

@@ -61,13 +61,14 @@ def write_outputs(
     hash_of : callable
         Returns the content hash of a file.
     """
-    from kinematics.faults.verdicts import write_channels
+    from kinematics.faults.verdicts import left_out_verdicts, write_channels
     from kinematics.report.sections import write_report
     from stapeskit.records.motion_files import write_motion
 
     folder = Path(folder)
     write_motion(folder, stem, result.motion, hash_of)
-    write_channels(folder / f"{stem}.channels.csv", result.channels)
+    channels = (*result.channels, *left_out_verdicts(result.motion.runs, result.measurement.left_out))
+    write_channels(folder / f"{stem}.channels.csv", channels)
     if report:
         write_report(folder / f"{stem}{REPORT_ENDING}", result, scenery)
     return [f"{stem}{end}" for end in (*DATA_ENDINGS, *([REPORT_ENDING] if report else []))]

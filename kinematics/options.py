@@ -10,6 +10,7 @@ from kinematics.errors import KinematicsError
 from stapeskit.option_kinds import (
     BEAM,
     BODIES,
+    CHANNELS,
     DOF,
     FLAG,
     RANGE,
@@ -85,6 +86,12 @@ class _MeasurementOptions(OptionTable):
         choice("pool", "separate"),
         "repeats and levels of a run: pool them after comparing them, or keep them as runs",
         "pool",
+    )
+    leave_out: tuple[str, ...] = option(
+        CHANNELS,
+        "leave a point out, or one of its beams (x, -z ... or X,Y,Z); once for each",
+        (),
+        example=["stapes:3", "base:7:z"],
     )
     fiducials: Path | None = option(
         file("fiducials file"),

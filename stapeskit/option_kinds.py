@@ -20,6 +20,7 @@ from stapeskit.option_values import (
     read_beam,
     read_bounds,
     read_box,
+    read_channels,
     read_covariates,
     read_direction,
     read_dof,
@@ -134,6 +135,13 @@ BODIES = Kind(
     read_named,
     repeats=True,
     advise=lambda _: "Points are numbers, ranges, FILE or FILE:1-10: stapes=1-10,12 or base=base.uff",
+)
+CHANNELS = Kind(
+    'BODY:POINT or BODY:POINT:BEAM, or a list of them like ["stapes:3", "base:7:z"]',
+    "BODY:POINT[:BEAM]",
+    read_channels,
+    repeats=True,
+    advise=lambda _: "Write them as in dof.channels.csv: stapes:3, or stapes:3:-z for one beam",
 )
 RUNS = Kind('NAME=FILE, or a table like { push = "first.uff" }', "NAME=FILE", read_named, repeats=True)
 BOUNDS = Kind(

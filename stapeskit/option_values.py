@@ -258,6 +258,16 @@ def read_named(value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
+def read_channels(value: Any) -> tuple[str, ...]:
+    """Read BODY:POINT or BODY:POINT:BEAM, one or several."""
+    found = entries(value)
+    for entry in found:
+        require(isinstance(entry, str))
+        body, mark, rest = entry.partition(":")
+        require(bool(mark and body.strip() and rest.strip()))
+    return tuple(dict.fromkeys(entry.strip() for entry in found))
+
+
 def is_item(value: object) -> bool:
     """Return whether a value can name a point: a whole number or text that is not empty."""
     return isinstance(value, int | str) and not isinstance(value, bool) and str(value).strip() != ""

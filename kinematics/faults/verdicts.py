@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.describe import channel_list, describe
 from kinematics.faults.diagnose import Diagnosis, Finding
-from kinematics.measurement import BodyChannels, direction_name
+from kinematics.measurement import BodyChannels, LeftOut, direction_name
 from stapeskit.tables.text_cells import as_text_cell
 from stapeskit.warnings import Notice
 
@@ -110,6 +110,15 @@ def channel_verdicts(
             )
         )
     return made
+
+
+def left_out_verdicts(runs: Sequence[str], left_out: Sequence[LeftOut]) -> list[ChannelVerdict]:
+    """Return ``unused`` for every channel that the user left out, in every run."""
+    return [
+        ChannelVerdict(run, one.body, one.point, one.direction, np.nan, 0.0, "unused", "left out", np.nan)
+        for run in runs
+        for one in left_out
+    ]
 
 
 def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: bool) -> list[Notice]:
