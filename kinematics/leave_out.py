@@ -35,7 +35,7 @@ def without_channels(measurement: Measurement, names: Sequence[str]) -> Measurem
     ----------
     measurement : Measurement
     names : sequence of str
-        BODY:POINT for all beams of a point, BODY:POINT:BEAM for one: x, -z ... or X,Y,Z, as it is in the file.
+        BODY:POINT for all beams of a point, BODY:POINT:BEAM for one: x, -z ... or X,Y,Z as in the file.
 
     Raises
     ------
@@ -82,9 +82,8 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
     names = [body.body for body in measurement.bodies]
     possible = [k for k, body in enumerate(names) if name.startswith(body + ":")]
     if not possible:
-        step = near(name.split(":")[0], names) or f"Bodies are {_listed(names)}"
-        return _Choice(fault=Fault("{leave_out}", f"BODY:POINT[:BEAM] with a body of the files: {_listed(names)}",
-                                   name, "", step))  # fmt: skip
+        expected = f"BODY:POINT[:BEAM] with a body of the files: {_listed(names)}"
+        return _fault(expected, name, near(name.split(":")[0], names) or f"Bodies are {_listed(names)}")
     for k in possible:
         body, rest = measurement.bodies[k], name[len(names[k]) + 1 :]
         channels = _of_point(body, rest)
@@ -94,17 +93,20 @@ def _choice(measurement: Measurement, name: str) -> _Choice:
         channels = _of_point(body, point)
         if channels:
             wanted = _direction(beam)
-            channels_of_beam = () if wanted is None else _along(body, channels, wanted)
-            if channels_of_beam:
-                return _Choice(k, channels_of_beam)
-            beams = _listed([direction_name(body.reported_directions[c]).replace(" ", "") for c in channels], "; ")
-            return _Choice(fault=Fault("{leave_out}", f"a beam at point {point} of body {names[k]}: {beams}",
-                                       name, "", f"Write {names[k]}:{point} for all of them"))  # fmt: skip
+            along = () if wanted is None else _along(body, channels, wanted)
+            if along:
+                return _Choice(k, along)
+            beams = [direction_name(body.reported_directions[c]).replace(" ", "") for c in channels]
+            expected = f"a beam at point {point} of body {names[k]}: {_listed(beams, '; ')}"
+            return _fault(expected, name, f"Write {names[k]}:{point} for all of them")
     body = measurement.bodies[possible[0]]
-    point = name[len(body.body) + 1 :]
     points = list(dict.fromkeys(body.points))
-    step = near(point, points) or f"Points are {_listed(points)}"
-    return _Choice(fault=Fault("{leave_out}", f"a point of body {body.body}", name, "", step))
+    step = near(name[len(body.body) + 1 :], points) or f"Points are {_listed(points)}"
+    return _fault(f"a point of body {body.body}", name, step)
+
+
+def _fault(expected: str, name: str, step: str) -> _Choice:
+    return _Choice(fault=Fault("{leave_out}", expected, name, "", step))
 
 
 def _of_point(body: BodyChannels, point: str) -> tuple[int, ...]:

@@ -45,6 +45,7 @@ _SERIES = "time series (with --channels; universal files need none)"
 _FILES = "what files do not say themselves"
 _TIES = "from the vibrometer to the footplate"
 _GEOMETRY = "geometry as an unknown"
+_LASERS = "how well the lasers agree: shared errors of the motion, of K and of D"
 
 
 @dataclass(frozen=True)
@@ -156,13 +157,32 @@ class _MeasurementOptions(OptionTable):
         group=_GEOMETRY,
         example=0.5,
     )
-    gain_sd_percent: float | None = option(
+    gain_sd_percent: float = option(
         _SD,
-        "sd of the gain of each laser, percent (0: exact)",
+        "sd of the gain of each laser against the others, percent (0: exact)",
+        1.0,
         unit="percent",
         metavar="PERCENT",
-        group=_GEOMETRY,
-        example=0.0,
+        group=_LASERS,
+        example=1.0,
+    )
+    phase_sd_deg: float = option(
+        _SD,
+        "sd of the phase of each laser against the others, degrees (0: exact)",
+        0.5,
+        unit="deg",
+        metavar="DEG",
+        group=_LASERS,
+        example=0.5,
+    )
+    delay_sd_us: float = option(
+        number("a number from 0 to 1000 (microseconds)", lambda value: 0.0 <= value <= 1000.0),
+        "sd of the delay of each laser against the others, microseconds (0: exact)",
+        1.0,
+        unit="us",
+        metavar="US",
+        group=_LASERS,
+        example=1.0,
     )
     body: tuple[str, ...] = option(
         BODIES,
@@ -316,7 +336,7 @@ class LdvOptions(_SeriesTable, _MeasurementOptions):
             "Put the frame into the column frame of the fiducials file",
         ),
         excludes("frame", "plate_points", "which tie the vibrometer to the scan"),
-        *(needs(name, "calibrate") for name in ("axes_sd", "beam_sd", "gain_sd")),
+        *(needs(name, "calibrate") for name in ("axes_sd", "beam_sd")),
     )
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.faults.across.all_bodies import told_across
-from kinematics.faults.across.lines import column_offset, exchanged_lines
+from kinematics.faults.across.lines import exchanged_lines
 from kinematics.faults.across.phase import phase_notice
 from kinematics.faults.causes.explain import explained
 from kinematics.faults.diagnose import Diagnosis
@@ -27,26 +27,27 @@ from kinematics.fit.neglected_motion import neglected_notice
 from kinematics.fit.reference_noise import with_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
+from kinematics.motion_checks import check_determined, far_away, uncommon_lines
 from kinematics.options import LdvOptions
 from kinematics.registration.calibrate import Calibration
-from kinematics.registration.calibrated_fit import calibrated, calibration_errors
+from kinematics.registration.calibrated_fit import calibrated
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.handedness import check_axes
+from kinematics.registration.laser_notices import channels_at_fault, laser_notices
+from kinematics.registration.lasers import LaserErrors, LaserPriors, Lasers
+from kinematics.registration.motion_errors import motion_errors
 from kinematics.registration.placement import Placement, place
-from kinematics.registration.shared_errors import pose_derivatives, position_errors
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import pooled, separate, with_gain_errors
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import RigidMotion, SharedErrors
+from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
-from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
 ROBUST = ("none", "huber", "t4")
 REPEATS = ("pool", "separate")
-_FARTHEST_MM = 8.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,8 @@ class Options:
     reference_noise : float
         Standard deviation of the real (= imaginary) part of the relative noise of the signal that all
         readings refer to; it enters the covariance of absolute motion.
+    lasers : LaserPriors
+        How well gain, phase and delay of the lasers agree.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class Options:
     calibrate: GeometryPriors | None = None
     repeats: str = "pool"
     reference_noise: float = 0.0
+    lasers: LaserPriors = field(default_factory=LaserPriors)
 
     def __post_init__(self) -> None:
         faults = []
@@ -96,6 +100,11 @@ class Options:
             faults.append(Fault("dof", f"names in the order {', '.join(DOF_NAMES)}", self.dof))
         raise_all(KinematicsError, faults)
 
+    @property
+    def laser_priors(self) -> LaserPriors:
+        """The priors of the lasers without the gain where a calibration estimates that."""
+        return self.lasers if self.calibrate is None else replace(self.lasers, gain_sd_percent=0.0)
+
 
 def fit_options(options: LdvOptions) -> Options:
     """Return the choices of the fit out of the options of the command or of a study."""
@@ -103,7 +112,7 @@ def fit_options(options: LdvOptions) -> Options:
     priors = GeometryPriors(
         usual.axes_sd_deg if options.axes_sd_deg is None else options.axes_sd_deg,
         usual.beam_sd_deg if options.beam_sd_deg is None else options.beam_sd_deg,
-        usual.gain_sd_percent if options.gain_sd_percent is None else options.gain_sd_percent,
+        options.gain_sd_percent,
     )
     return Options(
         options.dof,
@@ -112,6 +121,7 @@ def fit_options(options: LdvOptions) -> Options:
         priors if options.calibrate else None,
         options.repeats,
         options.reference_noise,
+        LaserPriors(options.gain_sd_percent, options.phase_sd_deg, options.delay_sd_us),
     )
 
 
@@ -137,6 +147,8 @@ class Points2Dof:
         The geometry as estimated, when that was asked for.
     repeats : tuple of RunRepeats
         What the comparison of repeats and levels gave, for each run that had any.
+    lasers : LaserErrors or None
+        How far the lasers agree, unless they do so exactly.
     """
 
     motion: RigidMotion
@@ -149,6 +161,7 @@ class Points2Dof:
     unseen: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     calibration: Calibration | None = None
     repeats: tuple[RunRepeats, ...] = ()
+    lasers: LaserErrors | None = None
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -209,22 +222,27 @@ def points2dof(
         placed = calibration.measurement
         screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
         beams = _beam_sets(placed, options.dof)
-    fits: dict[tuple[int, int], LineFit] = {}
+    lasers = Lasers.of(placed, options.laser_priors)
+    fits, known, said = _fitted(placed, beams, options.robust)
+    applied = None if lasers is None else lasers.estimate(placed, fits)
+    if lasers is not None and applied is not None and applied.explains_misfit(all(known.values())):
+        placed = lasers.corrected(placed, applied.values)
+        screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
+        fits, known, said = _fitted(placed, beams, options.robust)
+    else:
+        applied = None
     searched: dict[tuple[int, int], LineFit] = {}
     diagnoses: dict[tuple[int, int], Diagnosis] = {}
-    known: dict[tuple[int, int], bool] = {}
     verdicts: list[ChannelVerdict] = []
     notices = [*measurement.notices, *placement.notices, *slips]
     notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
-    notices += [] if whole else _uncommon_lines(placed)
-    notices += _far_away(placed)
+    notices += [] if whole else uncommon_lines(placed)
+    notices += [*far_away(placed), *said]
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
-            fits[key], known[key], said = with_noise(placed, run, screen.body, beams[number], options.robust)
-            notices += said
             diagnoses[key], searched[key] = searched_body(placed, run, screen.body, fits[key], known[key])
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
     exchanged = told_across(placed, searched, diagnoses, known)
@@ -242,10 +260,18 @@ def points2dof(
             verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
     notices += check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
     motion = with_record_noise(_motion(placed, fits, options.dof), placed, fits)
-    _check_determined(motion)
+    check_determined(motion)
+    errors = None
+    if lasers is not None:
+        estimate = lasers.estimate(
+            placed, fits, channels_at_fault(diagnoses), None if applied is None else applied.values
+        )
+        errors = lasers.errors(placed, fits, estimate)
+        motion = replace(motion, q=motion.q + errors.correction)
+        notices += laser_notices(errors)
     motion = replace(
         motion,
-        shared=_shared(placed, fits, placement, motion, calibration),
+        shared=motion_errors(placed, fits, placement, errors, calibration),
         provenance=dict(provenance or {}),
     )
     motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
@@ -270,33 +296,22 @@ def points2dof(
         unseen,
         calibration,
         repeats.repeats,
+        errors,
     )
 
 
-def _uncommon_lines(placed: Measurement) -> list[Notice]:
-    """Tell which bodies were not measured at all lines of the others."""
-    measured = [_measured_lines(body) for body in placed.bodies]
-    counts = [int(np.sum(lines)) for lines in measured]
-    if all(count == len(placed.freq_hz) for count in counts):
-        return []
-    said = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
-    common = int(np.sum(np.all(measured, axis=0)))
-    text = (
-        f"of {len(placed.freq_hz)} frequencies, {said} were measured, {common} of them on all bodies; "
-        "lines are matched within 1e-6."
-    )
-    text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
-    return [Notice("frequencies_differ", text)]
-
-
-def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:
-    """Return the lines (freq,) at which any channel of any run was measured."""
-    found = np.zeros(body.displacement.shape[2], dtype=bool)
-    for at in np.ndindex(body.displacement.shape[:2]):
-        found |= np.isfinite(body.displacement[at].real)
-        if np.all(found):
-            break
-    return found
+def _fitted(
+    placed: Measurement, beams: Sequence[BeamSet], robust: str
+) -> tuple[dict[tuple[int, int], LineFit], dict[tuple[int, int], bool], list[Notice]]:
+    """Fit every body in every run: the fits, whether their noise is stated, and the warnings."""
+    fits: dict[tuple[int, int], LineFit] = {}
+    known: dict[tuple[int, int], bool] = {}
+    notices: list[Notice] = []
+    for run, number in product(range(len(placed.runs)), range(len(placed.bodies))):
+        key = (run, number)
+        fits[key], known[key], said = with_noise(placed, run, placed.bodies[number], beams[number], robust)
+        notices += said
+    return fits, known, notices
 
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
@@ -321,32 +336,6 @@ def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:
     """Tell whether a cause was found that alters the course of the motion over the lines."""
     codes = {finding.code for found in diagnoses.values() for finding in found.findings}
     return bool(codes & {"mains_lines", "conjugated_laser"})
-
-
-def _check_determined(motion: RigidMotion) -> None:
-    faults = []
-    for number, body in enumerate(motion.bodies):
-        if not np.any(np.isfinite(motion.q[:, number].real)):
-            step = f"Measure more channels at the same frequencies, or fit fewer with {named('dof')}"
-            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
-            faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
-    raise_all(KinematicsError, faults)
-
-
-def _far_away(placed: Measurement) -> list[Notice]:
-    """Return the warning that the points of the stapes lie where no stapes reaches, as in a foreign frame."""
-    for body in placed.bodies:
-        distance = float(np.linalg.norm(np.mean(body.positions_mm, axis=0)))
-        if body.body == "stapes" and distance > _FARTHEST_MM:
-            text = (
-                f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, "
-                "farther than a stapes reaches: their coordinates look like those of another frame. Tie it "
-                f"to the footplate with {named('fiducials')}, or name it with {named('frame')}; the "
-                "motion is told about a "
-                "point far from the bone."
-            )
-            return [Notice("far_from_footplate", text)]
-    return []
 
 
 def _body_notices(
@@ -403,30 +392,3 @@ def _motion(
         stacked("chi2"),
         stacked("n_dof", np.int64),
     )
-
-
-def _shared(
-    placed: Measurement,
-    fits: Mapping[tuple[int, int], LineFit],
-    placement: Placement,
-    motion: RigidMotion,
-    calibration: Calibration | None,
-) -> SharedErrors | None:
-    if calibration is None:
-        positions = position_errors(fits, placed.bodies)
-        others, spread, slopes = positions.names, np.diag(positions.variances), positions.derivatives
-    else:
-        others, spread, slopes = calibration_errors(calibration, fits, motion.q.shape)
-    count = len(placement.names)
-    names = (*placement.names, *others)
-    if not names:
-        return None
-    derivatives = np.zeros((len(names), *motion.q.shape), dtype=complex)
-    derivatives[count:] = slopes
-    for (run, number), fit in fits.items() if count else ():
-        by_pose = pose_derivatives(fit, placed.bodies[number], placement)
-        derivatives[:count, run, number] = np.einsum("kp,kfm->pfm", placement.derivative, by_pose)
-    covariance = np.zeros((len(names), len(names)))
-    covariance[:count, :count] = placement.covariance
-    covariance[count:, count:] = spread
-    return SharedErrors(names, covariance, derivatives)

@@ -43,6 +43,7 @@ _PARTS: dict[str, dict[str, str]] = {
         "registration": "Registration",
         "points_on_surfaces": "Points on the surfaces of the scan",
         "calibration": "Geometry estimated with the motion",
+        "lasers": "How the lasers agree",
     },
     "Ligament": {
         "responses": "Measured and simulated responses",

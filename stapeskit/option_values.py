@@ -260,7 +260,7 @@ def read_named(value: Any) -> tuple[str, ...]:
 
 def read_channels(value: Any) -> tuple[str, ...]:
     """Read BODY:POINT or BODY:POINT:BEAM, one or several."""
-    found = entries(value)
+    found = entries_of(value)
     for entry in found:
         require(isinstance(entry, str))
         body, mark, rest = entry.partition(":")

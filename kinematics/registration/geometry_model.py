@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement
+from kinematics.registration.lasers import group_lasers
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
 from stapeskit.spatial import point_rows, shifted_point_rows
@@ -17,7 +18,6 @@ from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_ONE_LASER_DEG = 8.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class GeometryPriors:
 
     axes_sd_deg: float = 1.0
     beam_sd_deg: float = 0.5
-    gain_sd_percent: float = 0.0
+    gain_sd_percent: float = 1.0
 
     def __post_init__(self) -> None:
         options = {
@@ -94,7 +94,7 @@ class GeometryModel:
     @classmethod
     def of(cls, measurement: Measurement, priors: GeometryPriors) -> GeometryModel:
         """List the parameters of a measurement; those with a prior sd of zero are left out."""
-        lasers, means = _lasers([body.directions for body in measurement.bodies])
+        lasers, means = group_lasers([body.directions for body in measurement.bodies])
         names: list[str] = []
         sd: list[float] = []
         places: dict[tuple[str, int, str], int] = {}
@@ -216,23 +216,3 @@ class GeometryModel:
                     rows = shifted_point_rows(directions[channels], np.eye(3)[axis])
                     made.append(Change(place + axis, channels, rows))
         return made
-
-
-def _lasers(directions: Sequence[Array]) -> tuple[tuple[Index, ...], Array]:
-    """Group beams into lasers: neighbours within 8 degrees belong together."""
-    every = np.concatenate(directions)
-    distinct, owner = np.unique(np.round(every, 9), axis=0, return_inverse=True)
-    group = np.arange(len(distinct))
-    near = distinct @ distinct.T > np.cos(np.deg2rad(_ONE_LASER_DEG))
-    for _ in range(len(distinct)):
-        lowest = np.array([np.min(group[near[row]]) for row in range(len(distinct))])
-        if np.array_equal(lowest, group):
-            break
-        group = lowest
-    labels = group[owner.reshape(-1)]
-    first = list(dict.fromkeys(labels))
-    numbers = np.array([first.index(label) for label in labels])
-    means = np.stack([every[numbers == k].mean(axis=0) for k in range(len(first))])
-    means /= np.linalg.norm(means, axis=1)[:, None]
-    ends = np.cumsum([len(part) for part in directions])[:-1]
-    return tuple(np.split(numbers, ends)), means

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
     from kinematics.registration.calibrate import Calibration
+    from kinematics.registration.lasers import LaserErrors
     from kinematics.registration.surface_check import SurfaceCheck
     from stapeskit.page.page import Section
 
@@ -59,9 +60,9 @@ def _calibration_words(made: Calibration) -> str:
 
 
 def as_json(result: Points2Dof) -> dict[str, Any]:
-    """Return the keys ``registration``, ``surface_checks`` and ``calibration`` of the JSON result."""
+    """Return the keys ``registration``, ``surface_checks``, ``calibration`` and ``lasers`` of the JSON."""
     fit = result.placement.registration
-    made: dict[str, Any] = {"registration": None, "surface_checks": [], "calibration": None}
+    made: dict[str, Any] = {"registration": None, "surface_checks": [], "calibration": None, "lasers": None}
     if fit is not None:
         made["registration"] = {
             "kind": fit.kind,
@@ -103,6 +104,14 @@ def as_json(result: Points2Dof) -> dict[str, Any]:
             "n_dof": found.n_dof,
             "p_value": found.p_value,
         }
+    if result.lasers is not None:
+        made["lasers"] = {
+            "names": list(result.lasers.names),
+            "values_si": result.lasers.estimate.values.tolist(),
+            "sd_si": result.lasers.sd.tolist(),
+            "prior_sd_si": result.lasers.prior_sd.tolist(),
+            "directions": result.lasers.directions.tolist(),
+        }
     return made
 
 
@@ -113,6 +122,8 @@ def sections(result: Points2Dof) -> list[Section]:
         made.append(_surfaces(result.placement.checks))
     if result.calibration is not None:
         made.append(_calibration(result.calibration))
+    if result.lasers is not None:
+        made.append(_lasers(result.lasers))
     return made
 
 
@@ -177,6 +188,27 @@ def _calibration(made: Calibration) -> Section:
     section.add(page.table(head, told[:most]))
     if len(told) > most:
         section.add(page.text(f"... and {len(told) - most} more in the JSON result."))
+    return section
+
+
+def _lasers(lasers: LaserErrors) -> Section:
+    from kinematics.registration.laser_notices import laser_table
+    from stapeskit.page import page
+    from stapeskit.page.page import Section
+
+    section = Section("How the lasers agree", key="lasers")
+    section.add(
+        page.text(
+            "Gain, phase and delay of each laser against the mean of all, as the beams tell them together "
+            "with the motion. The motion is corrected by the estimates; their sd enters K and D as an error "
+            "that all lines share. What all lasers have in common changes no K and no D."
+        )
+    )
+    rows = [
+        (name, f"{value:+.3g}", f"{sd:.2g}", f"{stated:.2g}", unit)
+        for name, value, sd, stated, unit in laser_table(lasers)
+    ]
+    section.add(page.table(("parameter", "estimate", "sd", "stated sd", "unit"), rows))
     return section
 
 

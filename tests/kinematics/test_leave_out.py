@@ -47,7 +47,9 @@ def test_points_and_beams_go_with_all_that_belongs_to_them(name, body, kept):
     before = two_bodies()
     after = without_channels(before, [name])
     assert after.bodies[body].points == kept
-    left = [k for k in range(4) if before.bodies[body].displacement[0, k, 0] in after.bodies[body].displacement]
+    left = [
+        k for k in range(4) if before.bodies[body].displacement[0, k, 0] in after.bodies[body].displacement
+    ]
     for field in ("positions_mm", "directions", "reported_directions", "reported_positions_mm"):
         assert np.array_equal(getattr(after.bodies[body], field), getattr(before.bodies[body], field)[left])
     assert len(after.left_out) == 4 - len(kept)

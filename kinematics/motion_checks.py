@@ -1,0 +1,75 @@
+"""Checks of a measurement and a motion as a whole: common lines, places of the points, determined motions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.faults.across.lines import column_offset
+from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.faults import Fault, raise_all
+from stapeskit.records.motion import RigidMotion
+from stapeskit.vocabulary import named
+from stapeskit.warnings import Notice
+
+# A stapes is about 3.5 mm high and 3 mm long.
+_FARTHEST_MM = 8.0
+
+
+def uncommon_lines(placed: Measurement) -> list[Notice]:
+    """Return the warning that bodies were not measured at all lines of the others."""
+    measured = [_measured_lines(body) for body in placed.bodies]
+    counts = [int(np.sum(lines)) for lines in measured]
+    if all(count == len(placed.freq_hz) for count in counts):
+        return []
+    said = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
+    common = int(np.sum(np.all(measured, axis=0)))
+    text = (
+        f"of {len(placed.freq_hz)} frequencies, {said} were measured, {common} of them on all bodies; "
+        "lines are matched within 1e-6."
+    )
+    text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])
+    return [Notice("frequencies_differ", text)]
+
+
+def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:
+    """Return the lines (freq,) at which any channel of any run was measured."""
+    found = np.zeros(body.displacement.shape[2], dtype=bool)
+    for at in np.ndindex(body.displacement.shape[:2]):
+        found |= np.isfinite(body.displacement[at].real)
+        if np.all(found):
+            break
+    return found
+
+
+def check_determined(motion: RigidMotion) -> None:
+    """Refuse a body whose motion is determined at no line.
+
+    Raises
+    ------
+    KinematicsError
+        Its channels are too few at every line.
+    """
+    faults = []
+    for number, body in enumerate(motion.bodies):
+        if not np.any(np.isfinite(motion.q[:, number].real)):
+            step = f"Measure more channels at the same frequencies, or fit fewer with {named('dof')}"
+            expected = f"measured by channels that determine {', '.join(motion.dof)} at one line at least"
+            faults.append(Fault(f"body {body}", expected, "too few channels at every line", "", step))
+    raise_all(KinematicsError, faults)
+
+
+def far_away(placed: Measurement) -> list[Notice]:
+    """Return the warning that the points of the stapes lie where no stapes reaches, as in a foreign frame."""
+    for body in placed.bodies:
+        distance = float(np.linalg.norm(np.mean(body.positions_mm, axis=0)))
+        if body.body == "stapes" and distance > _FARTHEST_MM:
+            text = (
+                f"the points of body stapes lie {distance:.3g} mm from the footplate centre in the mean, "
+                "farther than a stapes reaches: their coordinates look like those of another frame. Tie it "
+                f"to the footplate with {named('fiducials')}, or name it with {named('frame')}; the "
+                "motion is about a point far from the bone."
+            )
+            return [Notice("far_from_footplate", text)]
+    return []

@@ -1,0 +1,68 @@
+"""What is reported of the agreement of the lasers, and which channels may say something about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.measurement import direction_name
+from kinematics.registration.laser_estimate import UNLIKELY
+from kinematics.registration.lasers import LaserErrors
+from stapeskit.vocabulary import named
+from stapeskit.warnings import Notice
+
+_UNITS = {"laser_gain": ("gain", 100.0, "%"), "laser_phase": ("phase", 180.0 / np.pi, "°"),
+          "laser_delay": ("delay", 1e6, "us")}  # fmt: skip
+_LASER_KINDS = ("gain", "phase", "delay")
+
+
+def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], list[int]]:
+    """Return by run and body the channels with a fault of their own; bodies at fault as a whole are left out.
+
+    A gain, phase or delay of all channels of a laser is none: it is what the lasers are asked for.
+    """
+    found: dict[tuple[int, int], list[int]] = {}
+    for key, diagnosis in diagnoses.items():
+        channels: set[int] = set()
+        for finding in diagnosis.findings:
+            if finding.owner in ("laser", "lasers") and finding.kind in _LASER_KINDS:
+                continue
+            if finding.owner not in ("channel", "point") or finding.code:
+                break
+            channels.update(finding.channels)
+        else:
+            found[key] = sorted(channels)
+    return found
+
+
+def laser_notices(lasers: LaserErrors) -> list[Notice]:
+    """Return the warning that the lasers disagree by more than was stated."""
+    if lasers.estimate.p_value > UNLIKELY:
+        return []
+    prior = lasers.prior_sd
+    worst = int(np.argmax(np.abs(lasers.estimate.values) / prior))
+    kind, _, number = lasers.names[worst].partition(".")
+    name, factor, unit = _UNITS[kind]
+    beams = direction_name(lasers.directions[int(number) - 1])
+    text = (
+        f"the lasers disagree by more than stated: most the {name} of the laser along ({beams}), by "
+        f"{lasers.estimate.values[worst] * factor:+.3g} +- {lasers.sd[worst] * factor:.2g} {unit} (stated sd "
+        f"{prior[worst] * factor:.2g} {unit}). The motion is corrected by what the beams say together; "
+        f"calibrate the lasers, or state {named('gain_sd')}, {named('phase_sd')}, {named('delay_sd')}."
+    )
+    return [Notice("lasers_disagree", text)]
+
+
+def laser_table(lasers: LaserErrors) -> list[tuple[str, float, float, float, str]]:
+    """Return name, estimate, sd, stated sd and unit of every parameter, in shown units."""
+    rows = []
+    for place, full in enumerate(lasers.names):
+        kind, _, number = full.partition(".")
+        name, factor, unit = _UNITS[kind]
+        beams = direction_name(lasers.directions[int(number) - 1])
+        sizes = (lasers.estimate.values[place], lasers.sd[place], lasers.prior_sd[place])
+        value, sd, stated = (float(size) * factor for size in sizes)
+        rows.append((f"{name} of laser {number} ({beams})", value, sd, stated, unit))
+    return rows
