@@ -15,7 +15,7 @@ from kinematics.readers.apply_options import with_bodies, with_runs, with_stated
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.input_options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
-from kinematics.readers.reported_noise import body_noise
+from kinematics.readers.reported_noise import body_noise, triad_notices
 from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
@@ -97,6 +97,8 @@ def assemble(
     flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
     bodies, said = _bodies(flat, places, points, order)
     notices += said
+    if not any(notice.code == "axes_from_beams" for notice in notices):
+        notices += triad_notices(bodies)
     runs = tuple(take.name for take in places.takes)
     return Measurement(
         frame,
