@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -11,17 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.across.lines import exchanged_lines
 from kinematics.faults.across.phase import phase_notice
-from kinematics.faults.causes.explain import explained
 from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.unit_slips import unit_slips
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
 from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
-from kinematics.fit.body_noise import with_noise
 from kinematics.fit.frf_ratio import parse_reference, per_reference
 from kinematics.fit.neglected_motion import neglected_notice
 from kinematics.fit.reference_noise import with_record_noise
@@ -39,6 +35,7 @@ from kinematics.registration.motion_errors import motion_errors
 from kinematics.registration.placement import Placement, place
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import pooled, separate, with_gain_errors
+from kinematics.searched_fits import searched_fits, with_lasers
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
@@ -223,36 +220,18 @@ def points2dof(
         screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
         beams = _beam_sets(placed, options.dof)
     lasers = Lasers.of(placed, options.laser_priors)
-    fits, known, said = _fitted(placed, beams, options.robust)
-    applied = None if lasers is None else lasers.estimate(placed, fits)
-    if lasers is not None and applied is not None and applied.explains_misfit(all(known.values())):
-        placed = lasers.corrected(placed, applied.values)
-        screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
-        fits, known, said = _fitted(placed, beams, options.robust)
-    else:
-        applied = None
-    searched: dict[tuple[int, int], LineFit] = {}
-    diagnoses: dict[tuple[int, int], Diagnosis] = {}
+    found = searched_fits(placed, screens, beams, options.robust)
+    if lasers is not None:
+        found = with_lasers(found, lasers, beams, options.robust) or found
+    placed, screens, fits, known = found.placed, list(found.screens), found.fits, found.known
+    diagnoses = found.diagnoses
     verdicts: list[ChannelVerdict] = []
     notices = [*measurement.notices, *placement.notices, *slips]
     notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
     notices += [] if whole else uncommon_lines(placed)
-    notices += [*far_away(placed), *said]
-    for run in range(len(placed.runs)):
-        for number, screen in enumerate(screens):
-            key = (run, number)
-            diagnoses[key], searched[key] = searched_body(placed, run, screen.body, fits[key], known[key])
-    # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
-    exchanged = told_across(placed, searched, diagnoses, known)
-    for run in range(len(placed.runs)):
-        for number, screen in enumerate(screens):
-            key = (run, number)
-            if key not in exchanged:
-                other = explained(placed, run, screen.body, searched[key], known[key], diagnoses[key])
-                diagnoses[key], searched[key] = other or (diagnoses[key], searched[key])
-    diagnoses |= exchanged
+    notices += [*far_away(placed), *found.notices]
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
@@ -263,9 +242,7 @@ def points2dof(
     check_determined(motion)
     errors = None
     if lasers is not None:
-        estimate = lasers.estimate(
-            placed, fits, channels_at_fault(diagnoses), None if applied is None else applied.values
-        )
+        estimate = lasers.estimate(placed, fits, channels_at_fault(diagnoses), found.applied)
         errors = lasers.errors(placed, fits, estimate)
         motion = replace(motion, q=motion.q + errors.correction)
         notices += laser_notices(errors)
@@ -298,20 +275,6 @@ def points2dof(
         repeats.repeats,
         errors,
     )
-
-
-def _fitted(
-    placed: Measurement, beams: Sequence[BeamSet], robust: str
-) -> tuple[dict[tuple[int, int], LineFit], dict[tuple[int, int], bool], list[Notice]]:
-    """Fit every body in every run: the fits, whether their noise is stated, and the warnings."""
-    fits: dict[tuple[int, int], LineFit] = {}
-    known: dict[tuple[int, int], bool] = {}
-    notices: list[Notice] = []
-    for run, number in product(range(len(placed.runs)), range(len(placed.bodies))):
-        key = (run, number)
-        fits[key], known[key], said = with_noise(placed, run, placed.bodies[number], beams[number], robust)
-        notices += said
-    return fits, known, notices
 
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:

@@ -26,9 +26,8 @@ _COHERENT_SD = 3.0
 _LEAST_GAINED = 0.05
 # Probability below which an estimate contradicts what was stated.
 UNLIKELY = 1e-3
-# Share of a misfit that the lasers must explain to be corrected before the search for faults: of what exceeds
-# noise that is stated, or else of all residuals.
-_MOST_OF_EXCESS, _MOST_OF_ALL = 0.5, 0.3
+# Lasers are tried as the cause of what is found when the sum of squares falls by this.
+_WORTH_CORRECTING = 9.0
 
 
 @dataclass(frozen=True)
@@ -85,14 +84,12 @@ class LaserEstimate:
         chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
         return float(chdtrc(int(np.sum(seen)), chi2)) if np.any(seen) else 1.0
 
-    def explains_misfit(self, noise_known: bool) -> bool:
-        """Tell whether the misfit is real, mostly that of the lasers, and as small as was stated."""
-        from scipy.special import chdtri
-
-        excess = self.energy - self.freedom if noise_known else self.energy
-        share = _MOST_OF_EXCESS if noise_known else _MOST_OF_ALL
-        real = self.fall > chdtri(len(self.values), UNLIKELY)
-        return bool(real and self.fall > share * excess and self.p_value > UNLIKELY)
+    @property
+    def explains_misfit(self) -> bool:
+        """Whether errors of lasers and positions as small as stated may explain the misfit."""
+        left = self.energy - self.fall - self.freedom
+        enough = left < _COHERENT_SD * np.sqrt(self.freedom)
+        return bool(enough and self.fall > _WORTH_CORRECTING and self.p_value > UNLIKELY)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,113 @@
+"""Fit every body in every run, search the fits for faults, and see whether the lasers explain them all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.across.all_bodies import told_across
+from kinematics.faults.causes.explain import explained
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.records import searched_body
+from kinematics.faults.screening import Screened
+from kinematics.fit.beams import BeamSet
+from kinematics.fit.body_noise import with_noise
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import Measurement
+from kinematics.registration.lasers import Lasers
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SearchedFits:
+    """The fits of a measurement and what is wrong with them, by (run, body).
+
+    Attributes
+    ----------
+    placed : Measurement
+        As fitted.
+    screens : tuple of Screened
+        By body; with the channels as fitted.
+    fits : dict of LineFit
+    known : dict of bool
+        Whether the noise is stated.
+    diagnoses : dict of Diagnosis
+    notices : list of Notice
+        Of the fits.
+    applied : ndarray, (p,), or None
+        Errors of the lasers that the readings were freed of.
+    """
+
+    placed: Measurement
+    screens: tuple[Screened, ...]
+    fits: dict[tuple[int, int], LineFit]
+    known: dict[tuple[int, int], bool]
+    diagnoses: dict[tuple[int, int], Diagnosis]
+    notices: list[Notice]
+    applied: Array | None = None
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing was found."""
+        return not any(found.findings for found in self.diagnoses.values())
+
+
+def searched_fits(
+    placed: Measurement, screens: Sequence[Screened], beams: Sequence[BeamSet], robust: str
+) -> SearchedFits:
+    """Fit every body in every run, and search the fits for faults.
+
+    Parameters
+    ----------
+    placed : Measurement
+        In the footplate frame.
+    screens : sequence of Screened
+        By body.
+    beams : sequence of BeamSet
+        By body.
+    robust : str
+    """
+    fits: dict[tuple[int, int], LineFit] = {}
+    searched: dict[tuple[int, int], LineFit] = {}
+    known: dict[tuple[int, int], bool] = {}
+    diagnoses: dict[tuple[int, int], Diagnosis] = {}
+    notices: list[Notice] = []
+    keys = list(product(range(len(placed.runs)), range(len(screens))))
+    for key in keys:
+        run, body = key[0], screens[key[1]].body
+        fits[key], known[key], said = with_noise(placed, run, body, beams[key[1]], robust)
+        notices += said
+        diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
+    # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
+    exchanged = told_across(placed, searched, diagnoses, known)
+    for key in keys:
+        if key not in exchanged:
+            body = screens[key[1]].body
+            other = explained(placed, key[0], body, searched[key], known[key], diagnoses[key])
+            diagnoses[key] = other[0] if other else diagnoses[key]
+    return SearchedFits(placed, tuple(screens), fits, known, diagnoses | exchanged, notices)
+
+
+def with_lasers(
+    found: SearchedFits, lasers: Lasers, beams: Sequence[BeamSet], robust: str
+) -> SearchedFits | None:
+    """Return the fits with the lasers corrected, where that explains all that was found.
+
+    A scatter of the lasers no larger than stated is no fault. None where it is, where it leaves anything to
+    be found, or where the noise is not stated, whose size then comes from the misfit itself.
+    """
+    if found.clean or not all(found.known.values()):
+        return None
+    estimate = lasers.estimate(found.placed, found.fits)
+    if not estimate.explains_misfit:
+        return None
+    placed = lasers.corrected(found.placed, estimate.values)
+    screens = [replace(screen, body=body) for screen, body in zip(found.screens, placed.bodies, strict=True)]
+    again = searched_fits(placed, screens, beams, robust)
+    return replace(again, applied=estimate.values) if again.clean else None
