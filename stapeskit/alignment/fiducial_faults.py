@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.alignment.exchanged_points import best_order, cycles
 from stapeskit.alignment.paired_points import kabsch
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
@@ -19,6 +20,8 @@ _NOTICEABLE_MM = 0.05
 _ALIKE = 6.0
 _SCALE_SDS = 4.0
 _ROUNDING = 1e-24
+# How many times smaller another order must leave the sum of squares where no sd is stated.
+_FAR_BETTER = 100.0
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,67 @@ def fault_notices(
     others = np.sqrt(first.energy / first.n_dof)
     text = f"{_words(first, alike, names, rotation)}; the others scatter by {others * 1e3:.2g} um."
     return [Notice("fiducials_inconsistent", text)]
+
+
+def refuse_exchanged(
+    a: Array,
+    b: Array,
+    weights: Array,
+    energy: float,
+    stated: bool,
+    names: Sequence[str],
+    left_out: float = np.inf,
+) -> None:
+    """Refuse paired points that fit only in another order.
+
+    Parameters
+    ----------
+    a, b : ndarray, (n, 3)
+    weights : ndarray, (n,)
+    energy : float
+        Weighted sum of squares that the order as given leaves.
+    stated : bool
+        Whether the weights are absolute.
+    names : sequence of str
+    left_out : float
+        What the best of the faults of a single point leaves.
+
+    Raises
+    ------
+    StapeskitError
+        Names are exchanged: which, by cycles.
+    """
+    free = 3 * len(a) - 6
+    if free < 3 or (stated and not inconsistent(energy, free)):
+        return
+    if not stated and np.sqrt(energy / np.sum(weights)) < _NOTICEABLE_MM:
+        return
+    order, after = best_order(a, b, weights)
+    moved = cycles(order)
+    if not moved or after > left_out:
+        return
+    if stated:
+        if inconsistent(after, free):
+            return
+    elif after * _FAR_BETTER > energy:
+        return
+    said = "; ".join(_cycle_words(cycle, names) for cycle in moved)
+    raise StapeskitError(
+        Fault(
+            "the names of the fiducials",
+            "those of the same points in both frames",
+            f"{said} (residual {np.sqrt(energy / np.sum(weights)):.3g} mm as given, "
+            f"{np.sqrt(after / np.sum(weights)):.3g} mm in that order)",
+            next_step="Correct the names, or the order of the reference coordinates",
+        )
+    )
+
+
+def _cycle_words(cycle: Sequence[int], names: Sequence[str]) -> str:
+    if len(cycle) == 2:
+        return f"{names[cycle[0]]} and {names[cycle[1]]} exchanged"
+    steps = [f"{names[one]} is {names[two]}" for one, two in zip(cycle, (*cycle[1:], cycle[0]), strict=True)]
+    return "a cycle: " + ", ".join(steps)
 
 
 def inconsistent(energy: float, n_dof: int) -> bool:

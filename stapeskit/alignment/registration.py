@@ -12,6 +12,7 @@ from stapeskit.alignment.fiducial_faults import (
     explanations,
     fault_notices,
     inconsistent,
+    refuse_exchanged,
     refuse_mirrored,
 )
 from stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, pose_rows, refined
@@ -120,8 +121,8 @@ def fit_rigid(
     ------
     StapeskitError
         Fewer than 3 points, points on a line, numbers that are not finite, an sd that is not positive,
-        sizes that differ (millimetres against metres), or points that fit only as a mirror image (one set
-        is left-handed).
+        sizes that differ (millimetres against metres), points that fit only as a mirror image (one set
+        is left-handed), or only with names exchanged.
 
     Notes
     -----
@@ -176,6 +177,8 @@ def _judged(
         found = explanations(a, b, weights)
         if mirrored and not coplanar:
             refuse_mirrored(found, energy, float(np.sum(weights)), stated, transform.source, names)
+        single = min(one.energy for one in found if one.kind == "wrong") if len(a) > 4 else np.inf
+        refuse_exchanged(a, b, weights, energy, stated, names, single)
         notices += fault_notices(found, transform.rotation, energy, names, stated)
     elif stated and inconsistent(energy, n_dof):
         notices.append(_three_notice(energy, n_dof))
