@@ -136,13 +136,13 @@ document.addEventListener("DOMContentLoaded", function () {
     part("at").hidden = S.motion !== "measured";
     if (M) part("at").querySelector("output").textContent = M.freq[S.line].toFixed(0) + " Hz";
     say.textContent = S.motion === "rest" ? "Drag to turn; click, then wheel to zoom; keys: arrows, plus, minus, space to play."
-      : (S.motion === "measured" ? "Measured motion at " + M.freq[S.line].toFixed(1) + " Hz" : "Fitted mode shape, " + D.modes[+S.motion].hz.toFixed(0) + " Hz (damped)") + ", phase " + Math.round(S.phase * 180 / Math.PI) % 360 + "°, enlarged.";
+      : (S.motion === "measured" ? "Measured motion at " + M.freq[S.line].toFixed(1) + " Hz" : "Fitted mode shape, " + D.modes[+S.motion].hz.toFixed(0) + " Hz (damped)") + ", phase " + (Math.round(S.phase * 180 / Math.PI) % 360 + 360) % 360 + "°, enlarged.";
   }
   const refresh = () => { tell(); draw(); };
   let last = 0;
   function step(time) {
     if (!S.playing) return;
-    S.phase += Math.min(0.1, (time - last) / 1000) * 2 * Math.PI * (calm ? 0.15 : 0.6); last = time;
+    S.phase += Math.max(0, Math.min(0.1, (time - last) / 1000)) * 2 * Math.PI * (calm ? 0.15 : 0.6); last = time;
     refresh(); requestAnimationFrame(step);
   }
   function play(on) {
