@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, laplace
 
 from benchmarks import foreign_shapes as shapes
 
@@ -23,7 +23,8 @@ _CELL = 4
 class Scene:
     """What a scan shows. Lengths in mm, voxel in um, blur in voxels, levels and noise in contrasts air-bone.
 
-    ``window`` are the contrasts that the lowest and the highest grey value stand for, ``steps`` their number.
+    ``motion`` blurs along x, voxels; ``fringe`` subtracts so much of the Laplacian. ``window`` are the
+    contrasts of the lowest and the highest grey value, ``steps`` their number.
     """
 
     voxel_um: float = 25.0
@@ -43,6 +44,8 @@ class Scene:
     coat_mm: float = 0.035
     void: float = 0.0
     rings: float = 0.0
+    motion: float = 0.0
+    fringe: float = 0.0
     cropped_mm: float | None = None
 
 
@@ -77,6 +80,10 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
     own = grid.share(lambda p: shapes.body(anatomy, p))
     truth = _truth(own, h, scan_from_body @ frame_in_body(anatomy))
     grey = gaussian_filter(_filled(anatomy, scene, grid, own), scene.blur, truncate=5.0)
+    if scene.motion:
+        grey = gaussian_filter(grey, (0.0, 0.0, scene.motion))
+    if scene.fringe:
+        grey -= np.float32(scene.fringe) * laplace(grey)
     if scene.rings:
         grey += _rings(grey.shape, scene.rings, rng)
     noise = rng.standard_normal(grey.shape, dtype=np.float32)

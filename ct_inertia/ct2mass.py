@@ -18,10 +18,13 @@ from ct_inertia.mass.mass_properties import (
     footplate_mass_matrix,
     plate_axes_mass_matrix,
     point_masses,
+    scaled,
     with_added,
 )
 from ct_inertia.mass.masses import MassByWay, at_uniform_density, disagreements, masses_by_way, not_stated
 from ct_inertia.mass.plausibility import check_mesh, implausible, size_notice, unsuitable
+from ct_inertia.mass.published import measured_values, unusual_notice
+from ct_inertia.mass.voxel_scale import voxel_scale
 from ct_inertia.options import MassOptions
 from ct_inertia.readers.mapping import lost_pages
 from ct_inertia.surface.moments import Moments
@@ -231,10 +234,12 @@ def _result(
     footplate, doubts = _footplate(options, known, frame_surface, bodies, moments, notices)
     added = point_masses(options.add_mass)
     found_by = masses_by_way(options, known.calibration, bodies, moments)
-    bodies_by = {way: with_added(bare, added) for way, bare in found_by.items()}
-    ways = tuple(MassByWay(way, body, _matrix(options, body, footplate)) for way, body in bodies_by.items())
+    scale = None if bodies is None else voxel_scale(options, bodies.volume)
+    factor, scale_sd = (1.0, options.voxel_size_sd) if scale is None else (scale.factor, scale.sd)
+    bodies_by = {way: with_added(scaled(bare, factor), added) for way, bare in found_by.items()}
+    ways = tuple(MassByWay(way, body, _matrix(body, footplate, scale_sd)) for way, body in bodies_by.items())
     body, matrix = ways[0].body, ways[0].matrix
-    by_mesh = with_added(at_uniform_density(body, mesh_moments), added)
+    by_mesh = with_added(scaled(at_uniform_density(body, mesh_moments), factor), added)
     frame = later.result()
     plate_matrix = None
     if frame is not None:
@@ -249,6 +254,8 @@ def _result(
         *(_no_plate(bodies) if frame is None else frame.notices),
         *not_stated(matrix.contributions, ways[0].way),
         *disagreements(ways),
+        *(() if scale is None or bodies is None else (scale.notice(bodies.volume.spacing_mm.tolist()),)),
+        *unusual_notice(measured_values(body.volume_m3, body.density_kg_m3, footplate)),
     ]
     return MassMeasurement(
         options,
@@ -261,7 +268,7 @@ def _result(
         frame,
         matrix,
         plate_matrix,
-        _matrix(options, by_mesh, footplate),
+        _matrix(by_mesh, footplate, scale_sd),
         bodies,
         unique(found),
         ways,
@@ -303,10 +310,8 @@ def _with_doubt(footplate: FootplateFrame, hints: AnatomyHints, bodies: Bodies |
     return replace(footplate, contributions={**footplate.contributions, "surroundings": np.outer(step, step)})
 
 
-def _matrix(options: MassOptions, body: MassProperties, footplate: FootplateFrame) -> MassMatrix:
-    return footplate_mass_matrix(
-        body, footplate.scan_from_footplate, footplate.covariance, options.voxel_size_sd
-    )
+def _matrix(body: MassProperties, footplate: FootplateFrame, voxel_size_sd: float | None) -> MassMatrix:
+    return footplate_mass_matrix(body, footplate.scan_from_footplate, footplate.covariance, voxel_size_sd)
 
 
 def _no_plate(bodies: Bodies | None) -> tuple[Notice, ...]:

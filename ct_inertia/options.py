@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.export_formats import EXPORTS
 from stapeskit.option_kinds import (
+    BALLS,
     BOX,
     DIRECTION,
     FLAG,
     FOLDER,
+    LENGTHS,
     MASSES,
     NUMBER,
     POINT,
@@ -117,6 +119,7 @@ class MassOptions(OptionTable):
         ),
         *(_half_a_layout(name) for name in ("shape", "dtype")),
         *(needs(name, "labels", "whose numbers it names") for name in ("stapes_label", "plate_label")),
+        *(needs(name, "scan", "whose voxels it measures") for name in ("scale_length", "scale_ball")),
         needs("coat", "scan", "whose grey values show it"),
         needs("coat_grey", "coat"),
         Rule(
@@ -131,7 +134,7 @@ class MassOptions(OptionTable):
             _unused_with_mesh(name)
             for name in (
                 "calibration", "spacing", "shape", "labels", "threshold", "seed", "box", "mirror",
-                "nan_as_air", "coat",
+                "nan_as_air", "coat", "scale_length", "scale_ball",
             )
         ),
     )  # fmt: skip
@@ -189,6 +192,21 @@ class MassOptions(OptionTable):
         metavar="PERCENT",
         group=_READING,
         example=0.1,
+    )
+    scale_length: tuple[tuple[float, ...], ...] = option(
+        LENGTHS,
+        "a length measured on the sample between two points of the scan (mm): corrects the voxel size and "
+        "states its sd; may be repeated",
+        (),
+        group=_READING,
+        example=[[1.0, 2.0, 3.0, 9.0, 2.0, 3.0, 8.012, 0.01]],
+    )
+    scale_ball: tuple[tuple[float, ...], ...] = option(
+        BALLS,
+        "a ball of known diameter near a point of the scan (mm), with air around it: as scale-length",
+        (),
+        group=_READING,
+        example=[[4.0, 5.0, 9.0, 1.0, 0.001]],
     )
     mirror: str | None = option(
         choice("x", "y", "z"),

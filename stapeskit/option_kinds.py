@@ -26,6 +26,7 @@ from stapeskit.option_values import (
     read_dof,
     read_flag,
     read_masses,
+    read_measured,
     read_named,
     read_number,
     read_numbers,
@@ -127,6 +128,18 @@ MASSES = Kind(
     "a list of point masses [x, y, z, mg] or [x, y, z, mg, sd], mm and mg, the mass positive",
     "X,Y,Z,MG[+-SD]",
     read_masses,
+    repeats=True,
+)
+LENGTHS = Kind(
+    "a list of lengths [x0, y0, z0, x1, y1, z1, length, sd], mm, length and sd positive",
+    "X0,Y0,Z0,X1,Y1,Z1,LENGTH+-SD",
+    read_measured(2),
+    repeats=True,
+)
+BALLS = Kind(
+    "a list of balls [x, y, z, diameter, sd], mm, diameter and sd positive",
+    "X,Y,Z,DIAMETER+-SD",
+    read_measured(1),
     repeats=True,
 )
 BODIES = Kind(

@@ -245,6 +245,28 @@ def read_masses(value: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(read_mass(entry) for entry in value)
 
 
+def read_measured(points: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
+    """Return the reader of rows of so many points and a positive length with its standard deviation."""
+    count = 3 * points
+
+    def row(value: Any) -> tuple[float, ...]:
+        if isinstance(value, str) and value.count(",") == count:
+            place, _, last = value.rpartition(",")
+            length, sd = read_with_sd(last)
+            value = (*read_numbers(place, (count,)), length, sd or 0.0)
+        result = read_numbers(value, (count + 2,))
+        require(result[-2] > 0.0 and result[-1] > 0.0)
+        return result
+
+    def rows(value: Any) -> tuple[tuple[float, ...], ...]:
+        if isinstance(value, list | tuple) and value and is_number(value[0]):
+            value = [value]
+        require(isinstance(value, list | tuple))
+        return tuple(row(entry) for entry in value)
+
+    return rows
+
+
 def read_named(value: Any) -> tuple[str, ...]:
     """Read a table of names, or NAME=VALUE texts, to such texts."""
     if isinstance(value, Mapping):

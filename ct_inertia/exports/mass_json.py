@@ -18,6 +18,7 @@ from ct_inertia.grey.border import CODE as CUT_BY_BORDER
 from ct_inertia.grey.coat import BARE
 from ct_inertia.mass.budget import budget, not_included
 from ct_inertia.mass.mass_properties import point_masses
+from ct_inertia.mass.published import comparisons, measured_values
 from ct_inertia.native import which
 from ct_inertia.surface.surface import Surface, write_surface
 from stapeskit.frames import RigidTransform
@@ -105,6 +106,7 @@ def mass_json(
         "mass_known_by": result.options.mass_known_by,
         "mass_alternatives": [way.as_json(matrix) for way in result.ways[1:]],
         "found": _found(result),
+        "published": comparisons(measured_values(body.volume_m3, body.density_kg_m3, result.footplate)),
         "cross_check": _cross_check(result, second),
         "segmentation": _segmentation(result),
         "labels_file": None if result.bodies is None else labels_file,
@@ -218,7 +220,7 @@ def _holes(surface: Surface) -> int:
 
 
 def _cross_check(result: MassMeasurement, second: bool) -> dict[str, Any]:
-    """Compare the moments used with those of the closed surface."""
+    """Compare the moments used with those of the surface written, and of one at the half grey level."""
     used, mesh = result.moments, result.mesh_moments
     opinion = None
     if second:
@@ -235,7 +237,19 @@ def _cross_check(result: MassMeasurement, second: bool) -> dict[str, Any]:
         "centroid_difference_mm": (mesh.centroid_mm - used.centroid_mm).tolist(),
         "mass_matrix_difference_percent": (100.0 * difference).tolist(),
         "mass_matrix_difference_of": "sqrt(Mii Mjj)",
+        "half_level": _half_level(result),
         "surface_by_pymeshlab": None if opinion is None else asdict(opinion),
+    }
+
+
+def _half_level(result: MassMeasurement) -> dict[str, Any] | None:
+    """Compare with the surface half way between air and bone, which no moment has shaped."""
+    if result.bodies is None or result.bodies.levels is None:
+        return None
+    used, half = result.moments, result.bodies.frame_surface.moments()
+    return {
+        "volume_difference_percent": 100.0 * (half.volume_mm3 / used.volume_mm3 - 1.0),
+        "centroid_difference_mm": (half.centroid_mm - used.centroid_mm).tolist(),
     }
 
 

@@ -51,7 +51,8 @@ class Region:
     """The part of the surface around the footplate: ``points`` (n, 3) are where it stands without the blur.
 
     ``normals`` and ``smoother`` (n, 3) are its normals on the scale of the definition and on the next one;
-    ``grain_mm`` is the standard deviation of what its grid takes of short waves.
+    ``grain_mm`` is the standard deviation of what its grid takes of short waves, ``edge_mm`` the length of
+    the edges of its triangles before refinement.
     """
 
     mesh: Mesh
@@ -62,6 +63,7 @@ class Region:
     grain_mm: float
     normals: Array
     smoother: Array
+    edge_mm: float
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
     known = blur_mm > 0.0
     resolution = blur_mm if known else float(np.median(edges))
     grain = (_GRAIN_OF_BLUR if known else _GRAIN_OF_EDGE) * resolution
-    return Region(part, points, diffusion, resolution, blur_mm, grain, unit(normals), unit(smoother))
+    edge = float(np.median(edges))
+    return Region(part, points, diffusion, resolution, blur_mm, grain, unit(normals), unit(smoother), edge)
 
 
 def without_blur(diffusion: Diffusion, blur_mm: float) -> Array:

@@ -86,16 +86,35 @@ def boundary_covariance(
     line density ``density / 2 pi * integral of k^2 H(k)^2``, H the smoothing of the normals and the gain by
     which taking the blur back raises short waves.
     """
-    origin, axes = frame
     k = np.linspace(-60.0 / sigma_mm, 60.0 / sigma_mm, 12001)
     blur_mm, grain_mm = blur_and_grain_mm
     low = step_response(k, sigma_mm)
     lifted = 1.0 + 2.0 * (blur_mm / sigma_mm) ** 2 * (1.0 - low)
     waves = k * low**2 * lifted * _kept(k, grain_mm)
     line_density = density / (2.0 * np.pi) * float(np.sum(waves**2) * (k[1] - k[0]))
+    influence, length = rim_influence(frame, patch, areas, centres, angle_deg, weight)
+    influence = influence / rim_curvature(patch, angle_deg)[:, None]
+    covariance = line_density * (influence * length[:, None]).T @ influence
+    return np.asarray(covariance * np.outer(_SI, _SI))
+
+
+def rim_curvature(patch: Patch, angle_deg: float) -> Array:
+    """Return how fast the normal turns across each piece of the rim, (s,), 1/mm."""
+    return np.asarray(np.maximum(patch.segment_slope / np.sin(np.radians(angle_deg)), 0.2))
+
+
+def rim_influence(
+    frame: tuple[Array, Array],
+    patch: Patch,
+    areas: Array,
+    centres: Array,
+    angle_deg: float,
+    weight: Callable[[Array], Array],
+) -> tuple[Array, Array]:
+    """Return what an outward shift of the rim does to the frame per length, (s, 6), and lengths (s,), mm."""
+    origin, axes = frame
     middle = (patch.segments.mean(axis=1) - origin) @ axes
     length = np.linalg.norm(patch.segments[:, 1] - patch.segments[:, 0], axis=1)
-    curvature = np.maximum(patch.segment_slope / np.sin(np.radians(angle_deg)), 0.2)
     local = (centres - origin) @ axes
     total = areas.sum()
     influence = np.zeros((len(middle), 6))
@@ -103,9 +122,45 @@ def boundary_covariance(
     influence[:, [3, 5]] = _tilts(local, areas, weight, middle) * middle[:, 1:2]
     spread = areas @ (local[:, 0] ** 2 - local[:, 2] ** 2)
     influence[:, 4] = -middle[:, 0] * middle[:, 2] * np.cos(np.radians(angle_deg)) / max(spread, 1e-6)
-    influence /= curvature[:, None]
-    covariance = line_density * (influence * length[:, None]).T @ influence
-    return np.asarray(covariance * np.outer(_SI, _SI))
+    return influence, length
+
+
+def edge_covariance(
+    frame: tuple[Array, Array],
+    patch: Patch,
+    areas: Array,
+    centres: Array,
+    angle_deg: float,
+    weight: Callable[[Array], Array],
+    blur_mm: float,
+    edge_mm: float,
+) -> Array:
+    """Return what blur and grid leave at the rim, whose curvature is not small, (6, 6), SI.
+
+    Parameters
+    ----------
+    frame, patch, areas, centres, angle_deg, weight
+        As in `boundary_covariance`.
+    blur_mm : float
+    edge_mm : float
+        Length of the edges of the triangles.
+
+    Notes
+    -----
+    Blur b moves an edge of radius R inward by b^2 / 2R + b^4 / 8R^3, of which the first term was restored.
+    Chords of length h lie up to h^2 / 8R within it, h^2 / 27R in the standard deviation over places; edges of
+    triangles are 0.7 grid spacings long. Both are taken as standard deviations common to an eighth of
+    the rim: shape of the edge and place on the grid change along it.
+    """
+    influence, length = rim_influence(frame, patch, areas, centres, angle_deg, weight)
+    curvature = np.minimum(rim_curvature(patch, angle_deg), 1.0 / blur_mm)
+    shift = np.hypot(blur_mm**4 * curvature**3 / 8.0, (edge_mm / 0.7) ** 2 * curvature / 27.0)
+    steps = influence * (shift * length)[:, None]
+    origin, axes = frame
+    middle = (patch.segments.mean(axis=1) - origin) @ axes
+    octant = np.floor(np.arctan2(middle[:, 2], middle[:, 0]) / (0.25 * np.pi)).astype(int) % 8
+    parts = np.array([steps[octant == k].sum(axis=0) for k in range(8)])
+    return np.asarray(parts.T @ parts * np.outer(_SI, _SI))
 
 
 def _tilts(local: Array, areas: Array, weight: Callable[[Array], Array], at: Array | None = None) -> Array:

@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG, NORMAL_SCALE_MM, Solved, plane_weights, solve
-from ct_inertia.frames.footplate_noise import boundary_covariance, height_covariance, height_noise
+from ct_inertia.frames.footplate_noise import (
+    boundary_covariance,
+    edge_covariance,
+    height_covariance,
+    height_noise,
+)
 from stapeskit.frames import vector_from_rotation
 
 Array = NDArray[np.float64]
@@ -67,8 +72,14 @@ def contributions_of(solved: Solved, noise_mm4: float = 0.0) -> dict[str, Array]
     resolution = min(blur, 4.0) * _displacement(solved, smoother, solved)
     if seen:
         rim, resolution = _RIM_LEFT * rim, _RESOLUTION_LEFT * resolution
+    face = solved.face
+    edges = np.zeros((6, 6))
+    if seen:
+        rim_of = (face.patch, face.areas, face.centres, FACE_ANGLE_DEG, plane_weights)
+        edges = edge_covariance(frame, *rim_of, region.blur_mm, region.edge_mm)
     return {
         "noise": noise,
+        "edges": edges,
         "rim": np.outer(rim, rim),
         "resolution": np.outer(resolution, resolution),
         "blur": _remaining_blur(region.blur_mm) if seen else _unknown_blur(region.resolution_mm),

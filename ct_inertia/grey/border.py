@@ -64,11 +64,14 @@ def cut_layers(
 
 
 def cut_notice(cuts: Iterable[BorderCut], where: str = "scan") -> Notice:
-    """Say which layers cut the stapes, and that nothing makes up for what is missing."""
+    """Report which layers cut the body, and what either cause does to the result."""
     layers = " and at ".join(cut.told for cut in cuts)
     text = (
-        f"The stapes touches the border of the {where}, at {layers}: what lies beyond it is missing from "
-        f"volume and mass, and the uncertainty does not hold it. Scan or export a larger field of view."
+        f"The body measured touches the border of the {where}, at {layers}. Either the stapes ends there: "
+        f"what lies beyond is missing from volume and mass. Or another bone that the field of view crops, "
+        f"such as the tip of the incus, touches the stapes and is counted with it. The uncertainty holds "
+        f"neither. Look at the slices of the report; scan or export a larger field of view, or correct the "
+        f"labels (--labels)."
     )
     return Notice(CODE, text)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.grey.thin_walls import thin_wall_shift, vertex_normals
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grids import gaussian
@@ -21,12 +22,20 @@ _GRID_MM = 0.05
 _SMOOTH_VOXELS = 0.7
 _LEAST_SHARE = 0.02
 _CHORDS = 0.2
+# Standard deviation of the shift at thin walls, as a share of it; a mean shift below this needs none.
+_WALL_SD, _THIN_WALLS_MM = 0.3, 3e-4
 
 
-def frame_surface(
-    share: NDArray[np.float32], scan_from_index: Array, sigma_mm: float
-) -> tuple[Surface, float]:
-    """Return the half level of a body's share of bone, and the blur with which it is seen, mm.
+class FrameSurface(NamedTuple):
+    """A surface, the blur with which it is seen, mm, and how far its vertices were moved at thin walls."""
+
+    surface: Surface
+    blur_mm: float
+    wall_shift_mm: Array
+
+
+def frame_surface(share: NDArray[np.float32], scan_from_index: Array, sigma_mm: float) -> FrameSurface:
+    """Return the half level of a body's share of bone, moved outward where walls are thin.
 
     Parameters
     ----------
@@ -64,8 +73,14 @@ def frame_surface(
     transform[:3, :3] = scan_from_index[:3, :3] * block
     transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))
     surface = iso_surface(steep, 0.0, transform)
+    shift = thin_wall_shift(surface, part, transform, float(np.sqrt(sigma_mm**2 + variance.mean())))
+    surface = _lifted(surface, shift)
     variance = variance + _CHORDS * (spacing * block) ** 2
-    return surface, float(np.sqrt(sigma_mm**2 + variance.mean()))
+    return FrameSurface(surface, float(np.sqrt(sigma_mm**2 + variance.mean())), shift)
+
+
+def _lifted(surface: Surface, shift_mm: Array) -> Surface:
+    return Surface(surface.vertices_mm + shift_mm[:, None] * vertex_normals(surface), surface.faces)
 
 
 def height_noise_of(noise: float, correlation: float, scan_from_index: Array, blur_mm: float) -> float:
@@ -107,11 +122,16 @@ def _blocks(spacing_mm: Array) -> NDArray[np.int64]:
     return np.maximum(np.floor(_GRID_MM / spacing_mm + 1e-6), 1.0).astype(np.int64)
 
 
-def doubted_surface(measured: Measured, scan_from_index: Array) -> Surface | None:
-    """Return the surface with less taken off for what is soft around the stapes, or None without such."""
-    if measured.doubt is None:
+def doubted_surface(measured: Measured, scan_from_index: Array, known: FrameSurface) -> Surface | None:
+    """Return the surface a standard deviation away: of what is soft around it, and of the shift at walls.
+
+    None where nothing soft was subtracted and no wall is thin.
+    """
+    if measured.doubt is not None:
+        known = frame_surface(measured.share + measured.doubt, scan_from_index, measured.sigma_mm)
+    elif float(np.mean(known.wall_shift_mm)) < _THIN_WALLS_MM:
         return None
-    return frame_surface(measured.share + measured.doubt, scan_from_index, measured.sigma_mm)[0]
+    return _lifted(known.surface, _WALL_SD * known.wall_shift_mm)
 
 
 def _around(share: NDArray[np.float32], block: NDArray[np.int64]) -> tuple[Array, NDArray[np.float32]]:

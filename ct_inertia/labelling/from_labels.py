@@ -22,7 +22,8 @@ from ct_inertia.labelling.unlabelled_plate import plate_beside
 from ct_inertia.segment.cutting import Cut, box_around
 from ct_inertia.segment.separate import flooded
 from ct_inertia.segment.sight import SearchOptions
-from ct_inertia.surface.isosurface import iso_surface, volume_matched
+from ct_inertia.surface.isosurface import iso_surface
+from ct_inertia.surface.matched import moment_matched
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
@@ -102,7 +103,7 @@ def _labels_alone(labels: Volume, options: SearchOptions) -> Bodies:
     moments = voxel_moments(stapes, labels)
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, labels.origin_mm)
-    surface = label_surface(stapes, labels, moments.volume_mm3)
+    surface = label_surface(stapes, labels, moments)
     plate = np.asarray(labels.array == PLATE)
     plate_mesh = label_surface(plate, labels, None) if np.count_nonzero(plate) >= _LEAST_VOXELS else None
     rest = np.asarray(labels.array != 0) & ~stapes & ~plate
@@ -154,7 +155,7 @@ def voxel_moments(mask: NDArray[np.bool_], grid: Volume) -> Moments:
     return Moments(volume, grid.scan_points(middle), 0.5 * (second + second.T), contributions)
 
 
-def label_surface(mask: NDArray[np.bool_], grid: Volume, volume_mm3: float | None) -> Surface:
+def label_surface(mask: NDArray[np.bool_], grid: Volume, moments: Moments | None) -> Surface:
     """Return a closed surface of a mask, its steps smoothed by less than a voxel."""
     from scipy.ndimage import gaussian_filter
 
@@ -165,9 +166,9 @@ def label_surface(mask: NDArray[np.bool_], grid: Volume, volume_mm3: float | Non
     field = gaussian_filter(np.pad(part, 3).astype(np.float32), _SURFACE_BLUR)
     transform = grid.scan_from_index.copy()
     transform[:3, 3] = grid.scan_points(low[::-1] - 3)
-    if volume_mm3 is None:
+    if moments is None:
         return iso_surface(field, 0.5, transform)
-    return volume_matched(field, volume_mm3, transform)[0]
+    return moment_matched(field, moments, transform)[0]
 
 
 def _labelled(
@@ -291,8 +292,8 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
     moments = measured.moments
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
-    surface, level = volume_matched(measured.share, moments.volume_mm3, cut.scan_from_box(volume))
-    coarse, blur = frame_surface(measured.share, cut.scan_from_box(volume), measured.sigma_mm)
+    surface, level = moment_matched(measured.share, moments, cut.scan_from_box(volume))
+    coarse = frame_surface(measured.share, cut.scan_from_box(volume), measured.sigma_mm)
     plate_all = np.asarray(every == PLATE)
     plate_mesh: Surface | None = None
     placed = replace(
@@ -317,9 +318,9 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         volume=volume,
         labels=LabelledVolume.of_array(labelled.labels, labelled.first_index + offset, volume),
         stapes=surface,
-        frame_surface=coarse,
-        frame_blur_mm=blur,
-        frame_doubt=doubted_surface(measured, cut.scan_from_box(volume)),
+        frame_surface=coarse.surface,
+        frame_blur_mm=coarse.blur_mm,
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(volume), coarse),
         plate=plate_mesh,
         moments=moments,
         mesh_moments=surface.moments(),
@@ -332,7 +333,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
             *measured.notices,
             *border_notices(volume, cut),
             *ends,
-            *([bare_bone_notice(coarse, moments.volume_mm3)] if coat is None else []),
+            *([bare_bone_notice(coarse.surface, moments.volume_mm3)] if coat is None else []),
         ),
     )
 

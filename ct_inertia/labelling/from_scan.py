@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Bodies
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
+from ct_inertia.grey.artefacts import artefact_notices
 from ct_inertia.grey.border import border_notices
 from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
@@ -25,7 +26,7 @@ from ct_inertia.segment.cutting import Cut, cut_out
 from ct_inertia.segment.plate_region import PlateRegion, find_plate
 from ct_inertia.segment.search import look
 from ct_inertia.segment.sight import SearchOptions, Sight
-from ct_inertia.surface.isosurface import volume_matched
+from ct_inertia.surface.matched import moment_matched
 from ct_inertia.volume.coarse import Glance, calmed, take_glance
 from ct_inertia.volume.volume import Volume
 from stapeskit.background import Later
@@ -117,12 +118,17 @@ def _assembled(
     if options.voxel_size_sd is not None:
         moments = with_voxel_size(moments, options.voxel_size_sd, volume.origin_mm)
     share = calmed(measured.share, measured.levels.noise / measured.levels.contrast)
-    mesh = Later(volume_matched, share, moments.volume_mm3, cut.scan_from_box(grid))
-    coarse, blur = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
+    mesh = Later(moment_matched, share, moments, cut.scan_from_box(grid))
+    coarse = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
+    found = artefact_notices(cut, measured.levels, measured.sigma_mm, grid.spacing_mm)
+    if any(notice.code == "phase_fringes" for notice in found):
+        # Bright edges of bone look like cupping.
+        notices = [notice for notice in notices if notice.code != "bone_cupping"]
+    notices += found
     if coat is None:
-        notices.append(bare_bone_notice(coarse, moments.volume_mm3))
+        notices.append(bare_bone_notice(coarse.surface, moments.volume_mm3))
     stapes, level = mesh.result()
     if is_thresholded(_as_stored(cut)):
         moments, notice = with_threshold(moments, stapes, float(volume.spacing_mm.max()))
@@ -132,15 +138,15 @@ def _assembled(
         volume=volume,
         labels=label_box(volume, sight, plate, cut, replace(measured, share=share), level),
         stapes=stapes,
-        frame_surface=coarse,
-        frame_blur_mm=blur,
+        frame_surface=coarse.surface,
+        frame_blur_mm=coarse.blur_mm,
         frame_noise_mm4=height_noise_of(
             measured.levels.noise / measured.levels.contrast,
             measured.correlation,
             cut.scan_from_box(grid),
-            blur,
+            coarse.blur_mm,
         ),
-        frame_doubt=doubted_surface(measured, cut.scan_from_box(grid)),
+        frame_doubt=doubted_surface(measured, cut.scan_from_box(grid), coarse),
         plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,
         mesh_moments=stapes.moments(),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.mass.voxel_scale import SCANNER_WORDS
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import parameter_basis
 
@@ -71,19 +72,32 @@ def described(source: str) -> str:
     return SOURCES.get(source, source.replace("_", " "))
 
 
+_MASS_SOURCES = {
+    "density": "density not included",
+    "mass": "measured mass not included",
+    "calibration": "calibration not included",
+}
+
+
+def mass_sd_missing(content: Mapping[str, Any]) -> str:
+    """Return what the leading way to the mass lacks, by the content of mass.json; empty when it has an sd.
+
+    A mass without it is not shown with the standard deviation of the rest of the budget.
+    """
+    missing = set(content["uncertainty"].get("not_included", ()))
+    found = [way for way, words in _MASS_SOURCES.items() if words in missing]
+    return f"the {found[0]} has no standard deviation" if found else ""
+
+
 def not_included(
     contributions: Mapping[str, Any], mass_known_by: str, cut: bool = False, bare: bool = False
 ) -> list[str]:
     """List what the budget does not hold: values without an uncertainty, a cut-off part, a soft coat."""
     missing = []
-    if mass_known_by == "density" and "density" not in contributions:
-        missing.append("density not included")
-    if mass_known_by == "mass" and "mass" not in contributions:
-        missing.append("measured mass not included")
-    if mass_known_by == "calibration" and "calibration" not in contributions:
-        missing.append("calibration not included")
+    if mass_known_by not in contributions:
+        missing.append(_MASS_SOURCES[mass_known_by])
     if "voxel_size" not in contributions:
-        missing.append("voxel size not included")
+        missing.append(f"voxel size not included ({SCANNER_WORDS})")
     if bare:
         missing.append("bare bone assumed: soft coat not included")
     if cut:

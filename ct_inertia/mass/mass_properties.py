@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +49,9 @@ class PointMass:
                 )
             )
 
-    def parameters(self, about_mm: Array) -> Array:
-        """Return its ten inertial parameters about a point (3,) in mm, scan axes, SI."""
-        arm = (self.position_mm - about_mm) * 1e-3
+    def parameters(self, about_mm: Array, length_scale: float = 1.0) -> Array:
+        """Return its ten inertial parameters about a point (3,) in scan mm, scan axes, SI."""
+        arm = (self.position_mm - about_mm) * (1e-3 * length_scale)
         tensor = self.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         return np.concatenate([[self.mass_kg], self.mass_kg * arm, _packed(tensor)])
 
@@ -83,6 +83,8 @@ class MassProperties:
     added : ndarray, (10,)
         The part of ``parameters`` that added masses make; a wrong voxel size moves them, but their masses
         stay.
+    length_scale : float
+        True length of 1 mm in scan coordinates, mm: applied to all but ``com_mm``.
     """
 
     density_kg_m3: float
@@ -92,6 +94,7 @@ class MassProperties:
     contributions: Mapping[str, Array] = field(default_factory=dict)
     length_powers: Array = field(default_factory=lambda: _POWERS_OF_LENGTH)
     added: Array = field(default_factory=lambda: np.zeros(10))
+    length_scale: float = 1.0
 
     @property
     def mass_kg(self) -> float:
@@ -185,14 +188,30 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
     )
 
 
+def scaled(body: MassProperties, factor: float) -> MassProperties:
+    """Return the properties of bone whose voxels are larger by a factor; ``com_mm`` remains in scan mm."""
+    powers = factor**body.length_powers
+    mass = factor ** float(body.length_powers[0])
+    return replace(
+        body,
+        density_kg_m3=body.density_kg_m3 * mass / factor**3,
+        volume_m3=body.volume_m3 * factor**3,
+        parameters=body.parameters * powers,
+        contributions={name: part * np.outer(powers, powers) for name, part in body.contributions.items()},
+        length_scale=factor,
+    )
+
+
 def with_added(body: MassProperties, added: Sequence[PointMass]) -> MassProperties:
     """Add point masses to a body; the properties are about the common centre of mass afterwards."""
     if not added:
         return body
-    points = np.sum([mass.parameters(body.com_mm) for mass in added], axis=0)
+    scale = body.length_scale
+    every = [mass.parameters(body.com_mm, scale) for mass in added]
+    points = np.sum(every, axis=0)
     parameters = body.parameters + points
     contributions = dict(body.contributions)
-    steps = [mass.parameters(body.com_mm) * (mass.sd_kg / mass.mass_kg) for mass in added]
+    steps = [of * (mass.sd_kg / mass.mass_kg) for mass, of in zip(added, every, strict=True)]
     if any(np.any(step) for step in steps):
         contributions["added_mass"] = sum((np.outer(step, step) for step in steps), np.zeros((10, 10)))
     shift_m = parameters[1:4] / parameters[0]
@@ -200,11 +219,12 @@ def with_added(body: MassProperties, added: Sequence[PointMass]) -> MassProperti
     return MassProperties(
         body.density_kg_m3,
         body.volume_m3,
-        body.com_mm + shift_m * 1e3,
+        body.com_mm + shift_m * 1e3 / scale,
         linear @ parameters,
         {name: linear @ part @ linear.T for name, part in contributions.items()},
         body.length_powers,
         linear @ (body.added + points),
+        scale,
     )
 
 
@@ -231,7 +251,7 @@ def footplate_mass_matrix(
     grey values, but from other voxels (the whole boundary here, the footplate's medial face there).
     """
     rotation = scan_from_footplate.rotation.T
-    shift_m = (scan_from_footplate.translation_mm - body.com_mm) * 1e-3
+    shift_m = (scan_from_footplate.translation_mm - body.com_mm) * (1e-3 * body.length_scale)
     linear = parameter_transfer(rotation, shift_m)
     parameters = linear @ body.parameters
     contributions = {name: linear @ part @ linear.T for name, part in body.contributions.items()}

@@ -67,6 +67,7 @@ class MassByWay:
             "by": self.way,
             "mass_kg": self.body.mass_kg,
             "mass_sd_kg": float(self.matrix.standard_deviation[0, 0]),
+            "mass_sd_stated": self.way in self.matrix.contributions,
             "density_kg_m3": self.body.density_kg_m3,
             "mass_change_percent": 100.0 * (self.body.mass_kg / float(leading.parameters[0]) - 1.0),
             "center_of_mass_change_m": (centre - usual).tolist(),

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.bodies import STAPES
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.report.colours import BODY_COLOURS
 from stapeskit.faults import Fault
 
 
@@ -33,7 +35,7 @@ class Body:
 
     vertices_mm: NDArray[np.floating]
     faces: NDArray[np.integer]
-    color: str = "#d9c7a5"
+    color: str = BODY_COLOURS[STAPES]
     opacity: float = 1.0
     name: str = "stapes"
     smooth: bool = True

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_AXIS_COLOURS = ("#c0392b", "#1e8449", "#2256a5")
 _PIXELS = 720
 _MARGIN = 1.22
 
@@ -249,7 +249,7 @@ def _triad(
     tips = (inside.rotation @ scan_from_frame.rotation).T @ view.matrix.T
     dashes = "--" if mark else "-"
     for axis in np.argsort(tips[:, 2]):
-        colour, tip = _AXIS_COLOURS[axis], tips[axis]
+        colour, tip = AXIS_COLOURS[axis], tips[axis]
         label = "xyz"[axis] + mark
         flat = float(np.hypot(tip[0], tip[1]))
         if flat < 0.12:

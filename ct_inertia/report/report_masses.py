@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ct_inertia.mass.budget import mass_sd_missing
 from ct_inertia.mass.masses import WORDS
 from stapeskit.page import page
 from stapeskit.page.quantities import MASS, SMALL_LENGTH
@@ -34,7 +35,7 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
     rows = [
         (
             f"{WORDS[lead]} (used)",
-            f"{MASS.of(content['mass_kg']):.4f} ± {MASS.of(sd):.2g}",
+            _with_sd(content["mass_kg"], None if mass_sd_missing(content) else sd),
             f"{content['density_kg_m3']:.1f}",
             "",
             "",
@@ -47,7 +48,7 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
         rows.append(
             (
                 WORDS[way["by"]],
-                f"{MASS.of(way['mass_kg']):.4f} ± {MASS.of(way['mass_sd_kg']):.2g}",
+                _with_sd(way["mass_kg"], way["mass_sd_kg"] if way.get("mass_sd_stated") else None),
                 f"{way['density_kg_m3']:.1f}",
                 f"{way['mass_change_percent']:+.2f}",
                 ", ".join(f"{value:+.1f}" for value in shift),
@@ -81,31 +82,50 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
     return page.Section("Ways to the mass", blocks, "ways_to_mass")
 
 
+def _with_sd(mass_kg: float, sd_kg: float | None) -> str:
+    """Return a mass with its standard deviation; None: it has none of its density, calibration or balance."""
+    if sd_kg is None:
+        return f"{MASS.of(mass_kg):.4f} (sd not stated)"
+    return f"{MASS.of(mass_kg):.4f} ± {MASS.of(sd_kg):.2g}"
+
+
 def cross_check_section(content: Mapping[str, Any]) -> page.Section:
     """Compare the grey-value integral with the closed surface, and that with a second program."""
     check = content["cross_check"]
     section = page.Section("Cross-check", key="cross_check")
     if check["used"] != check["other"]:
-        apart = np.array(check["centroid_difference_mm"]) * 1e3
         worst = float(np.max(np.abs(check["mass_matrix_difference_percent"])))
+        rows = [
+            ("stapes.ply", *_differences(check), f"{worst:.3f} %"),
+        ]
+        half = check.get("half_level")
+        if half is not None:
+            rows.append(("half way from air to bone", *_differences(half), ""))
         section.add(
             page.text(
                 "The numbers used are integrals of grey values, in which a voxel half filled with bone "
-                "counts half; they need no threshold. The closed surface is another way to the same "
-                "quantities. Its level is set so that its volume agrees; that its centre and its inertia "
-                "then agree as well is the check."
+                "counts half; they need no threshold. The surface in stapes.ply is shaped to have the same "
+                "volume, centre and inertia. The surface at the half level is not: blur shrinks what is "
+                "convex or thin there, by a few percent of the volume; more would speak for a wrong level."
             ),
             page.table(
-                ("closed surface against the grey-value integral", "difference"),
-                [
-                    ("volume", f"{check['volume_difference_percent']:+.4f} %"),
-                    ("centre of volume (scan)", ", ".join(f"{v:+.2f}" for v in apart) + " µm"),
-                    ("largest of M, of √(Mii Mjj)", f"{worst:.3f} %"),
-                ],
+                (
+                    "surface against the grey-value integral",
+                    "volume",
+                    "centre of volume (scan, µm)",
+                    "largest of M, of √(Mii Mjj)",
+                ),
+                rows,
             ),
         )
     section.add(page.text(_second_opinion(check["surface_by_pymeshlab"])))
     return section
+
+
+def _differences(check: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the differences of volume and of the centre in words."""
+    apart = np.array(check["centroid_difference_mm"]) * 1e3
+    return f"{check['volume_difference_percent']:+.4f} %", ", ".join(f"{v:+.2f}" for v in apart)
 
 
 def _second_opinion(found: Mapping[str, Any] | None) -> str:

@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.mass.budget import described
+from ct_inertia.bodies import PLATE
+from ct_inertia.mass.budget import described, mass_sd_missing
+from ct_inertia.report.colours import BODY_COLOURS
 from ct_inertia.report.report_evidence import evidence_rows
+from ct_inertia.report.report_found import found_section
 from ct_inertia.report.report_masses import cross_check_section, files_blocks, masses_section
 from ct_inertia.surface.surface import Surface
 from stapeskit.frames import RigidTransform
 from stapeskit.page import page
-from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, LENGTH, MASS, SMALL_LENGTH, VOLUME, ShownUnit
+from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, MASS, SMALL_LENGTH, ShownUnit
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, from_json
@@ -31,14 +34,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Published human stapes: mean (range). Sim et al. 2013, JARO 14:159, micro-CT of 53 stapes.
-_ANATOMY = {
-    "height_mm": "3.43 (3.20 to 3.80)",
-    "footplate_length_mm": "2.71 (2.52 to 2.97)",
-    "footplate_width_mm": "1.23 (1.12 to 1.46)",
-    "mass_mg": "about 3",
-    "holes": "1",
-}
 # Of an entry of the mass matrix, by how many of its two degrees of freedom are rotations.
 _UNITS = (MASS, FIRST_MOMENT, INERTIA)
 
@@ -80,7 +75,7 @@ def mass_sections(
         What went wrong with the pictures.
     """
     picture, notices = _bodies_section(content, pictured)
-    sections = [_found_section(content)]
+    sections = [found_section(content)]
     if pictured.labelled is not None:
         sections.append(_cut_section(content, pictured))
     sections += [picture, _matrix_section(content), _budget_section(content)]
@@ -166,54 +161,6 @@ def _given(key: str, value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _found_section(content: Mapping[str, Any]) -> page.Section:
-    found = content["found"]
-    com = np.array(content["inertial_parameters"]["values_si"])
-    com = LENGTH.of(com[1:4] / com[0])
-    deviation = content["uncertainty"]["total"]
-    com_sd = ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in deviation["center_of_mass_m"])
-    rows = [
-        (
-            "mass with what was added" if found["added_masses"] else "mass",
-            MASS.with_sd(content["mass_kg"], deviation["mass_kg"]),
-            _ANATOMY["mass_mg"] + " mg",
-        ),
-        ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³", ""),
-        ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f"), ""),
-        (
-            "centre of mass, footplate axes",
-            f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
-            "",
-        ),
-        ("height of the stapes", f"{found['height_mm']:.2f} mm", _ANATOMY["height_mm"] + " mm"),
-        (
-            "length of the footplate",
-            f"{found['footplate_length_mm']:.2f} mm",
-            _ANATOMY["footplate_length_mm"] + " mm",
-        ),
-        (
-            "width of the footplate",
-            f"{found['footplate_width_mm']:.2f} mm",
-            _ANATOMY["footplate_width_mm"] + " mm",
-        ),
-        (
-            "medial face of the footplate",
-            f"{found['footplate_area_mm2']:.3f} mm², "
-            f"{found['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
-            "",
-        ),
-        ("holes through the body", str(found["holes"]), _ANATOMY["holes"]),
-    ]
-    for mass in found["added_masses"]:
-        place = ", ".join(f"{value:g}" for value in mass["position_mm"])
-        sd = f" ± {MASS.of(mass['sd_kg']):g}" if mass["sd_kg"] else ""
-        value = f"{MASS.of(mass['mass_kg']):g}{sd} {MASS.symbol}"
-        rows.append(("added mass", f"{value} at {place} (scan, mm)", ""))
-    blocks = [page.table(("", "found", "published human stapes"), rows)]
-    blocks.append(page.text("Published: Sim et al. 2013, JARO 14:159 (53 stapes, micro-CT): mean (range)."))
-    return page.Section("What was found", blocks, "literature")
-
-
 def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
     matrix = content["frames"][f"scan_from_{key}"]
     return None if matrix is None else RigidTransform(np.array(matrix, dtype=float), "scan", key)
@@ -235,7 +182,8 @@ def _bodies_section(
     stapes = Body(pictured.stapes.vertices_mm, pictured.stapes.faces)
     scenes = [Scene([stapes], footplate, None, side, known)]
     if pictured.plate is not None:
-        body = Body(pictured.plate.vertices_mm, pictured.plate.faces, "#9fb8c8", 0.45, "plate", smooth=False)
+        mesh = pictured.plate
+        body = Body(mesh.vertices_mm, mesh.faces, BODY_COLOURS[PLATE], 0.45, "plate", smooth=False)
         scenes.append(Scene([stapes, body], footplate, plate, side, known))
     pictures, notices = render_scenes(scenes)
     captions = (
@@ -295,7 +243,7 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
             drawing,
             "Grey values with the outlines of the labels. Top: planes of the footplate frame, through the "
             "arch (z = 0), across it (x = 0), and along the footplate. Bottom: slices of the scan itself "
-            "through the middle of the stapes, or of its largest cut (blue) between stapes and bone.",
+            "where the area of the stapes is largest, or through its largest cut (blue) from other bone.",
             "Six slices with the outlines of stapes, plate and other bone.",
             vector=False,
         ),
@@ -316,11 +264,17 @@ def _cut_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section
 
 def _matrix_section(content: Mapping[str, Any]) -> page.Section:
     section = page.Section("Mass matrix", key="mass_matrix")
+    missing = mass_sd_missing(content)
     section.add(
         page.text(
             "Order of the degrees of freedom: x, y, z (translations of the footplate centre), alpha, beta, "
-            "gamma (small rotations about x, y, z). ± one standard deviation with all sources; mass.json "
-            "holds the same in SI units."
+            "gamma (small rotations about x, y, z). "
+            + (
+                f"No standard deviations: {missing}; those of the other sources are in the budget below. "
+                if missing
+                else "± one standard deviation with all sources. "
+            )
+            + "mass.json holds the same in SI units."
         )
     )
     for key, words in (
@@ -337,7 +291,7 @@ def _matrix_section(content: Mapping[str, Any]) -> page.Section:
                     np.array(block["matrix_si"], dtype=float) * per_si + 0.0,
                     block["dof"],
                     words,
-                    np.array(block["standard_deviation_si"], dtype=float) * per_si,
+                    None if missing else np.array(block["standard_deviation_si"], dtype=float) * per_si,
                     [[unit.symbol for unit in row] for row in units],
                 )
             )
@@ -353,15 +307,17 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
     matrix = np.array(content["mass_matrix"]["matrix_si"], dtype=float)
     diagonal = np.diag(matrix)
     rows = []
+    missing = content["uncertainty"].get("not_included", [])
     for source, row in content["uncertainty"].items():
         if not isinstance(row, Mapping):
             continue
+        name = "total of these" if source == "total" and missing else described(source)
         shares = [
             f"{100.0 * sd / value:.3f}"
             for sd, value in zip(row["mass_matrix_diagonal_si"][2:], diagonal[2:], strict=True)
         ]
         com = ", ".join(f"{SMALL_LENGTH.of(value):.2f}" for value in row["center_of_mass_m"])
-        rows.append((described(source), com, *shares))
+        rows.append((name, com, *shares))
     header = ("source", "centre of mass (µm)", "mass (%)", "M(α, α) (%)", "M(β, β) (%)", "M(γ, γ) (%)")
     section = page.Section(
         "Uncertainty budget",
@@ -374,7 +330,6 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
         ],
         "mass_uncertainty",
     )
-    missing = content["uncertainty"].get("not_included", [])
     if missing:
         section.add(page.text("Not in the budget: " + "; ".join(missing) + "."))
     return section

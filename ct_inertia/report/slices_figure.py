@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
+from ct_inertia.report.colours import BODY_COLOURS, CUT
 from stapeskit.frames import RigidTransform
 
 if TYPE_CHECKING:
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CUT = 9
-# Distinct for readers with red-green blindness too (Okabe and Ito's palette, with blue for the cut).
-COLOURS = {STAPES: "#e69f00", PLATE: "#56b4e9", OTHER_BONE: "#cc79a7", CUT: "#1040ff"}
 NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
 _MARGIN_MM = 0.5
 _PIXELS = 340
@@ -47,7 +45,7 @@ def slices_figure(crop: Crop, footplate: RigidTransform) -> Figure:
     for place, axis in enumerate((2, 1, 0)):
         _native(axes[1, place], crop, axis)
     present = [label for label in NAMES if np.any(crop.mask(label))]
-    handles = [Line2D([], [], color=COLOURS[label], label=NAMES[label]) for label in present]
+    handles = [Line2D([], [], color=BODY_COLOURS[label], label=NAMES[label]) for label in present]
     drawing.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return drawing
 
@@ -80,7 +78,7 @@ class Crop:
         self.volume = volume
         inner = self.grey[self.labels == STAPES]
         self.window = (float(np.percentile(self.grey, 1)), float(np.percentile(inner, 97)))
-        self.middle = np.round(places.mean(axis=0)).astype(np.int64) - self.low
+        self.middle = _largest_sections(self.labels == STAPES)
         self.cut = _cut(self.labels)
         if np.any(self.cut):
             self.middle = _middle_of_largest(self.cut)
@@ -115,6 +113,12 @@ def _cut(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
     stapes, other = labels == STAPES, labels == OTHER_BONE
     return np.asarray((stapes & binary_dilation(other)) | (other & binary_dilation(stapes)))
+
+
+def _largest_sections(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the slices across x, y, z in which a mask has the largest area."""
+    areas = [np.count_nonzero(mask, axis=tuple(k for k in range(3) if k != 2 - axis)) for axis in range(3)]
+    return np.array([int(np.argmax(area)) for area in areas], dtype=np.int64)
 
 
 def _middle_of_largest(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -178,7 +182,7 @@ def _draw(
     axes.imshow(grey, extent=extent, origin=origin, interpolation="nearest", aspect="equal", **options)  # type: ignore[arg-type]
     for label, share in shares.items():
         if label == CUT:
-            axes.contourf(*coordinates, share, levels=[0.5, 2.0], colors=COLOURS[label])
+            axes.contourf(*coordinates, share, levels=[0.5, 2.0], colors=BODY_COLOURS[label])
             continue
-        axes.contour(*coordinates, share, levels=[0.5], colors=COLOURS[label], linewidths=1.0)
+        axes.contour(*coordinates, share, levels=[0.5], colors=BODY_COLOURS[label], linewidths=1.0)
     axes.tick_params(labelsize=8)

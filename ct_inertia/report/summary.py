@@ -17,8 +17,11 @@ def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
     deviation = matrix.standard_deviation
     pose = np.sqrt(np.diag(footplate.covariance))
 
+    stated = result.options.mass_known_by in matrix.contributions
+
     def entry(row: int, column: int, factor: float, unit: str) -> str:
-        return f"{matrix.matrix[row, column] * factor:.4f} ± {deviation[row, column] * factor:.4f} {unit}"
+        value, sd = matrix.matrix[row, column] * factor, deviation[row, column] * factor
+        return f"{value:.4f} ± {sd:.4f} {unit}" if stated else f"{value:.4f} {unit}"
 
     rows: list[tuple[str, str]] = [
         ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
@@ -28,6 +31,7 @@ def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
         ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
         ("M(y, alpha)", entry(1, 3, 1e12, "e-12 kg m")),
         ("M(y, gamma)", entry(1, 5, 1e12, "e-12 kg m")),
+        *([] if stated else [("sd of mass and M", _without(result))]),
         (
             "footplate",
             f"{footplate.length_mm:.2f} x {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
@@ -42,6 +46,13 @@ def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
     if result.plate_frame is not None:
         rows.append(("plate frame (scan)", _vector(result.plate_frame.scan_from_plate.translation_mm, "mm")))
     return rows
+
+
+def _without(result: MassMeasurement) -> str:
+    """Return why mass and M have no standard deviation, and what the rest of the budget is."""
+    way, matrix = result.options.mass_known_by, result.matrix
+    share = matrix.standard_deviation[0, 0] / matrix.matrix[0, 0]
+    return f"not known: none was given of the {way} (volume alone: {100.0 * share:.2g} %)"
 
 
 def summary_rows(result: MassMeasurement, content: Mapping[str, Any]) -> list[tuple[str, str]]:

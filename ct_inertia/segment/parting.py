@@ -126,14 +126,13 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     empty = np.broadcast_to(np.float32(0.0), working.shape)
     working = replace(working, volume=replace(working.volume, array=empty), single=None)
     for way in _every_way(held, bone, spacing, whole):
-        large = [p for p in way.pieces if p.volume_mm3 > _LEAST_PART_MM3]
-        holes = {p.label: _holes(way.labels, p) for p in large if p.possible}
-        parts = tuple(
-            replace(_in_coarse(p, working, volume, step), label=p.label + free, holes=holes.get(p.label))
-            for p in large
-        )
+        # A small part is a part only at the border of the scan, which may have cropped a larger bone.
+        placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
+        kept = [(p, q) for p, q in placed if p.volume_mm3 > _LEAST_PART_MM3 or q.at_border]
+        holes = {p.label: _holes(way.labels, p) for p, _ in kept if p.possible}
+        parts = tuple(replace(q, label=p.label + free, holes=holes.get(p.label)) for p, q in kept)
         new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
-        new[[p.label for p in large]] = [p.label + free for p in large]
+        new[[p.label for p, _ in kept]] = [p.label + free for p, _ in kept]
         labels = renamed(way.labels, new)
         pieces = _on_coarse(coarse, whole, labels, working)
         labels *= way.sure

@@ -57,7 +57,8 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)
-        if not usual:
+        # What ends at the border of the scan may be another bone that touches a whole stapes.
+        if not usual or (chosen is not None and chosen.stapes.at_border):
             parted = _parted(volume, sight, options)
             better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
             if parted is not None and better and _takes_in(parted, doubtful):
@@ -65,7 +66,9 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         if chosen is None:
             continue
         if usual and chosen.stapes.holes == 1 and _takes_in(chosen, doubtful):
-            return _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
+            own = _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
+            if own is not None:
+                return own
         # Bone whose density changes along it can look like two materials: the next reading takes both.
         doubtful = doubtful or (sight, chosen)
     if doubtful is not None:
@@ -91,17 +94,21 @@ def _better(parted: Sight, whole: Piece) -> bool:
     return parted.stapes.score > whole.score and not (parted.at_neck and stout)
 
 
-def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight:
-    """Take the threshold that fits the stapes' own bone, where the body is still a stapes there."""
+def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
+    """Take the threshold that fits the stapes' own bone, where the body is still a stapes there.
+
+    None where its bone is brighter than the material taken for bone and the body is no stapes at its own
+    level: the reading has taken plastic, or the blur around bone, for bone.
+    """
     if options.threshold is not None:
         return sight
     trial = at_own_level(sight, lambda found: _whole(found, sight.scan, volume))
     if trial is None:
         return sight
     best = judged(trial, trial.stapes)
-    if not _usual(best) or best.holes != 1:
-        return sight
-    return replace(trial, stapes=best, notices=doubts(best))
+    if _usual(best) and best.holes == 1:
+        return replace(trial, stapes=best, notices=doubts(best))
+    return None if trial.between > sight.between else sight
 
 
 def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:

@@ -1,13 +1,10 @@
-"""Closed iso surfaces of grey values, their level chosen so that the volume is a given one."""
+"""Closed iso surfaces of grey values."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
@@ -16,9 +13,6 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _TINY_SHARE = 1e-3
-_ROUNDS = 6
-_CLOSE = 5e-5
-_LEAST_SHARE, _MOST_SHARE = calibrated("isosurface.shares")
 _OUTSIDE = -1.0
 
 
@@ -38,80 +32,12 @@ def iso_surface(field: NDArray[np.float32], level: float, scan_from_index: Array
     CtInertiaError
         Nothing lies above the level.
     """
-    corner, part = _cropped(field, level)
-    points, faces = _part_above(part, level)
-    return _placed(points + corner, faces, scan_from_index)
+    corner, part = cropped(field, level)
+    points, faces = part_above(part, level)
+    return placed(points + corner, faces, scan_from_index)
 
 
-def volume_matched(
-    field: NDArray[np.float32], volume_mm3: float, scan_from_index: Array, level: float = 0.5
-) -> tuple[Surface, float]:
-    """Return the iso surface that encloses a given volume, and its level.
-
-    Parameters
-    ----------
-    field : ndarray of float32, [z, y, x]
-        Share of bone, 0 to 1 and noise.
-    volume_mm3 : float
-        Met within 5e-5 of itself where a level does it.
-    scan_from_index : ndarray, (4, 4)
-    level : float
-        First level, where the count of voxels gives none.
-
-    Notes
-    -----
-    At the half level a convex, blurred body encloses too little; the level that matches the integral of
-    the grey values gives a surface for pictures, contact and export that weighs what the body weighs. The
-    count of voxels above a level, a smooth function of it, gives the start and the slope of the search.
-    """
-    voxel = float(np.abs(np.linalg.det(scan_from_index[:3, :3])))
-    corner, part = _cropped(field, _LEAST_SHARE)
-    counts = _counts(part)
-    wanted = volume_mm3 / voxel
-    level = float(np.clip(counts.level(wanted, level), _LEAST_SHARE, _MOST_SHARE))
-    for _ in range(_ROUNDS):
-        points, faces = _part_above(part, level)
-        fault = enclosed_volume(points, faces) - wanted
-        slope = counts.slope(level)
-        new = float(np.clip(level + fault / slope, level - 0.15, level + 0.15)) if slope > 0.0 else level
-        new = float(np.clip(new, _LEAST_SHARE, _MOST_SHARE))
-        if abs(fault) < _CLOSE * wanted or new == level:
-            break
-        level = new
-    return _placed(points + corner, faces, scan_from_index), level
-
-
-@dataclass(frozen=True)
-class _Counts:
-    """How many voxels lie above a level: ``above`` (n,) at the levels ``edges`` (n,)."""
-
-    edges: Array
-    above: Array
-
-    def level(self, wanted: float, default: float) -> float:
-        """Return the level above which so many voxels lie."""
-        if not self.above[-1] <= wanted <= self.above[0]:
-            return default
-        return float(np.interp(wanted, self.above[::-1], self.edges[::-1]))
-
-    def slope(self, level: float, width: float = 0.04) -> float:
-        """Return how many voxels a unit of level costs."""
-        low, high = np.interp([level - width, level + width], self.edges, self.above)
-        return float(low - high) / (2.0 * width)
-
-
-def _counts(part: NDArray[np.float32]) -> _Counts:
-    edges = np.linspace(_LEAST_SHARE, _MOST_SHARE, 161)
-    inside = part[(part > edges[0]) & (part <= edges[-1])]
-    bins = np.bincount(
-        ((inside - edges[0]) * (160.0 / (edges[-1] - edges[0]))).astype(np.intp), minlength=161
-    )
-    most = float(np.count_nonzero(part > edges[-1]))
-    above = most + np.append(np.cumsum(bins[:160][::-1])[::-1], 0.0)
-    return _Counts(edges, above)
-
-
-def _cropped(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.float32]]:
+def cropped(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.float32]]:
     """Return what lies above a level with two voxels around, and the index x, y, z of its first voxel.
 
     A border of voxels far below the level closes what the field's border cuts: caps half a voxel outside.
@@ -131,7 +57,7 @@ def _cropped(field: NDArray[np.float32], level: float) -> tuple[Array, NDArray[n
     return start[::-1] - 1.0, part
 
 
-def _part_above(part: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.int64]]:
+def part_above(part: NDArray[np.float32], level: float) -> tuple[Array, NDArray[np.int64]]:
     """Return the largest closed surface at a level, in index x, y, z of a padded field."""
     below = np.float32(_below(part, level))
     for face in _sides(part):
@@ -197,5 +123,6 @@ def _inside_box(points: Array, part: NDArray[np.int64], main: int, count: int) -
     return np.asarray(np.bincount(part, outside, minlength=count) == 0)
 
 
-def _placed(points: Array, faces: NDArray[np.int64], scan_from_index: Array) -> Surface:
+def placed(points: Array, faces: NDArray[np.int64], scan_from_index: Array) -> Surface:
+    """Return a surface in index x, y, z in scan coordinates."""
     return Surface(points @ scan_from_index[:3, :3].T + scan_from_index[:3, 3], faces)

@@ -106,18 +106,24 @@ class Surface:
         tetrahedron's moments (Tonon 2004, J. Math. Stat. 1:8, doi:10.3844/jmssp.2005.8.11). The point is
         taken near the body first, so that a body far from the origin loses no digits.
         """
-        centre = 0.5 * (self.vertices_mm.min(axis=0) + self.vertices_mm.max(axis=0))
-        a, b, c = (self.vertices_mm[self.faces[:, k]] - centre for k in range(3))
-        six = np.einsum("ij,ij->i", a, np.cross(b, c))
-        total = a + b + c
-        volume = float(six.sum() / 6.0)
-        first = six @ total / 24.0
-        second = (total * six[:, None]).T @ total
-        for corner in (a, b, c):
-            second += (corner * six[:, None]).T @ corner
-        second /= 120.0
-        centroid = first / volume
-        return Moments(volume, centre + centroid, second - volume * np.outer(centroid, centroid))
+        volume, centroid, second = enclosed_moments(self.vertices_mm, self.faces)
+        return Moments(volume, centroid, second)
+
+
+def enclosed_moments(vertices: Array, faces: NDArray[np.integer]) -> tuple[float, Array, Array]:
+    """Return volume, centroid (3,) and second moments about it (3, 3) inside closed faces; any unit."""
+    centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    a, b, c = (vertices[faces[:, k]] - centre for k in range(3))
+    six = np.einsum("ij,ij->i", a, np.cross(b, c))
+    total = a + b + c
+    volume = float(six.sum() / 6.0)
+    first = six @ total / 24.0
+    second = (total * six[:, None]).T @ total
+    for corner in (a, b, c):
+        second += (corner * six[:, None]).T @ corner
+    second /= 120.0
+    centroid = first / volume
+    return volume, centre + centroid, second - volume * np.outer(centroid, centroid)
 
 
 def enclosed_volume(vertices_mm: Array, faces: NDArray[np.integer]) -> float:

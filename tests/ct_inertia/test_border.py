@@ -65,5 +65,8 @@ def test_a_whole_stapes_has_no_cut_part_in_its_budget(tmp_path):
     path = tmp_path / "whole.tif"
     tifffile.imwrite(path, scan.array.astype(np.uint16), photometric="minisblack")
     result = ct2mass(MassOptions(path, density=(1900.0, 60.0), spacing_mm=(0.05,)))
-    missing = ["voxel size not included", "bare bone assumed: soft coat not included"]
-    assert mass_json(result, second=False)["uncertainty"]["not_included"] == missing
+    missing = mass_json(result, second=False)["uncertainty"]["not_included"]
+    assert [words.split(":")[0].split(" (")[0] for words in missing] == [
+        "voxel size not included",
+        "bare bone assumed",
+    ]

@@ -42,7 +42,7 @@ def radius(vertices, faces):
 
 @pytest.mark.parametrize(("voxel", "sigma"), [(0.02, 0.024), (0.04, 0.05), (0.0125, 0.02)])
 def test_a_blurred_ball_shrinks_and_is_put_back(voxel, sigma):
-    surface, blur = frame_surface(*blurred_ball(sigma, voxel), sigma)
+    surface, blur, _ = frame_surface(*blurred_ball(sigma, voxel), sigma)
     shrunk = blur**2 / RADIUS
     assert blur > sigma
     assert RADIUS - radius(surface.vertices_mm, surface.faces) == pytest.approx(shrunk, rel=0.05)
@@ -53,7 +53,7 @@ def test_a_blurred_ball_shrinks_and_is_put_back(voxel, sigma):
 def test_what_the_curvature_leaves_is_of_fourth_order_in_the_blur():
     """A ball's half level stands at R - s^2 / R - 2 s^4 / (3 R^3) + O(s^6), by series of its closed form."""
     for sigma in (0.08, 0.11):
-        surface, blur = frame_surface(*blurred_ball(sigma, 0.03), sigma)
+        surface, blur, _ = frame_surface(*blurred_ball(sigma, 0.03), sigma)
         shrunk = RADIUS - radius(surface.vertices_mm, surface.faces)
         left = (shrunk - blur**2 / RADIUS) / (blur**4 / RADIUS**3)
         assert left == pytest.approx(2.0 / 3.0, rel=0.3)
@@ -65,7 +65,7 @@ def test_a_plane_between_the_voxels_is_met_everywhere():
         z = voxel * np.arange(40) - 0.4
         share = np.zeros((40, 30, 30), dtype=np.float32)
         share[...] = (0.5 * (1.0 - erf((z - offset) / (sigma * np.sqrt(2.0)))))[:, None, None]
-        surface, _ = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), sigma)
+        surface, *_ = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), sigma)
         top = surface.vertices_mm[surface.vertices_mm[:, 2] > 0.3, 2] - 0.4
         assert np.median(top) == pytest.approx(offset, abs=3e-4)
 
@@ -75,7 +75,9 @@ def test_the_face_of_the_real_stapes_keeps_its_height(voxel, height_um):
     ear = phantom.Ear(voxel_mm=(voxel,) * 3, plate=False, bone=False, pose_seed=7, noise_seed=7)
     placed = phantom.scene(replace(ear, tilt_deg=80.0))
     share = (phantom.render(placed).astype(np.float32) - ear.levels[0]) / (ear.levels[2] - ear.levels[0])
-    surface, blur = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), voxel * np.sqrt(1.44 + 1 / 12))
+    surface, blur, _ = frame_surface(
+        share, np.diag([voxel, voxel, voxel, 1.0]), voxel * np.sqrt(1.44 + 1 / 12)
+    )
     truth = placed.scan_from_footplate
     frame = footplate_frame(surface, AnatomyHints(anterior=truth.rotation[:, 0]), blur)
     between = truth.inverse() @ frame.scan_from_footplate
@@ -98,7 +100,7 @@ def test_noise_that_neighbours_share_moves_a_face_as_foretold():
         shared = gaussian_filter(random.normal(size=(24, side, side)), length, mode="wrap")
         share = (step + noise / shared.std() * shared).astype(np.float32)
         share[share < 0.1] = 0.0
-        surface, blur = frame_surface(share, grid, sigma)
+        surface, blur, _ = frame_surface(share, grid, sigma)
         face = surface.vertices_mm[
             np.all(np.abs(surface.vertices_mm - [0.66, 0.66, 0.35]) < [0.55, 0.55, 0.2], axis=1)
         ]
@@ -107,3 +109,21 @@ def test_noise_that_neighbours_share_moves_a_face_as_foretold():
     foretold = height_noise_of(noise, correlation, grid, blur) / 1.1**2
     assert np.var(means) / foretold == pytest.approx(1.0, abs=0.6)
     assert height_noise_of(noise, 1.0, grid, blur) == 0.0
+
+
+@pytest.mark.parametrize(("thickness", "most_um"), [(0.08, 2.0), (0.1, 1.0), (0.25, 0.5)])
+def test_both_faces_of_a_thin_plate_are_found_where_they_are(thickness, most_um):
+    """The half level of a plate as thin as twice the blur lies 3 um and more too deep."""
+    voxel, sigma = 0.025, 0.035
+    z, y, x = (np.arange(n) * voxel for n in (40, 24, 60))
+    spread = np.sqrt(2.0) * sigma
+    across = 0.5 * (erf((z - 0.5 + 0.5 * thickness) / spread) - erf((z - 0.5 - 0.5 * thickness) / spread))
+    along = 0.5 * (erf((x - 0.3) / spread) - erf((x - 1.2) / spread))
+    wide = 0.5 * (erf((y - 0.15) / spread) - erf((y - 0.45) / spread))
+    share = (across[:, None, None] * wide[None, :, None] * along).astype(np.float32)
+    found = frame_surface(share, np.diag([voxel, voxel, voxel, 1.0]), sigma)
+    points = found.surface.vertices_mm
+    inner = (np.abs(points[:, 0] - 0.75) < 0.25) & (np.abs(points[:, 1] - 0.3) < 0.05)
+    away = np.abs(points[inner, 2] - 0.5) - 0.5 * thickness
+    assert np.abs(away.mean()) * 1e3 < most_um
+    assert (found.wall_shift_mm[inner].mean() > 1e-3) == (thickness < 0.1)

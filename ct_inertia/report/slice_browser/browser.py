@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import STAPES
-from ct_inertia.report.slices_figure import COLOURS, CUT, NAMES, Crop
+from ct_inertia.report.colours import BODY_COLOURS, CUT
+from ct_inertia.report.slices_figure import NAMES, Crop
 from stapeskit.page import page
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def picture_data(crop: Crop) -> dict[str, Any]:
         "axis": _best_axis(crop),
         "middle": [int(index) // step for index in crop.middle],
         "names": [NAMES.get(label, "") for label in (0, 1, 2, 3, CUT)],
-        "colours": [COLOURS.get(label, "#000000") for label in (0, 1, 2, 3, CUT)],
+        "colours": [BODY_COLOURS.get(label, "#000000") for label in (0, 1, 2, 3, CUT)],
     }
 
 

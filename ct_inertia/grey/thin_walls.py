@@ -1,0 +1,129 @@
+"""Where a surface at the half level lies too deep because the wall behind it is as thin as the blur."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.surface.surface import Surface
+from ct_inertia.volume.normal import normal_cdf, normal_quantile
+
+Array = NDArray[np.float64]
+
+# Walls thicker than this many widths of the blur have faces that do not see each other (3e-5 of a width).
+_THICK = 5.0
+# Walls thinner than this stay below the half level.
+_THINNEST = 1.4
+_STEP = 0.25
+_SMOOTHING = 4
+_LEAST_PLATEAU = 0.55
+
+
+def thin_wall_shift(surface: Surface, share: NDArray[np.float32], transform: Array, blur_mm: float) -> Array:
+    """Return by how much each vertex (n,) lies too deep, mm, along its outward normal.
+
+    Parameters
+    ----------
+    surface : Surface
+        The half level of ``share``.
+    share : ndarray of float32, [z, y, x]
+    transform : ndarray, (4, 4)
+        Index x, y, z of the share to scan coordinates, mm.
+    blur_mm : float
+        Standard deviation of the blur of the share.
+
+    Notes
+    -----
+    A plate of thickness T is seen as Phi((x + T/2) / b) - Phi((x - T/2) / b), which has the half level at
+    x = t/2 < T/2. The thickness t is measured along the inward normal, T follows from the table of t(T).
+    At the edge of a plate the inward normal runs within it: its grey value p < 1 there puts the half level
+    where p Phi(x / b) = 1/2.
+    """
+    normals = vertex_normals(surface)
+    seen, most = _seen_thickness(surface.vertices_mm, normals, share, transform, blur_mm)
+    true = np.linspace(_THINNEST, _THICK, 200)
+    lost = 0.5 * (true - _half_level_thickness(true))
+    shift = np.interp(seen / blur_mm, true - 2.0 * lost, lost, left=float(lost[0]), right=0.0) * blur_mm
+    edge = np.isinf(seen) & (most < 1.0)
+    shift[edge] = normal_quantile(0.5 / np.clip(most[edge], _LEAST_PLATEAU, 1.0)) * blur_mm
+    return smoothed(surface, shift)
+
+
+def vertex_normals(surface: Surface) -> Array:
+    """Return outward unit normals (n, 3) of vertices, averaged over their neighbours."""
+    a, b, c = (surface.vertices_mm[surface.faces[:, k]] for k in range(3))
+    vectors = np.cross(b - a, c - a)
+    normals = np.zeros_like(surface.vertices_mm)
+    for k in range(3):
+        column = np.repeat(vectors[:, k], 3)
+        normals[:, k] = np.bincount(surface.faces.ravel(), column, minlength=len(normals))
+    for k in range(3):
+        normals[:, k] = smoothed(surface, normals[:, k])
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def smoothed(surface: Surface, field: Array, rounds: int = _SMOOTHING) -> Array:
+    """Average a field (n,) over the neighbours of every vertex."""
+    faces, n = surface.faces, len(field)
+    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    count = np.maximum(np.bincount(start, minlength=n), 1)
+    for _ in range(rounds):
+        field = 0.5 * field + 0.5 * np.bincount(start, field[end], minlength=n) / count
+    return field
+
+
+def _half_level_thickness(true: Array) -> Array:
+    """Return the thickness of plates at the half level; both in widths of the blur."""
+    low, high = np.zeros_like(true), 0.5 * true + 1.0
+    for _ in range(50):
+        x = 0.5 * (low + high)
+        above = normal_cdf(x + 0.5 * true) - normal_cdf(x - 0.5 * true) > 0.5
+        low, high = np.where(above, x, low), np.where(above, high, x)
+    return low + high
+
+
+def _seen_thickness(
+    points_mm: Array, normals: Array, share: NDArray[np.float32], transform: Array, blur_mm: float
+) -> tuple[Array, Array]:
+    """Return how far the half level is along the inward normals (n,), mm, infinite where far; and the most.
+
+    The most (n,) is the largest share between 1.5 widths of the blur behind the surface and that end.
+    """
+    back = np.linalg.inv(transform)
+    start = points_mm @ back[:3, :3].T + back[:3, 3]
+    along = -normals @ back[:3, :3].T
+    step = _STEP * blur_mm
+    seen = np.full(len(points_mm), np.inf)
+    open_ = np.arange(len(points_mm))
+    before, most = np.full(len(points_mm), 0.5), np.zeros(len(points_mm))
+    for k in range(1, int((_THICK + 1.0) / _STEP)):
+        now = _sampled(share, start[open_] + (k * step) * along[open_])
+        # Noise right behind the surface is no second face.
+        ends = (now < 0.5) & (k * step > 0.5 * blur_mm)
+        which = open_[ends]
+        part = (before[which] - 0.5) / np.maximum(before[which] - now[ends], 1e-6)
+        seen[which] = (k - 1 + np.clip(part, 0.0, 1.0)) * step
+        before[open_] = now
+        if k * step > 1.5 * blur_mm:
+            most[open_] = np.maximum(most[open_], now)
+        open_ = open_[~ends]
+    return seen, most
+
+
+def _sampled(share: NDArray[np.float32], index: Array) -> Array:
+    """Return a field [z, y, x] at places (n, 3), index x, y, z, by trilinear interpolation; 0 outside."""
+    size = np.array(share.shape[::-1])
+    inside = np.all((index >= 0.0) & (index < size - 1.000001), axis=1)
+    place = np.where(inside[:, None], index, 0.0)
+    low = place.astype(np.intp)
+    away = place - low
+    flat, rows, columns = share.ravel(), share.shape[1] * share.shape[2], share.shape[2]
+    first = low[:, 2] * rows + low[:, 1] * columns + low[:, 0]
+    total = np.zeros(len(index))
+    for k in range(8):
+        dx, dy, dz = k & 1, k >> 1 & 1, k >> 2 & 1
+        weight = np.ones(len(index))
+        for axis, d in enumerate((dx, dy, dz)):
+            weight *= away[:, axis] if d else 1.0 - away[:, axis]
+        total += weight * flat[first + dz * rows + dy * columns + dx]
+    return np.where(inside, total, 0.0)

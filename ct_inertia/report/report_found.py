@@ -1,0 +1,76 @@
+"""What was found of the stapes, next to published sizes: the first section of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ct_inertia.mass.budget import mass_sd_missing
+from ct_inertia.mass.published import NAMES
+from stapeskit.page import page
+from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
+
+
+def mass_words(content: Mapping[str, Any]) -> str:
+    """Return the mass with its standard deviation, or with the reason why it has none.
+
+    Parameters
+    ----------
+    content : mapping
+        Of mass.json.
+    """
+    missing = mass_sd_missing(content)
+    if missing:
+        return f"{MASS.text(content['mass_kg'], '.3g')} ({missing})"
+    return MASS.with_sd(content["mass_kg"], content["uncertainty"]["total"]["mass_kg"])
+
+
+def found_section(content: Mapping[str, Any]) -> page.Section:
+    """Return sizes, mass and centre of mass, and how far they lie from published ones."""
+    found = content["found"]
+    com = np.array(content["inertial_parameters"]["values_si"])
+    com = LENGTH.of(com[1:4] / com[0])
+    deviation = content["uncertainty"]["total"]
+    com_sd = ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in deviation["center_of_mass_m"])
+    rows = [
+        ("mass with what was added" if found["added_masses"] else "mass", mass_words(content)),
+        ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³"),
+        ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f")),
+        (
+            "centre of mass, footplate axes",
+            f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
+        ),
+        ("height of the stapes", f"{found['height_mm']:.2f} mm"),
+        ("length of the footplate", f"{found['footplate_length_mm']:.2f} mm"),
+        ("width of the footplate", f"{found['footplate_width_mm']:.2f} mm"),
+        (
+            "medial face of the footplate",
+            f"{found['footplate_area_mm2']:.3f} mm², "
+            f"{found['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
+        ),
+        ("holes through the body (a stapes has 1)", str(found["holes"])),
+    ]
+    for mass in found["added_masses"]:
+        place = ", ".join(f"{value:g}" for value in mass["position_mm"])
+        sd = f" ± {MASS.of(mass['sd_kg']):g}" if mass["sd_kg"] else ""
+        value = f"{MASS.of(mass['mass_kg']):g}{sd} {MASS.symbol}"
+        rows.append(("added mass", f"{value} at {place} (scan, mm)"))
+    blocks = [page.table(("", "found"), rows)]
+    compared = content.get("published") or []
+    if compared:
+        blocks += [
+            page.subheading("Next to published human stapedes"),
+            page.table(("", "found", "published", "z", "reference"), [_compared(row) for row in compared]),
+        ]
+    return page.Section("What was found", blocks, "literature")
+
+
+def _compared(row: Mapping[str, Any]) -> tuple[str, ...]:
+    name, unit = NAMES[row["quantity"]]
+    sd = "" if row["sd"] is None else f" ± {row['sd']:.3g}"
+    number = f" (n = {row['n']})" if row["n"] else ""
+    z = "" if row["z"] is None else f"{row['z']:+.1f}"
+    shown = unit.replace("mm3", "mm³").replace("m3", "m³")
+    return f"{name} ({shown})", f"{row['value']:.4g}", f"{row['mean']:.4g}{sd}{number}", z, row["reference"]
