@@ -15,6 +15,7 @@ from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
 from stapeskit.option_kinds import FLAG, file
 from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
+from stapeskit.system_faults import why_unreadable
 from stapeskit.vocabulary import written
 
 _NUMBERS = re.compile(r"^-(?:[\d.][\d.eE+,\- ]*|[xyz])$")
@@ -183,6 +184,8 @@ class Parser(argparse.ArgumentParser):
 
     def _config(self, path: Path, texts: Mapping[str, Any], faults: list[Fault]) -> dict[str, Any]:
         """Read the options of a config file that the command line does not give."""
+        if why_unreadable(path):
+            return {}
         try:
             table = parse_toml(path.read_text(encoding="utf-8-sig"))
         except OSError:
