@@ -5,7 +5,7 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
-.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz sample paper docs site pictures clean
+.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz faults sanitize sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -15,6 +15,8 @@ help:
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
 	@echo "make golden       every number of the commands on many scenes against what was recorded"
+	@echo "make faults       kills, full disks, limits, unreadable and changing inputs, two runs at once"
+	@echo "make sanitize     the kernels under the address, undefined behaviour and thread sanitizers"
 	@echo "make fuzz         damaged files for every reader: one minute, or MINUTES=240 SEED=7"
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make docs         the pages that are made from the sources"
@@ -105,6 +107,14 @@ golden: $(TOOLS)
 
 golden-record: $(TOOLS)
 	$(BIN)/python -m tests.golden --record $(ARGS)
+
+# ARGS="--only kill --times 500": tests/faults/__main__.py says more
+faults: export OPENBLAS_NUM_THREADS = 1
+faults: $(TOOLS)
+	$(BIN)/python -m tests.faults $(ARGS)
+
+sanitize: $(TOOLS)
+	$(BIN)/python tools/sanitize.py $(ARGS)
 
 # ARGS="--only scans", ARGS="--replay PLACE": tests/fuzz/__main__.py says more
 fuzz: export OPENBLAS_NUM_THREADS = 1

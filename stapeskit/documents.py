@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from typing import Any
 
 DEEPEST = 100
@@ -11,6 +12,11 @@ DEEPEST = 100
 
 _LONGEST_TOML = 10_000_000  # characters; a second or two of reading
 _TOKEN = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}]')
+
+
+def is_finite_number(value: object) -> bool:
+    """Tell whether a value is a number that a float can hold; whole ones may have any length."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def parse_json(text: str) -> Any:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from stapeskit.documents import is_finite_number
+
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _SPAN = re.compile(r"\s*([+\d.][\d.]*(?:[eE][+-]?\d+)?)\s*[-,]\s*(-?[\d.]+(?:[eE][+-]?\d+)?)\s*")
 _AXES = ("x", "y", "z", "-x", "-y", "-z", "+x", "+y", "+z")
@@ -57,7 +59,7 @@ def command_word(value: Any) -> str:
 
 def is_number(value: object) -> bool:
     """Return whether a value is a finite number and no bool."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return is_finite_number(value)
 
 
 def read_number(value: Any) -> float:

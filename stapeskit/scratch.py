@@ -15,7 +15,7 @@ from stapeskit.process import on_forced_end
 
 PREFIX = ".stapeskit-"
 _OURS = re.compile(r"\.?stapeskit-[a-z0-9_]{8}")
-_MARK = "stapeskit-temporary"
+_MARK, _FILES = "stapeskit-temporary", "files"
 _FRESH_S = 60.0  # a folder is not yet locked for a moment after it is made
 _OLD_S = 7 * 86400.0  # where folders cannot be locked: longer than any run takes
 _open: set[Path] = set()
@@ -48,7 +48,7 @@ def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
         with suppress(OSError):
             lock = _lock(top)
         (top / _MARK).touch()
-        inside = top / "files"
+        inside = top / _FILES
         inside.mkdir()  # with the permissions that the user's other folders have
         yield inside
     finally:
@@ -105,6 +105,8 @@ def _lock(folder: Path) -> int | None:
 def _remove(top: Path) -> None:
     """Remove a folder, also while a thread still writes into it."""
     for _ in range(5):
+        # the mark goes last: a run that is killed meanwhile leaves a folder that the next one knows
+        shutil.rmtree(top / _FILES, ignore_errors=True)
         shutil.rmtree(top, ignore_errors=True)
         if not top.exists():
             break

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.surface.moments import Moments
-from stapeskit.documents import parse_toml
+from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import parameter_transfer
 
@@ -132,7 +132,7 @@ def _points(value: Any, file: str) -> Array:
 
 def _number(table: dict[str, Any], key: str, file: str) -> float:
     value = table.get(key)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+    if not is_finite_number(value):
         raise CtInertiaError(Fault(key, "a number", value, file, next_step="Correct it in the file"))
     return float(value)
 

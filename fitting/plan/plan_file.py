@@ -18,7 +18,7 @@ from fitting.model.laws import LAWS, law_of
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
-from stapeskit.documents import parse_toml
+from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
@@ -149,7 +149,7 @@ def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
         found.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
     for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking"):
         value, zero = table.get(key, 1.0), key == "rocking"
-        number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+        number = is_finite_number(value)
         if not number or value < 0.0 or (value == 0.0 and not zero):
             wanted = "a number, zero or positive" if zero else "a positive number"
             found.append(Fault(key, wanted, value, where))

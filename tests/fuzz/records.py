@@ -134,7 +134,7 @@ def _change_attribute(rng: random.Random, file: Any) -> None:
 
 def _change_data(rng: random.Random, file: Any, name: str) -> None:
     old = file[name]
-    values = old[()] if hasattr(old, "shape") else None
+    values = old[()] if getattr(old, "shape", ()) else None
     del file[name]
     match rng.randrange(7):
         case 0:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
-from stapeskit.scratch import scratch
+from stapeskit.scratch import _open, scratch
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
@@ -79,3 +81,26 @@ def test_an_empty_folder_of_a_run_that_was_killed_at_once_is_removed(tmp_path):
     with scratch(tmp_path):
         pass
     assert names(tmp_path) == []
+
+
+def test_a_folder_whose_removal_was_cut_short_is_removed(tmp_path, monkeypatch):
+    def killed(path, **_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("stapeskit.scratch.shutil.rmtree", killed)
+        with suppress(KeyboardInterrupt), scratch(tmp_path) as folder:
+            (folder / "half").write_text("half")
+    (left,) = tmp_path.iterdir()
+    for path in sorted(left.rglob("*"), reverse=True):
+        _open.clear()
+        age(tmp_path)
+        copy = tmp_path.parent / "copy"
+        shutil.copytree(tmp_path, copy)
+        age(copy)
+        with scratch(copy):
+            pass
+        assert names(copy) == []
+        shutil.rmtree(copy)
+        if path.name != "stapeskit-temporary":
+            path.rmdir() if path.is_dir() else path.unlink()
