@@ -142,7 +142,7 @@ def _write(
         if report:
             from ct_inertia.report.sections import write_report
 
-            content = write_report(stage / "report.html", result, content, shown)
+            write_report(stage / "report.html", result, content, shown)
         names = [*write_outputs(result, stage, content), *names, *report]
     return [outputs.folder / name for name in names], content, notices
 

@@ -75,12 +75,12 @@ class MassResult(Result, MassMeasurement):
     def plot(self) -> Figure:
         """Draw the stapes from three sides along the footplate axes."""
         from ct_inertia.report.drawn_body import Body
-        from ct_inertia.report.pictures import Scene, drawn_by_matplotlib
+        from ct_inertia.report.pictures import Scene, draw_scene
 
         frame = self.footplate.scan_from_footplate
         body = Body(self.stapes.vertices_mm, self.stapes.faces)
         anterior_known = bool(self.footplate.anterior_from)
-        return drawn_by_matplotlib(Scene([body], frame, None, self.options.side, anterior_known))
+        return draw_scene(Scene([body], frame, None, self.options.side, anterior_known))
 
     def write(self, folder: Path | str, *, force: bool = False, report: bool = True) -> tuple[Path, ...]:
         """Write mass.json, surfaces, labels and, unless ``report`` is off, report.html."""
@@ -97,7 +97,7 @@ class MassResult(Result, MassMeasurement):
             names = [*names_of(self, content), *([REPORT] if report else [])]
             content["warnings"] += [notice.as_json() for notice in outputs.kept_notices(names)]
             if report:
-                content = write_report(stage / REPORT, self, content)
+                write_report(stage / REPORT, self, content)
             write_outputs(self, stage, content)
         return tuple(target / name for name in names)
 

@@ -116,10 +116,10 @@ def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
     options = study.scan
     result = mass_of(options)
     content = mass_json(result, hashes=work.hashes, labels_file=labels_name(work.out, options.labels))
-    sections, content, notices = report_sections(result, content)
+    sections = report_sections(result, content)
     names = write_outputs(result, work.fresh, content)
     work.keep("mass", result.measured_mass(content))
-    return names, Told(tuple(sections), (*result.notices, *notices))
+    return names, Told(tuple(sections), result.notices)
 
 
 def _motion_inputs(study: Study) -> Mapping[str, Path | None]:

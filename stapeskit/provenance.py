@@ -17,7 +17,7 @@ from typing import Any
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt.
 _CHUNK = 1 << 19
 _RELIED_ON = ("schema", "frames", "inertial_parameters", "mass_matrix")
-_PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pyvista", "pymeshlab")
+_PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pymeshlab")
 
 
 def content_hash(path: Path, sha256: bool = False) -> str:

@@ -84,9 +84,7 @@ def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     settle(monkeypatch)
     monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr(
-        "ct_inertia.report.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ())
-    )
+    monkeypatch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
     monkeypatch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 

@@ -48,7 +48,7 @@ def run(line: str, folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", f"from {module} import {function}; {function}()", *words[1:]],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "STAPESKIT_OFFSCREEN": "0"},
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=300,

@@ -56,7 +56,7 @@ def _stapes(folder: Path, mass) -> bytes:
         Body(stapes.vertices_mm, stapes.faces),
         Body(plate.vertices_mm, plate.faces, "#9fb8c8", 0.45, "plate", smooth=False),
     ]
-    picture, _ = render_views(bodies, mass.scan_from_footplate, plate_frame, mass.raw["frames"].get("side"))
+    picture = render_views(bodies, mass.scan_from_footplate, plate_frame, mass.raw["frames"].get("side"))
     pixels = matplotlib.image.imread(io.BytesIO(picture))
     stream = io.BytesIO()
     matplotlib.image.imsave(stream, pixels[: pixels.shape[0] * 15 // 16, : pixels.shape[1] * 2 // 3])

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv with stapeskit and its optional packages, and looks for the GL libraries that pictures and pymeshlab need.
+# Makes .venv with stapeskit and its optional packages, and looks for the GL libraries that pymeshlab needs.
 set -eu
 : "${PYTHON:=python3}"
 
@@ -17,9 +17,9 @@ if [ -n "$missing" ] && command -v apt-get >/dev/null 2>&1; then
     [ "$(id -u)" = 0 ] || as_root="sudo -n"
     echo "installing the GL libraries:$missing"
     { $as_root apt-get update -qq && $as_root apt-get install -y -qq --no-install-recommends $missing; } >/dev/null 2>&1 ||
-        echo "The GL libraries could not be installed; pictures will be drawn by matplotlib. To have them: apt-get install -y --no-install-recommends$missing"
+        echo "The GL libraries could not be installed; the second opinion of pymeshlab will be missing. To have them: apt-get install -y --no-install-recommends$missing"
 elif [ -n "$missing" ]; then
-    echo "GL libraries are missing ($missing ); pictures will be drawn by matplotlib. Install them with your package manager."
+    echo "GL libraries are missing ($missing ); the second opinion of pymeshlab will be missing. Install them with your package manager."
 fi
 
 "$PYTHON" -m venv .venv
@@ -33,4 +33,4 @@ install || {
 }
 # What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
 .venv/bin/python -m compileall -q stapeskit kinematics ct_inertia fitting pipeline
-.venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure, pyvista' 2>/dev/null || true
+.venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure' 2>/dev/null || true

@@ -15,7 +15,6 @@ from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
-from stapeskit.warnings import Notice, unique
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,55 +87,27 @@ def render_views(
     plate_frame: RigidTransform | None = None,
     side: str | None = None,
     anterior_known: bool = True,
-) -> tuple[bytes, tuple[Notice, ...]]:
-    """Draw surfaces from three sides: PNG bytes and notices; see Scene for the arguments."""
-    pictures, notices = render_scenes([Scene(bodies, frame, plate_frame, side, anterior_known)])
-    return pictures[0], notices
+) -> bytes:
+    """Draw surfaces from three sides as PNG; see Scene for the arguments."""
+    return render_scenes([Scene(bodies, frame, plate_frame, side, anterior_known)])[0]
 
 
-def render_scenes(scenes: Sequence[Scene]) -> tuple[list[bytes], tuple[Notice, ...]]:
-    """Draw several pictures, with one start of the renderer for all of them.
-
-    The surfaces are drawn off-screen by pyvista in a separate process, because a missing or broken GL
-    library ends a process without an exception. When that fails, matplotlib draws them.
-
-    Returns
-    -------
-    pictures : list of bytes
-        PNG, one per scene.
-    notices : tuple of Notice
-        ``pictures_by_matplotlib`` when the GL renderer could not be used.
+def render_scenes(scenes: Sequence[Scene]) -> list[bytes]:
+    """Draw several pictures as PNG.
 
     Raises
     ------
     CtInertiaError
         A scene without bodies.
     """
-    from ct_inertia.report.offscreen import draw_offscreen
-
-    if any(not scene.bodies for scene in scenes):
-        raise CtInertiaError(Fault("a picture", "of at least one body", "none"))
-    framings = [_framing(scene) for scene in scenes]
-    panels = [
-        (scene.bodies, _picture_from_scan(scene.frame, view), centre, half)
-        for scene, (centres, half) in zip(scenes, framings, strict=True)
-        for view, centre in zip(VIEWS, centres, strict=True)
-    ]
-    rasters, reason = draw_offscreen(panels, _PIXELS)
-    notices = []
-    if rasters is None:
-        notices.append(
-            Notice(
-                "pictures_by_matplotlib",
-                "The surfaces were drawn by matplotlib, because off-screen rendering does not work here "
-                f"({reason}). On Debian, apt-get install libgl1 libopengl0 libegl1 enables it.",
-            )
-        )
     pictures = []
-    for place, scene in enumerate(scenes):
-        own = None if rasters is None else rasters[3 * place : 3 * place + 3]
-        pictures.append(_compose(scene, *framings[place], own))
-    return pictures, unique(notices)
+    for scene in scenes:
+        drawing = draw_scene(scene)
+        stream = io.BytesIO()
+        drawing.savefig(stream, format="png", dpi=150)
+        drawing.clear()
+        pictures.append(stream.getvalue())
+    return pictures
 
 
 def _picture_from_scan(frame: RigidTransform, view: View) -> Array:
@@ -165,40 +136,32 @@ def _framing(scene: Scene) -> tuple[list[Array], float]:
     return [view.matrix[:2] @ middle for view in VIEWS], half
 
 
-def drawn_by_matplotlib(scene: Scene) -> Figure:
-    """Return a scene from three sides as a figure."""
-    centres, half = _framing(scene)
-    return _composed(scene, centres, half, None)
+def draw_scene(scene: Scene) -> Figure:
+    """Lay three views of a scene side by side with axes, scale, anatomical names and a legend.
 
-
-def _compose(scene: Scene, centres: list[Array], half: float, rasters: Sequence[Array] | None) -> bytes:
-    """Return the three views as PNG bytes."""
-    drawing = _composed(scene, centres, half, rasters)
-    stream = io.BytesIO()
-    drawing.savefig(stream, format="png", dpi=150)
-    drawing.clear()
-    return stream.getvalue()
-
-
-def _composed(scene: Scene, centres: list[Array], half: float, rasters: Sequence[Array] | None) -> Figure:
-    """Lay the three views side by side with axes, scale, anatomical names and a legend."""
+    Raises
+    ------
+    CtInertiaError
+        A scene without bodies.
+    """
+    if not scene.bodies:
+        raise CtInertiaError(Fault("a picture", "of at least one body", "none"))
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    from ct_inertia.report.painter import paint_bodies
+    from ct_inertia.report.rasterise import rasterise
     from stapeskit.page.page import new_figure
 
     drawing = new_figure(12.6, 4.75)
     FigureCanvasAgg(drawing)
     names = scene.directions()
+    centres, half = _framing(scene)
     for place, (view, centre) in enumerate(zip(VIEWS, centres, strict=True)):
         axes = drawing.add_subplot(1, 3, place + 1)
         extent = (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
-        if rasters is not None:
-            axes.imshow(rasters[place], extent=extent, interpolation="antialiased", aspect="equal")
-        else:
-            paint_bodies(axes, scene.bodies, _picture_from_scan(scene.frame, view))
+        raster = rasterise(scene.bodies, _picture_from_scan(scene.frame, view), centre, half, _PIXELS)
+        axes.imshow(raster, extent=extent, interpolation="antialiased", aspect="equal")
         axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xticks=[], yticks=[])
         for spine in axes.spines.values():
             spine.set_color("#d9dfe6")

@@ -26,7 +26,7 @@ from stapeskit.page import page
 from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, MASS, SMALL_LENGTH, ShownUnit
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.vocabulary import named
-from stapeskit.warnings import Notice, from_json
+from stapeskit.warnings import from_json
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
@@ -55,39 +55,30 @@ class Pictured:
     labelled: LabelledVolume | None = None
 
 
-def mass_sections(
-    content: Mapping[str, Any], pictured: Pictured
-) -> tuple[list[page.Section], tuple[Notice, ...]]:
+def mass_sections(content: Mapping[str, Any], pictured: Pictured) -> list[page.Section]:
     """Return the sections on bodies, frames and mass matrix.
+
+    Result; how the stapes was cut out; the bodies in their frames; the mass matrix; its uncertainty; the ways
+    to the mass; the cross-check.
 
     Parameters
     ----------
     content : mapping
         The content of mass.json.
     pictured : Pictured
-
-    Returns
-    -------
-    sections : list of page.Section
-        Result; how the stapes was cut out; the bodies in their frames; the mass matrix; its uncertainty;
-        the ways to the mass; the cross-check.
-    notices : tuple of Notice
-        What went wrong with the pictures.
     """
-    picture, notices = _bodies_section(content, pictured)
     sections = [found_section(content)]
     if pictured.labelled is not None:
         sections.append(_cut_section(content, pictured))
-    sections += [picture, _matrix_section(content), _budget_section(content)]
+    sections += [_bodies_section(content, pictured), _matrix_section(content), _budget_section(content)]
     ways = masses_section(content)
-    sections += [cross_check_section(content)] if ways is None else [ways, cross_check_section(content)]
-    return sections, notices
+    return [*sections, *([] if ways is None else [ways]), cross_check_section(content)]
 
 
 def report_sections(
     result: MassMeasurement, content: Mapping[str, Any], shown: Surface | None = None
-) -> tuple[list[page.Section], dict[str, Any], tuple[Notice, ...]]:
-    """Return the sections of a result, and the content of mass.json with the notices that drawing added.
+) -> list[page.Section]:
+    """Return the sections of a result.
 
     Parameters
     ----------
@@ -96,44 +87,28 @@ def report_sections(
         Of mass.json.
     shown : Surface, optional
         A lighter surface for the pictures.
-
-    Returns
-    -------
-    sections : list of page.Section
-    content : dict
-    notices : tuple of Notice
-        Those that drawing added.
     """
     labelled = None if result.bodies is None else result.bodies.labels
-    sections, notices = mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
-    warnings = [*content["warnings"], *(notice.as_json() for notice in notices)]
-    return sections, {**content, "warnings": warnings}, notices
+    return mass_sections(content, Pictured(shown or result.stapes, result.plate, labelled))
 
 
 def write_report(
     path: Path, result: MassMeasurement, content: Mapping[str, Any], shown: Surface | None = None
-) -> dict[str, Any]:
-    """Write report.html; return ``content`` with the notices that drawing added.
-
-    Parameters
-    ----------
-    path, result, content, shown
-        See `report_sections`.
-    """
-    sections, full, _ = report_sections(result, content, shown)
+) -> None:
+    """Write report.html; for the arguments see `report_sections`."""
+    sections = report_sections(result, content, shown)
     source = result.options.scan or result.options.labels
     document = page.Page(
         f"Mass matrix of {Path(str(source)).name}",
         "A stapes from micro-CT: its volume, frames and generalized mass matrix about the footplate centre.",
         [
             sections[0],
-            page.Section("Warnings", [page.notices(from_json(full["warnings"]))]),
+            page.Section("Warnings", [page.notices(from_json(content["warnings"]))]),
             *sections[1:],
-            inputs_section(full),
+            inputs_section(content),
         ],
     )
     document.write(path)
-    return full
 
 
 def inputs_section(content: Mapping[str, Any]) -> page.Section:
@@ -166,15 +141,13 @@ def _frame(content: Mapping[str, Any], key: str) -> RigidTransform | None:
     return None if matrix is None else RigidTransform(np.array(matrix, dtype=float), "scan", key)
 
 
-def _bodies_section(
-    content: Mapping[str, Any], pictured: Pictured
-) -> tuple[page.Section, tuple[Notice, ...]]:
+def _bodies_section(content: Mapping[str, Any], pictured: Pictured) -> page.Section:
     from ct_inertia.report.drawn_body import Body
     from ct_inertia.report.pictures import Scene, render_scenes
 
     footplate = _frame(content, "footplate")
     if footplate is None:
-        return page.Section("Bodies and frames", key="bodies_and_frames"), ()
+        return page.Section("Bodies and frames", key="bodies_and_frames")
     plate = _frame(content, "plate")
     codes = {warning["code"] for warning in content["warnings"]}
     known = "anterior_not_given" not in codes
@@ -185,7 +158,7 @@ def _bodies_section(
         mesh = pictured.plate
         body = Body(mesh.vertices_mm, mesh.faces, BODY_COLOURS[PLATE], 0.45, "plate", smooth=False)
         scenes.append(Scene([stapes, body], footplate, plate, side, known))
-    pictures, notices = render_scenes(scenes)
+    pictures = render_scenes(scenes)
     captions = (
         "The stapes in the footplate frame: x along the footplate, y the piston direction, z = x × y.",
         "Stapes and plate with both frames, seen along the footplate axes.",
@@ -194,7 +167,7 @@ def _bodies_section(
         page.image(picture, caption, caption) for picture, caption in zip(pictures, captions, strict=False)
     ]
     blocks.append(_frames_table(content))
-    return page.Section("Bodies and frames", blocks, "bodies_and_frames"), notices
+    return page.Section("Bodies and frames", blocks, "bodies_and_frames")
 
 
 def _frames_table(content: Mapping[str, Any]) -> Any:

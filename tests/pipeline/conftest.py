@@ -11,7 +11,6 @@ from tests.pipeline.ears import make_ear
 
 def settle(patch):
     """Draw by matplotlib, the same on every machine, and take the code as one that nobody edits meanwhile."""
-    patch.setenv("STAPESKIT_OFFSCREEN", "0")
     patch.setattr("pipeline.records.code_hash", lambda rooms: "code of " + " ".join(rooms))
 
 
@@ -20,9 +19,7 @@ def settled(monkeypatch):
     """Settle every test of this room, and leave the drawing away, which `finished` has done once."""
     settle(monkeypatch)
     monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr(
-        "ct_inertia.report.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ())
-    )
+    monkeypatch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
 
 
 @pytest.fixture(scope="session")

@@ -16,9 +16,7 @@ SAMPLE = Path(__file__).parents[2] / "sample_volumes"
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory):
     out = tmp_path_factory.mktemp("sample")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STAPESKIT_OFFSCREEN", "0")
-        result = run_study(SAMPLE / "study.toml", out)
+    result = run_study(SAMPLE / "study.toml", out)
     return result, json.loads((SAMPLE / "truth.json").read_text(encoding="utf-8"))
 
 
