@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
 
 # Around the stapes: the footplate's annulus, the plate's face and the tip of the incus are seen.
-_MARGIN_MM = 1.0
+_MARGIN_MM = 0.5
 _TYPES = {
     "u1": "uint8",
     "i1": "int8",
@@ -44,7 +44,7 @@ def needs_crop(result: MassMeasurement) -> bool:
 
 
 def write_crop(result: MassMeasurement, path: Path) -> None:
-    """Write the box of the stapes and 1 mm around it, in the voxels and grey values of the scan."""
+    """Write the box of the stapes and 0.5 mm around it, in the voxels and grey values of the scan."""
     if result.bodies is None:
         raise ValueError("a surface has no grey values")
     volume = result.bodies.volume

@@ -206,13 +206,14 @@ def _ends(face: PlaneFace, other: PlaneFace) -> bool:
 
 def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
     """Say which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
-    flat = (face.samples_mm - face.point_mm) @ face.basis
-    start = flat.min(axis=0) - 2.0 * _CELL_MM
-    cells = np.floor((flat - start) / _CELL_MM).astype(int)
+    # The grid lies about the middle of the face, so that one sample at the rim does not shift every cell.
+    cells = np.floor((face.samples_mm - face.point_mm) @ face.basis / _CELL_MM).astype(int)
+    start = cells.min(axis=0) - 2
+    cells -= start
     seen = np.zeros(cells.max(axis=0) + 3, dtype=bool)
     seen[cells[:, 0], cells[:, 1]] = True
     inner = _closed(seen)
-    place = np.floor(((points - face.point_mm) @ face.basis - start) / _CELL_MM).astype(int)
+    place = np.floor((points - face.point_mm) @ face.basis / _CELL_MM).astype(int) - start
     valid = np.all((place >= 0) & (place < np.array(seen.shape)), axis=1)
     result = np.zeros(len(points), dtype=bool)
     result[valid] = inner[place[valid, 0], place[valid, 1]]

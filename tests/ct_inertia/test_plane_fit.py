@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from ct_inertia.frames.plane_faces import PlaneFace
+from ct_inertia.frames.plane_fit import _covered
 from ct_inertia.frames.plate_frame import plate_frame
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.volume.volume import Volume
@@ -128,3 +132,14 @@ def test_blurred_bone_above_most_of_the_face_does_not_move_it():
     assert abs(shift[1]) < 5e-4
     assert np.abs(turn).max() < 5e-4
     assert abs(shift[1]) < 3e3 * np.sqrt(frame.covariance[1, 1])
+
+
+def test_a_sample_at_the_rim_covers_its_own_cell_and_no_other():
+    """A piece of surface that rounding adds or drops must not move the whole grid of cells."""
+    rng = np.random.default_rng(4)
+    samples = np.column_stack([rng.uniform(-2.0, 2.0, (4000, 2)), np.zeros(4000)])
+    face = PlaneFace(np.array([0.0, 0.0, 1.0]), np.zeros(3), np.eye(3)[:, :2], np.eye(3), 16.0, samples)
+    points = np.column_stack([rng.uniform(-2.5, 2.5, (3000, 2)), np.zeros(3000)])
+    rim = np.vstack([samples, [-2.13, 0.05, 0.0]])
+    changed = _covered(face, points) != _covered(replace(face, samples_mm=rim), points)
+    assert np.all(np.linalg.norm(points[changed] - rim[-1], axis=1) < 0.3)
