@@ -30,8 +30,10 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inl
 
 
 _PARTS = Path(__file__).with_name("parts")
-# A power of ten within words, which no line may break: 3.1e-09
-_POWER = re.compile(r"(?<![\w.])([-+]?\d[\d.]*e[-+]\d+)")
+# Numbers within words, which no line may break: 3.1e-09, 1734 ± 17, (1.38 ± 0.03)·10⁻³
+_NUMBER = re.compile(
+    r"(?<![\w.])(\([-+]?\d[\d.]* ± \d[\d.]*\)·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|[-+]?\d[\d.]* ± \d[\d.]*|[-+]?\d[\d.]*e[-+]\d+)"
+)
 
 
 def _part(name: str) -> str:
@@ -42,7 +44,7 @@ def _whole(cell: object) -> Markup:
     """Return the text of a cell whose numbers stay in one line."""
     from markupsafe import Markup, escape
 
-    return Markup(_POWER.sub(r'<span class="n">\1</span>', str(escape(cell))))
+    return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(cell))))
 
 
 def _render(template: str, **values: Any) -> Markup:
