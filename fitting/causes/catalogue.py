@@ -103,7 +103,8 @@ def unit_of(name: str) -> str:
 def term_of(name: str, setting: Setting) -> Term:
     """Return the unknown term of a cause; its parameter counts units of the cause."""
     cause = CAUSES[name]
-    return Term(name, cause.term(setting), cause.per_unit)
+    starts = tuple(value for value in cause.starts if value != 0.0)
+    return Term(name, cause.term(setting), cause.per_unit, starts=starts)
 
 
 def _between_bodies(factor: Callable[[float, Array], ComplexArray]) -> Callable[[Setting], Apply]:

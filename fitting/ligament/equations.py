@@ -35,12 +35,15 @@ class Term:
         SI over the unit of the fit's parameter, in which the term is of order one.
     sd : float
         What is known beforehand, in units of the parameter; 0: nothing.
+    starts : tuple of float
+        Where a fit starts besides 0, in units of the parameter.
     """
 
     name: str
     apply: Callable[[float, JointLines, Equations], tuple[JointLines, Equations]]
     unit: float
     sd: float = 0.0
+    starts: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -215,11 +215,33 @@ def fit_ligament(
             break
     good = found is not None and found.converged and semidefinite(found.parameters[: equations.entries])
     if extend is not None and found is not None and (needed or not good):
-        made = extended_fit(lines, equations, found, extend(lines))
+        made = _from_all_starts(lines, equations, found, extend(lines))
         if made is None or not semidefinite(made[1].parameters[: equations.entries]):
             return None
         return _result(problem, lines, *made)
     return _result(problem, lines, equations, found) if good and found is not None else None
+
+
+def _from_all_starts(
+    lines: JointLines, equations: Equations, fit: JointFit, terms: tuple[Term, ...]
+) -> tuple[Equations, JointFit] | None:
+    """Return the best fit with further unknowns from nothing and from the other starts of each.
+
+    A start far from nothing is prepared by a fit of the other unknowns at that value.
+    """
+    best = extended_fit(lines, equations, fit, terms)
+    for place, term in enumerate(terms):
+        for value in term.starts:
+            begin = np.zeros(len(terms))
+            begin[place] = value
+            try:
+                there = fit_joint(*term.apply(value, lines, equations), fit.parameters)
+            except np.linalg.LinAlgError:
+                continue
+            made = extended_fit(lines, equations, there, terms, begin)
+            if made is not None and (best is None or made[1].chi2 < best[1].chi2 - 1e-6):
+                best = made
+    return best
 
 
 def extended_fit(
