@@ -90,7 +90,7 @@ def choose_fluid(
         )
         choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
         return best, found, choice
-    made = with_ligament(plain, both, (*options.causes, FLUID))
+    made = with_ligament(plain, both, (*options.causes, FLUID), sizes={FLUID: refit.size})
     if made.ligament is None:
         return best, found, _unused(options, "the fit with it did not settle")
     again = with_corrected(diagnose(made.problem, made.ligament), made.ligament)

@@ -14,6 +14,7 @@ from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, gram, solve_symmetric, transposed_times
 from fitting.estimators.problem import Problem
+from fitting.estimators.starts import with_fluid
 from fitting.ligament.equations import Term
 from fitting.ligament.joint_lines import JointLines
 from fitting.ligament.ligament import LigamentFit, fit_ligament
@@ -110,7 +111,13 @@ def comparable(fits: Iterable[LawFit]) -> tuple[LawFit, ...]:
     return tuple(replace(fit, bic=_bic(fit, spread)) for fit in fits)
 
 
-def with_ligament(fit: LawFit, both: Observation, names: tuple[str, ...] = (), needed: bool = True) -> LawFit:
+def with_ligament(
+    fit: LawFit,
+    both: Observation,
+    names: tuple[str, ...] = (),
+    needed: bool = True,
+    sizes: Mapping[str, float] | None = None,
+) -> LawFit:
     """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
 
     Parameters
@@ -121,14 +128,25 @@ def with_ligament(fit: LawFit, both: Observation, names: tuple[str, ...] = (), n
         Causes of the catalogue that are part of the model.
     needed : bool
         Whether they always are, or only where there is no result without them.
+    sizes : mapping of str to float, optional
+        Where the fit starts as well, in the units of the causes.
     """
     problem = fit.problem
+    begun = None
+    if "fluid" in names:
+        parameters, fluid = with_fluid(fit.estimate.parameters, problem.lines())
+        mass_mg = 1e6 * fluid * float(problem.scale.root_mass[0]) ** 2
+        begun = (parameters, np.array([mass_mg if name == "fluid" else 0.0 for name in names]))
 
     def extend(lines: JointLines) -> tuple[Term, ...]:
         setting = Setting(lines, lines.omega * problem.scale.omega, problem.inertia.matrix)
-        return tuple(term_of(name, setting) for name in names)
+        made = [term_of(name, setting) for name in names]
+        more = sizes or {}
+        return tuple(
+            replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in made
+        )
 
-    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, needed)
+    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, needed, begun)
     if ligament is None:
         return fit
     extended = LawFit(

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.estimators import constrained, irls, ml
-from fitting.estimators.base import Estimate, EstimatorOptions
+from fitting.estimators.base import Estimate, EstimatorOptions, least_squares
 from fitting.estimators.problem import Problem
-from fitting.model.lines import Lines
+from fitting.model.lines import Lines, cholesky, evaluate, forward, real_rows, regressor
 
+Array = NDArray[np.float64]
 _DIRECTIONS = 3
 
 
@@ -38,3 +40,31 @@ def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
         return found
     held = ml.estimate(lines, options, best.parameters)
     return held if held.objective < found.objective else found
+
+
+def with_fluid(parameters: Array, lines: Lines, rounds: int = 3) -> tuple[Array, float]:
+    """Return K and D, and a mass of fluid on the first deflection, that the equations suggest; scaled.
+
+    Parameters
+    ----------
+    parameters : ndarray, (p,)
+        Where the noise of the equations is first taken.
+    lines : Lines
+    rounds : int
+        Of weighted least squares with the noise at the last estimate.
+
+    Notes
+    -----
+    Least squares of the equation error, biased by the noise of the deflection: a start of the likelihood.
+    """
+    fluid = np.zeros((lines.n, lines.count), dtype=complex)
+    fluid[0] = -(lines.omega**2) * lines.dq[0]
+    columns = np.concatenate([regressor(lines.dq, lines.factor), fluid[:, :, None]], axis=2)
+    found = np.append(parameters, 0.0)
+    for _ in range(rounds):
+        factor = cholesky(evaluate(found[:-1], lines).noise)
+        rows, right = real_rows(forward(factor, columns)), real_rows(forward(factor, lines.force))
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
+            break
+        found = least_squares(rows, right)
+    return found[:-1], float(found[-1])

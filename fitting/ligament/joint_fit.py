@@ -110,7 +110,11 @@ def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expan
     shift = None if lines.rests is None else lines.rests @ errors
     if shift is not None:
         residual = residual + (bare @ shift[:, :, None])[:, :, 0]
-    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(operator @ gain)), dtype=complex)
+    with np.errstate(all="ignore"):
+        noise = operator @ gain
+    if not np.all(np.isfinite(noise)):
+        raise np.linalg.LinAlgError("the noise of the equations is not finite")
+    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(noise)), dtype=complex)
     white = (whitening @ residual[:, :, None])[:, :, 0]
     multiplier = (whitening.conj().swapaxes(1, 2) @ white[:, :, None])[:, :, 0]
     fitted = lines.y - (gain @ multiplier[:, :, None])[:, :, 0]

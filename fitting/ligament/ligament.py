@@ -183,7 +183,12 @@ def applies(problem: Problem, both: Observation) -> bool:
 
 
 def fit_ligament(
-    problem: Problem, both: Observation, start: Array, extend: Extension | None = None, needed: bool = True
+    problem: Problem,
+    both: Observation,
+    start: Array,
+    extend: Extension | None = None,
+    needed: bool = True,
+    begun: tuple[Array, Array] | None = None,
 ) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
 
@@ -199,6 +204,8 @@ def fit_ligament(
         Returns further unknowns of the lines.
     needed : bool
         Whether they are always in the model, or only where there is no result without them.
+    begun : (ndarray, ndarray), optional
+        Another start with them: scaled K and D, and their values.
 
     Returns
     -------
@@ -215,7 +222,11 @@ def fit_ligament(
             break
     good = found is not None and found.converged and semidefinite(found.parameters[: equations.entries])
     if extend is not None and found is not None and (needed or not good):
-        made = _from_all_starts(lines, equations, found, extend(lines))
+        terms = extend(lines)
+        made = _from_all_starts(lines, equations, found, terms)
+        if begun is not None:
+            first = np.concatenate([begun[0], begins[len(start) :], equations.prior.mean[len(begins) :]])
+            made = _better(made, _prepared(lines, equations, first, terms, begun[1]))
         if made is None or not semidefinite(made[1].parameters[: equations.entries]):
             return None
         return _result(problem, lines, *made)
@@ -234,14 +245,31 @@ def _from_all_starts(
         for value in term.starts:
             begin = np.zeros(len(terms))
             begin[place] = value
-            try:
-                there = fit_joint(*term.apply(value, lines, equations), fit.parameters)
-            except np.linalg.LinAlgError:
-                continue
-            made = extended_fit(lines, equations, there, terms, begin)
-            if made is not None and (best is None or made[1].chi2 < best[1].chi2 - 1e-6):
-                best = made
+            best = _better(best, _prepared(lines, equations, fit.parameters, terms, begin))
     return best
+
+
+Extended = tuple[Equations, JointFit]
+
+
+def _better(one: Extended | None, other: Extended | None) -> Extended | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return other if other[1].chi2 < one[1].chi2 - 1e-6 else one
+
+
+def _prepared(
+    lines: JointLines, equations: Equations, start: Array, terms: tuple[Term, ...], begin: Array
+) -> Extended | None:
+    """Return a fit with further unknowns from values of theirs, at which the others are fitted first."""
+    applied = (lines, equations)
+    for term, value in zip(terms, begin, strict=True):
+        applied = term.apply(float(value), *applied)
+    try:
+        there = fit_joint(*applied, start)
+    except np.linalg.LinAlgError:
+        return None
+    return extended_fit(lines, equations, there, terms, begin)
 
 
 def extended_fit(

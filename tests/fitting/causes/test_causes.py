@@ -105,6 +105,14 @@ def test_fluid_is_found_by_evidence_and_never_silently() -> None:
     assert "fluid_contradicts" in codes(fitted(case_of(""), cochlea="closed"))
 
 
+def test_fluid_is_found_where_the_fit_without_it_settles_nowhere() -> None:
+    settings = EarSettings(0.0, 0.005, lines=120, cause="fluid", size=0.5)
+    case = ear(settings, np.random.default_rng([4, 0, 500, True]))
+    fit = fitted(case)
+    assert fit.fluid.used
+    assert np.all(np.abs(off(fit, case)) < 4.0)
+
+
 def test_where_only_fluid_gives_semidefinite_matrices_it_is_taken() -> None:
     case = case_of("fluid", 2, size=1.5)
     fit = fitted(case, cochlea="open")
