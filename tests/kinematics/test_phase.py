@@ -52,6 +52,15 @@ def test_conjugated_data_are_told_for_any_damping_number_of_runs_and_noise(runs,
         assert (code, "alone" in text) == ("phase_convention", False)
 
 
+@pytest.mark.parametrize("body", [0, 1])
+def test_one_body_in_rms_and_the_other_in_peak_is_a_slip_of_units(body):
+    for seed in range(3):
+        motion = moved(seed, ("y", "x"))
+        ((code, text),) = told(changed(motion, body, lambda q: q / np.sqrt(2.0)))
+        assert code == "unit_slip"
+        assert f"{motion.bodies[body]} looks given in rms" in text
+
+
 def test_a_stiff_ligament_shows_its_lag_as_far_as_it_has_any():
     motion = moved(3, ("y", "x"), 0.3, 8.0, 0.003)
     assert told(motion) == []

@@ -22,6 +22,8 @@ ComplexArray = NDArray[np.complex128]
 _MODEL = 0.02
 # Misfits, 1 of right labels: others are tried above _BAD, and taken below _GOOD and _BETTER of the given.
 _BETTER, _GOOD, _BAD = 0.2, 2.0, 5.0
+# The same for amplitudes of one body in rms: a factor that is known leaves less to chance.
+_LESS, _SLIP = 0.4, 2.0
 # Power over that of noise from which a motion counts as one.
 _SEEN = 4.0
 # Runs of which all orders are tried, the largest shift in lines, and lines looked at: they bound the time.
@@ -35,17 +37,21 @@ class Label:
     Attributes
     ----------
     kind : str
-        ``right``, ``conjugate`` (one body), ``sign`` (one body), ``bodies`` (exchanged), ``runs`` (of one
-        body exchanged) or ``frequency`` (of one body shifted).
+        ``right``, ``conjugate`` (one body), ``sign`` (one body), ``bodies`` (exchanged), ``amplitude`` (one
+        body in rms, the other in peak values), ``runs`` (of one body exchanged) or ``frequency`` (of one body
+        shifted).
     order : tuple of int
         For ``runs``: which run of the base belongs to each run of the structure.
     shift : int
         For ``frequency``: at which line later the rows of the base belong.
+    factor : float
+        For ``amplitude``: by what the rows of the base are to be multiplied.
     """
 
     kind: str
     order: tuple[int, ...] = ()
     shift: int = 0
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -107,13 +113,15 @@ def ligament_test(motion: RigidMotion, structure: str, base: str) -> Ligament | 
     if right > _BAD:
         misfit |= {label: data.misfit(label) for label in _labels(runs, len(lines))}
     best = min(misfit, key=lambda label: misfit[label])
-    if not (right > _BAD and misfit[best] < min(_GOOD, _BETTER * right)):
+    bad, better = (_SLIP, _LESS) if best.kind == "amplitude" else (_BAD, _BETTER)
+    if not (right > bad and misfit[best] < min(_GOOD, better * right)):
         best = Label("right")
     return Ligament(best, misfit)
 
 
 def _whole() -> list[Label]:
-    return [Label("right"), Label("sign"), Label("bodies")]
+    slips = [Label("amplitude", factor=float(np.sqrt(square))) for square in (2.0, 0.5)]
+    return [Label("right"), Label("sign"), Label("bodies"), *slips]
 
 
 def _labels(runs: int, lines: int) -> Iterator[Label]:
@@ -142,6 +150,8 @@ class _Pair:
             b = b.conj()
         elif label.kind == "sign":
             b = -b
+        elif label.kind == "amplitude":
+            b, spread = b * label.factor, spread * np.array([1.0, label.factor])[:, None, None]
         elif label.kind == "bodies":
             s, b, spread = b, s, spread[:, ::-1]
         elif label.kind == "runs":

@@ -163,6 +163,13 @@ def _relabelled(
     )
     if label.kind == "sign":
         return Notice("body_sign", f"{left}, but one would with the sign of one of them turned: {_TURN}")
+    if label.kind == "amplitude":
+        rms, peak = (base, structure) if label.factor > 1.0 else (structure, base)
+        return Notice(
+            "unit_slip",
+            f"{left}, but one would with {base} {label.factor:.4g} times as large: {rms} looks given in rms "
+            f"and {peak} in peak values. Name the columns of {rms} amp_rms or give all in peak values.",
+        )
     if label.kind == "conjugate":
         test = phase_test(_conjugated(motion, base), mass, structure, base)
         which = structure if test is not None and test.deviations < 0.0 else base

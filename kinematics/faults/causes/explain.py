@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
@@ -56,6 +58,9 @@ def explained(
     bends = any(finding.kind == "flexible" for finding in found.findings)
     if fit.is_rounding() or (known and not found.findings):
         return None
+    if not found.findings and np.any(found.offsets_m):
+        # Errors of positions within their stated sd are no outliers.
+        body = replace(body, positions_mm=body.positions_mm + 1e3 * found.offsets_m)
     suspect = Suspect(placed, run, body, fit.beams, known)
     if not bends and not likely_outliers(suspect.plain, suspect.course):
         return None

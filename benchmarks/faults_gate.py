@@ -1,0 +1,150 @@
+"""Name faults in bodies that no search was developed on, and count false alarms in files without any.
+
+    python benchmarks/faults_gate.py faults --scenes 10
+    python benchmarks/faults_gate.py faults --no-sd --gaps 0.2
+    python benchmarks/faults_gate.py clean --scenes 50
+
+``faults``: for each body and fault, how often anything was found, the culprits named, and the kind right.
+``clean``: how often a file without fault raised an alarm, for 2 to 200 lines, stated and unstated noise,
+stated position errors, and gaps; 1 % is right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.points2dof import Options, Points2Dof, points2dof
+
+
+def judged(made: Reading, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
+    """Run the diagnosis on a reading."""
+    body = BodyChannels(
+        "incus",
+        tuple(made.points),
+        made.positions_mm,
+        made.directions,
+        made.value[None],
+        made.sd[None] if stated else None,
+        not stated,
+        np.full(len(made.points), position_sd_mm or np.nan),
+    )
+    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
+    one_head = made.head.max() == 0
+    return points2dof(data, options=Options(("y", "alpha", "gamma")) if one_head else None)
+
+
+def faults(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield the rows of the table of faults."""
+    yield "| body | fault | found | culprit named | right kind |\n|-|-|-|-|-|"
+    for body in BODIES:
+        for fault in FAULTS if arguments.body in body else ():
+            if not possible(fault, body) or arguments.fault not in fault:
+                continue
+            found = named = right = 0
+            for number in range(arguments.scenes):
+                seed = 1000 * arguments.seed + number
+                made = draw(
+                    seed, body, fault, lines=arguments.lines, gaps=arguments.gaps,
+                    position_sd_mm=1e-3 * arguments.position_um,
+                )  # fmt: skip
+                result = judged(made, not arguments.no_sd, 1e-3 * arguments.position_um)
+                accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
+                found += bool(accused)
+                named += sorted(accused) == made.culprits
+                right += accused == dict.fromkeys(made.culprits, made.verdict)
+                if arguments.show and accused != dict.fromkeys(made.culprits, made.verdict):
+                    said = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
+                    print(f"  {body}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {said}")
+            n = arguments.scenes
+            yield f"| {body} | {fault} | {found / n:.2f} | {named / n:.2f} | {right / n:.2f} |"
+
+
+# Lines, standard deviation of the positions (um), share missing.
+CONDITIONS = (
+    (2, 0.0, 0.0),
+    (8, 0.0, 0.0),
+    (8, 30.0, 0.0),
+    (12, 30.0, 0.0),
+    (34, 0.0, 0.0),
+    (34, 30.0, 0.0),
+    (200, 0.0, 0.0),
+    (200, 30.0, 0.0),
+    (60, 0.0, 0.2),
+    (60, 30.0, 0.2),
+)
+
+
+def clean(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield the rows of the table of false alarms."""
+    yield "| body | lines | positions um | missing | alarms, sd stated | alarms, no sd |\n|-|-|-|-|-|-|"
+    for body in BODIES:
+        for lines, um, gaps in CONDITIONS if arguments.body in body else ():
+            if arguments.only_lines and lines != arguments.only_lines:
+                continue
+            alarms = {True: 0, False: 0}
+            for number in range(arguments.scenes):
+                seed = (
+                    700_000 + 1000 * arguments.seed + number + 100_000 * CONDITIONS.index((lines, um, gaps))
+                )
+                made = draw(
+                    seed, body, lines=lines, position_sd_mm=1e-3 * um, gaps=gaps, noise=arguments.noise
+                )
+                for stated in alarms:
+                    result = judged(made, stated, 1e-3 * um)
+                    wrong = [v for v in result.channels if v.verdict != "ok"]
+                    alarms[stated] += bool(wrong)
+                    if wrong and arguments.show:
+                        print(
+                            "  ",
+                            body,
+                            lines,
+                            um,
+                            gaps,
+                            seed,
+                            stated,
+                            {(v.verdict, v.estimate) for v in wrong},
+                        )
+            n = arguments.scenes
+            shares = f"{alarms[True] / n:.3f} | {alarms[False] / n:.3f}"
+            yield f"| {body} | {lines} | {um:g} | {gaps:g} | {shares} |"
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=("faults", "clean"))
+    parser.add_argument("--scenes", type=int, default=10, help="per cell")
+    parser.add_argument("--lines", type=int, default=120)
+    parser.add_argument("--only-lines", type=int, default=0, help="clean files of this number of lines")
+    parser.add_argument("--noise", type=float, default=0.01, help="of clean files")
+    parser.add_argument("--gaps", type=float, default=0.0, help="share of values missing")
+    parser.add_argument("--position-um", type=float, default=0.0, help="position errors, stated")
+    parser.add_argument("--no-sd", action="store_true", help="do not state the noise")
+    parser.add_argument("--body", default="", help="only bodies whose name holds this")
+    parser.add_argument("--fault", default="", help="only faults whose name holds this")
+    parser.add_argument("--show", action="store_true", help="list every scene that went wrong")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    start = time.process_time()
+    for row in (faults if arguments.what == "faults" else clean)(arguments):
+        print(row, flush=True)
+    print(f"\n{time.process_time() - start:.0f} s of processor time, seed {arguments.seed}.")
+
+
+if __name__ == "__main__":
+    main()
