@@ -166,7 +166,7 @@ class CohortLaws:
         foreign = [k for k, source in enumerate(alone.sources) if source not in table.sources]
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
         shared = float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
-        columns = table.covariates.of_ear(stated(ear))
+        columns = table.covariates.of_ear(stated(ear)) if table.covariates.names else None
         x = float(alone.values[0, column])
         return self.predictor(law).predict(x, float(variance), shared, columns)
 

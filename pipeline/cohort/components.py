@@ -67,7 +67,7 @@ def independent_parameters(
     floor = own + smallest_sd**2 * np.eye(p)
     mean_error = floor.mean(axis=0)
     whitening = np.linalg.inv(np.linalg.cholesky(mean_error))
-    roots = [np.linalg.cholesky(one + 1e-15 * np.trace(one) * np.eye(p)) for one in floor]
+    roots = np.linalg.cholesky(floor + 1e-15 * np.trace(floor, axis1=1, axis2=2)[:, None, None] * np.eye(p))
     observed, _ = _eigen(values @ whitening.T)
     lower, upper = 0, p
     most = min(p, n - 1)
@@ -117,17 +117,13 @@ def _components_of(values: Array, whitening: Array, k: int) -> Array:
     return np.asarray(back @ kept @ back.T)
 
 
-def _simulated(
-    between: Array, roots: list[Array], whitening: Array, k: int, rng: np.random.Generator
-) -> Array:
+def _simulated(between: Array, roots: Array, whitening: Array, k: int, rng: np.random.Generator) -> Array:
     """Return eigenvalue k of simulated cohorts of given variation between ears and measurement errors."""
     n, p = len(roots), len(between)
     sizes, axes = np.linalg.eigh(between)
     spread = axes * np.sqrt(np.maximum(sizes, 0.0))
-    found = np.empty(_REPETITIONS)
-    stacked = np.array(roots)
-    for repetition in range(_REPETITIONS):
-        data = rng.standard_normal((n, p)) @ spread.T
-        data += np.einsum("nij,nj->ni", stacked, rng.standard_normal((n, p)))
-        found[repetition] = _eigen(data @ whitening.T)[0][k]
-    return found
+    data = rng.standard_normal((_REPETITIONS, n, p)) @ spread.T
+    data += np.einsum("nij,rnj->rni", roots, rng.standard_normal((_REPETITIONS, n, p)))
+    whitened = (data - data.mean(axis=1, keepdims=True)) @ whitening.T
+    covariance = np.einsum("rni,rnj->rij", whitened, whitened) / (n - 1)
+    return np.asarray(np.linalg.eigvalsh(covariance)[:, p - 1 - k])

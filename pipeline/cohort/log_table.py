@@ -36,8 +36,9 @@ _LENGTHS = {
     "height_m": ("height_mm", 1e-3),
     "gap_m": ("gap_mm", 1e-3),
 }
-# Standard deviation of lengths read off a scan, in voxels, where mass.json states none.
-_LENGTH_SD_VOXELS = 0.5
+# Standard deviation, in voxels, of lengths whose mass.json states none: both ends are rounded to a voxel,
+# each with a variance of 1/12. Lengths of surfaces within voxels are better than that.
+_LENGTH_SD_VOXELS = (2.0 / 12.0) ** 0.5
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,11 @@ def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, .
         values.append(np.log(float(value) * factor) if value is not None and float(value) > 0.0 else np.nan)
         size = float(np.sqrt(value)) if name.endswith("area_m2") and value else float(value or np.inf)
         variances.append((length_sd_mm / size * _VOXEL_POWERS[name]) ** 2)
-    assumed = "half a voxel was taken for each" if voxels is not None else "those of meshes count as exact"
+    assumed = (
+        "that of two ends rounded to voxels was taken"
+        if voxels is not None
+        else "those of meshes count as exact"
+    )
     text = f"Lengths of the footplate have no stated standard deviation: {assumed}."
     return np.array(values), np.diag(variances), (Notice("predictor_error_assumed", text),)
 

@@ -76,6 +76,7 @@ class Predictor:
         self._points, self._weight = grid[keep], weight[keep] / weight[keep].sum()
         self._likelihood = likelihood
         self._psi = covariance_between_ears(self._points)
+        self._mean_ear = likelihood.means(self._points)
 
     def predict(
         self,
@@ -98,7 +99,8 @@ class Predictor:
         covariates : ndarray, (c,), optional
             Of the ear; the mean over the cohort when left out.
         """
-        _, means, extra = self._likelihood.means(self._points, covariates)
+        known = self._mean_ear
+        _, means, extra = known if covariates is None else self._likelihood.means(self._points, covariates)
         psi = self._psi
         gain = (psi[:, 0, 1] + extra[:, 0, 1]) / (psi[:, 0, 0] + own_variance + extra[:, 0, 0])
         mean = means[:, 1] + gain * (x - self._origin[0] - means[:, 0])
@@ -109,7 +111,7 @@ class Predictor:
 
     def tolerance(self) -> tuple[float, float]:
         """Return the 95 % range of ln y of ears of this population, whatever their predictor."""
-        _, means, extra = self._likelihood.means(self._points)
+        _, means, extra = self._mean_ear
         sd = np.sqrt(self._psi[:, 1, 1] + extra[:, 1, 1])
         low, high = (self._quantile(means[:, 1], sd, p) for p in (0.025, 0.975))
         return low + self._origin[1], high + self._origin[1]

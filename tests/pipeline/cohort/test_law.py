@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.cohort.law import fit_law
+from pipeline.cohort.law import Profile, fit_law
 from pipeline.cohort.likelihood import RestrictedLikelihood
 from pipeline.cohort.pairs import LogPairs
+from pipeline.cohort.scatter import scatter_interval
 from tests.pipeline.cohort.simulated import cohort
 
 
@@ -84,11 +85,28 @@ def test_a_predictor_that_is_all_error_leaves_the_exponent_open():
 
 
 @pytest.mark.parametrize(
-    "scene", [{"n": 8}, {"batches": 0.1}, {"pairs": 0.6}], ids=["8 ears", "scanners", "pairs"]
+    ("count", "scene"),
+    [(80, {"n": 8}), (50, {"batches": 0.1}), (30, {"pairs": 0.6})],
+    ids=["8 ears", "scanners", "pairs"],
 )
-def test_intervals_cover(scene):
-    """40 cohorts a scene: a coverage of 95 % gives 34 or more in 99 of 100 such tests."""
+def test_intervals_cover(count, scene):
+    """The p-value of the true exponent is uniform: an interval is where it exceeds 5 %."""
     rng = np.random.default_rng(7)
-    laws = [fit_law(cohort(rng, **scene)[0]) for _ in range(40)]
-    assert sum(law.interval[0] <= 1.5 <= law.interval[1] for law in laws) >= 34
-    assert sum(law.sigma_interval[0] <= 0.2 <= law.sigma_interval[1] for law in laws) >= 33
+    p_values, covered = [], 0
+    for _ in range(count):
+        pairs, _ = cohort(rng, **scene)
+        profile = Profile(pairs.centred())
+        p_values.append(profile.p_value(1.5))
+        low, high = scatter_interval(pairs, float(profile.best.point[1]))
+        covered += low <= 0.2 <= high
+    assert stats.kstest(p_values, "uniform").pvalue > 0.01
+    least = stats.binom.ppf(0.005, count, 0.95)
+    assert np.sum(np.array(p_values) > 0.05) >= least
+    assert covered >= least
+
+
+def test_the_interval_is_where_the_p_value_exceeds_5_percent():
+    pairs, _ = cohort(np.random.default_rng(8), 12)
+    profile = Profile(pairs.centred())
+    for end in fit_law(pairs).interval:
+        assert profile.p_value(end) == pytest.approx(0.05, abs=1e-4)

@@ -1,0 +1,94 @@
+"""Cohorts on a cluster of this machine: equal results, time on one and two workers, overhead per ear.
+
+    python benchmarks/cohort_cluster.py [--ears 64] [--brief 64]
+
+Runs brief studies without work, for the overhead per ear, and simulated ears (sample_volumes.make_cohort),
+here and on 1 and 2 dask workers, and compares all result files but for dates.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.runners.cluster import run_on_cluster
+from pipeline.runners.local import run_here
+from pipeline.runners.process import Task
+from sample_volumes.make_cohort import Population, make_cohort
+from tests.pipeline.runners.test_cluster import processes
+
+_CHANGING = ("provenance", "seconds", "hash", "modified", "date")
+
+
+def numbers(folder: Path) -> dict[str, object]:
+    """Return the content of every ear's results without dates and hashes of dated files."""
+    found: dict[str, object] = {}
+    for path in sorted(folder.glob("*/*")):
+        if path.suffix == ".json":
+            content = json.loads(path.read_text(encoding="utf-8"))
+            found[str(path.relative_to(folder))] = {k: v for k, v in content.items() if k not in _CHANGING}
+        elif path.suffix in (".csv", ".ply"):
+            found[str(path.relative_to(folder))] = path.read_bytes()
+    return found
+
+
+def timed(run, tasks, out: Path) -> float:
+    """Return the seconds of a run whose results go to ``out``."""
+    out.mkdir()
+    faults = {}
+    begun = time.perf_counter()
+    placed = [replace(task, folder=out / task.name) for task in tasks]
+    run(placed, out, lambda *_: None, lambda name, end: faults.update({name: end.fault} if end.code else {}))
+    assert not faults, faults
+    return time.perf_counter() - begun
+
+
+def main() -> None:
+    """Print the tables."""
+    given = argparse.ArgumentParser(description=__doc__)
+    given.add_argument("--ears", type=int, default=8)
+    given.add_argument("--brief", type=int, default=64)
+    options = given.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        brief = []
+        for k in range(options.brief):
+            (folder / f"b{k}.toml").touch()
+            program = "tests.pipeline.runners.brief_study"
+            brief.append(Task(f"b{k}", folder / f"b{k}.toml", folder, program=program))
+        print("| studies | where | seconds | per study |\n|-|-|-|-|")
+        runs = [("here, 2 jobs", 0)]
+        runs += [("1 worker", 1), ("2 workers", 2)]
+        make_cohort(folder / "cohort", Population(ears=options.ears, pairs=0))
+        studies = sorted((folder / "cohort" / "ears").glob("*/study.toml"))
+        real = [Task(path.parent.name, path, folder) for path in studies]
+        for kind, tasks in (("brief", brief), ("ears", real)):
+            results = []
+            for number, (where, workers) in enumerate(runs):
+                out = folder / f"{kind}{number}"
+                if not workers:
+                    seconds = timed(lambda t, _out, *rest: run_here(t, 2, *rest), tasks, out)
+                else:
+                    (folder / f"c{kind}{number}").mkdir()
+                    with processes(folder / f"c{kind}{number}", workers) as (address, _):
+                        seconds = timed(
+                            lambda t, o, *rest, a=address: run_on_cluster(t, a, o, *rest), tasks, out
+                        )
+                results.append(numbers(out))
+                print(
+                    f"| {len(tasks)} {kind} | {where} | {seconds:.1f} | {seconds / len(tasks):.2f} |",
+                    flush=True,
+                )
+            if kind == "ears":
+                print("results equal:", all(one == results[0] and one for one in results))
+
+
+if __name__ == "__main__":
+    main()
