@@ -90,6 +90,19 @@ def axes_card(kd: Mapping[str, Any]) -> list[Card]:
     return [("Principal axes of K", rows)]
 
 
+def frame_card(mass: Mapping[str, Any]) -> list[Card]:
+    """Return what x and z of the footplate point to, and by which statement, so that a wrong side shows."""
+    frames = mass["frames"]
+    by = str(frames.get("anterior_from") or "").removeprefix("--")
+    rows: list[tuple[str, ...]] = [
+        ("x", f"anterior, by {by}" if by else "along the footplate; anterior is not known"),
+        ("y", "lateral, towards the head"),
+    ]
+    z_is, side = frames.get("z_is"), frames.get("side")
+    rows.append(("z", f"{z_is}: stated as a {side} ear" if z_is and side else "x × y; the side is not known"))
+    return [("Axes of the footplate", rows)]
+
+
 def summary_block(
     mass: Mapping[str, Any], kd: Mapping[str, Any], found: Verdict, truth: Mapping[str, Any] | None
 ) -> Markup:
@@ -100,7 +113,7 @@ def summary_block(
         css=found.level.replace(" ", "-"),
         sentence=_SENTENCES[found.level],
         reasons=[type(one)(one.level, one.code, printed(one.text)) for one in found.reasons],
-        cards=[*cards(mass, kd, truth), *axes_card(kd)],
+        cards=[*cards(mass, kd, truth), *axes_card(kd), *frame_card(mass)],
     )
 
 

@@ -84,7 +84,15 @@ def test_notes_key_results_warnings_and_hashes(page, finished):
     warned = text.partition("<h2>Warnings</h2>")[2].partition("</section>")[0]
     assert "SIMULATED vibrometer data." in top
     assert "Incus removed." in top
-    for words in ("mass", "K(y)", "D(gamma)", "mode 3", "µN mm s/rad", "damping ratio"):
+    for words in (
+        "mass",
+        "K(y)",
+        "D(gamma)",
+        "mode 3",
+        "µN mm s/rad",
+        "damping ratio",
+        "superior: stated as a left ear",
+    ):
         assert words in top
     for notice in finished[2].notices:
         assert notice.code in warned
