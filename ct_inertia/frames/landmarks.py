@@ -191,7 +191,7 @@ def _mm_per_unit(told: object, file: str) -> float:
 def _point(values: Any, file: str) -> Array:
     try:
         point = np.array([float(value) for value in values])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         point = np.zeros(0)
     if point.shape != (3,):
         raise CtInertiaError(

@@ -18,6 +18,7 @@ from stapeskit.records.mass_record import parameter_transfer
 
 Array = NDArray[np.float64]
 
+_LARGEST = 1e12
 _KEYS = ("points", "points_mg_ha_cm3", "kg_m3_at_zero", "kg_m3_per_mg_ha_cm3", "sd_kg_m3")
 
 
@@ -109,13 +110,17 @@ def read_calibration(path: Path) -> Calibration:
             )
         )
     sd = _number(table, "sd_kg_m3", path.name) if "sd_kg_m3" in table else None
+    if sd is not None and sd < 0.0:
+        raise CtInertiaError(
+            Fault("sd_kg_m3", "0 or more", sd, path.name, next_step="Correct it in the file")
+        )
     return Calibration(float(slope), float(intercept), sd)
 
 
 def _points(value: Any, file: str) -> Array:
     try:
         points = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(np.unique(points[:, 0])) < 2:
         raise CtInertiaError(
@@ -125,6 +130,17 @@ def _points(value: Any, file: str) -> Array:
                 value,
                 file,
                 next_step="Give for example points = [[2000, 0], [20000, 1900]]",
+            )
+        )
+    # Squares of larger numbers, and quotients of smaller differences, are no numbers any more.
+    if not np.all(np.abs(points) < _LARGEST) or np.ptp(points[:, 0]) < 1.0 / _LARGEST:
+        raise CtInertiaError(
+            Fault(
+                "the calibration points",
+                f"finite, below {_LARGEST:g}, at different grey values",
+                value,
+                file,
+                next_step="Correct them in the file",
             )
         )
     return points

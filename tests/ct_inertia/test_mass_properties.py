@@ -246,6 +246,22 @@ class TestCalibration:
         assert body.density_kg_m3 == pytest.approx(1800.0)
         assert np.sqrt(body.contributions["calibration"][0, 0]) == pytest.approx(3600e-9 * 20.0 / 1800.0)
 
+    @pytest.mark.parametrize(
+        "points",
+        ["[[0, 0], [inf, 1]]", "[[0, 0], [1, nan]]", "[[0, 0], [1e-320, 1]]", f"[[0, 0], [1, 1{'0' * 400}]]"],
+    )
+    def test_impossible_points_are_refused(self, tmp_path, points):
+        (tmp_path / "c.toml").write_text(f"points = {points}\n")
+        with pytest.raises(CtInertiaError) as refused:
+            read_calibration(tmp_path / "c.toml")
+        assert refused.value.faults[0].thing == "the calibration points"
+
+    def test_a_negative_standard_deviation_is_refused(self, tmp_path):
+        (tmp_path / "c.toml").write_text("points = [[0, 0], [1, 1]]\nsd_kg_m3 = -1\n")
+        with pytest.raises(CtInertiaError) as refused:
+            read_calibration(tmp_path / "c.toml")
+        assert refused.value.faults[0].thing == "sd_kg_m3"
+
     def test_reads_densities_and_mineral(self, tmp_path):
         path = tmp_path / "c.toml"
         path.write_text("points = [[0, 0], [10000, 1000], [20000, 2000]]\nsd_kg_m3 = 15\n")
