@@ -260,7 +260,10 @@ class KDFiles(OptionTable):
     )
     out: Path | None = option(output(".json"), "default kd.json; plan.json with --plan", example="kd.json")
     export: tuple[str, ...] = option(
-        several(*EXPORTS), f"further files beside OUT, separated by commas; {summaries(EXPORTS)}", ()
+        several(*EXPORTS),
+        f"further files beside OUT, separated by commas; {summaries(EXPORTS)}",
+        (),
+        example=["mat", "csv"],
     )
     force: bool = option(
         FLAG,

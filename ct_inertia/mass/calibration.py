@@ -148,9 +148,9 @@ def _points(value: Any, file: str) -> Array:
 
 def _number(table: dict[str, Any], key: str, file: str) -> float:
     value: Any = table.get(key)
-    if not is_finite_number(value):
-        raise CtInertiaError(Fault(key, "a number", value, file, next_step="Correct it in the file"))
-    return float(value)
+    if isinstance(value, int | float) and is_finite_number(value):
+        return float(value)
+    raise CtInertiaError(Fault(key, "a number", value, file, next_step="Correct it in the file"))
 
 
 def from_calibration(
