@@ -243,6 +243,8 @@ def points2dof(
     errors = None
     if lasers is not None:
         estimate = lasers.estimate(placed, fits, channels_at_fault(diagnoses), found.applied)
+        if estimate.beyond_belief:
+            estimate = lasers.estimate(placed, fits, {}, found.applied)
         errors = lasers.errors(placed, fits, estimate)
         motion = replace(motion, q=motion.q + errors.correction)
         notices += laser_notices(errors)

@@ -19,8 +19,10 @@ _HIGHEST_HZ = 40.0
 # Displacement amplitudes, m: vibrometers resolve femtometres, and no ear moves by a tenth of a millimetre at
 # audible frequencies.
 _SMALLEST_M, _LARGEST_M = 1e-15, 2e-4
-# Values whose phases, in degrees, fill the range of radians.
-_LEAST_VALUES, _FILLED = 50, 0.8
+# The stapes stays no hundred times behind the bone, nor ahead of it, in the median of a band.
+_LARGEST_RATIO = 100.0
+# Over a factor of two in frequency damping turns the motion by more than pi degrees; radians never pass pi.
+_LEAST_VALUES, _WIDE_BAND, _LEAST_PHASE, _MIDDLE_PHASE = 50, 2.0, 1.0, 0.3
 _SAMPLE = 100_000
 
 
@@ -69,18 +71,43 @@ def _amplitudes(measurement: Measurement) -> Iterator[str]:
                 f"body {body.body} moves by {middle:.2g} m (median displacement amplitude), too {what} for "
                 "an ear: unless these are responses per unit of a reference, their unit is not that of the "
                 "header. Check m, mm, um, nm, and displacement, velocity, acceleration in the names of "
-                "the columns."
+                "the columns, and that the values are no decibels."
+            )
+    yield from _ratios(measurement)
+
+
+def _ratios(measurement: Measurement) -> Iterator[str]:
+    """Compare the bodies with the first, line by line: a resonance makes a factor of ten, not of hundreds."""
+    if len(measurement.bodies) < 2:
+        return
+    step = max(1, measurement.bodies[0].displacement.size // _SAMPLE)
+    sizes = []
+    for body in measurement.bodies:
+        part = np.abs(body.displacement[:, :, ::step])
+        sizes.append(np.sqrt(np.nanmean(np.where(np.isfinite(part), part, np.nan) ** 2, axis=(0, 1))))
+    for body, size in zip(measurement.bodies[1:], sizes[1:], strict=True):
+        both = (size > 0.0) & (sizes[0] > 0.0)
+        if not np.any(both):
+            continue
+        ratio = float(np.median(size[both] / sizes[0][both]))
+        if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
+            yield (
+                f"body {body.body} moves {ratio:.3g} times as much as body {measurement.bodies[0].body} "
+                "(median): their readings are hardly in the same unit. Check m, mm, um, nm in their rows or "
+                "files."
             )
 
 
 def _phases(measurement: Measurement) -> Iterator[str]:
+    if measurement.freq_hz[-1] < _WIDE_BAND * measurement.freq_hz[0]:
+        return
     turn = (1j * 2.0 * np.pi * measurement.freq_hz) ** measurement.order
     for body in measurement.bodies:
         value = _some(body, turn / np.abs(turn))
         if len(value) < _LEAST_VALUES:
             continue
         phase = np.abs(np.rad2deg(np.angle(value)))
-        if _FILLED * np.pi < float(np.max(phase)) <= np.pi * (1.0 + 1e-6) and np.median(phase) > 0.5:
+        if _LEAST_PHASE < float(np.max(phase)) <= np.pi * (1.0 + 1e-6) and np.median(phase) > _MIDDLE_PHASE:
             yield (
                 f"all phases of body {body.body} lie between -3.142 and 3.142 degrees: they look like "
                 "radians under a header in degrees. Give them in degrees (times 57.296)."

@@ -46,7 +46,7 @@ def with_noise(
         relative = body.sd[run]
         largest = largest_rate(value, rate)
         size, floor = np.full(len(rate), _size(largest, rate, relative)), least_sd(largest, rate)
-    axes = triad_axes(body)
+    axes = triad_axes(body) if body.computed_axes else None
     if axes is not None:
         relative = relative * noise_by_axis(beams, value, LineNoise(relative, size, floor), axes)[:, None]
     fit = fit_noise(beams, value, LineNoise(relative, size, floor))

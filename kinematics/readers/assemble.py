@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.fit.triads import triad_axes
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
 from kinematics.readers.apply_options import with_bodies, with_runs, with_stated
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
@@ -97,6 +98,7 @@ def assemble(
     flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
     bodies, said = _bodies(flat, places, points, order)
     notices += said
+    bodies = tuple(replace(body, computed_axes=triad_axes(body) is not None) for body in bodies)
     if not any(notice.code == "axes_from_beams" for notice in notices):
         notices += triad_notices(bodies)
     runs = tuple(take.name for take in places.takes)

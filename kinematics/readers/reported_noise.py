@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.fit.triads import triad_axes
 from kinematics.measurement import BodyChannels
 from kinematics.readers.recording import Recording
 from kinematics.tidy.few_averages import steadied
@@ -58,7 +57,7 @@ def body_noise(
 
 def triad_notices(bodies: Sequence[BodyChannels]) -> list[Notice]:
     """Return the warning that x, y, z of points were probably computed from several beams."""
-    triads = [body.body for body in bodies if triad_axes(body) is not None]
+    triads = [body.body for body in bodies if body.computed_axes]
     if not triads:
         return []
     text = (

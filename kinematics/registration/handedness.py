@@ -1,8 +1,9 @@
-"""Are positions and beams in the same axes? Rigid motion shows an axis that only one of them has mirrored."""
+"""Are positions and beams in the same axes? Rigid motion shows axes that only one of them has mirrored."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ def check_axes(
     fits: Mapping[tuple[int, int], LineFit],
     kept: Mapping[tuple[int, int], float] | None = None,
 ) -> list[Notice]:
-    """Refuse positions that agree with the beams only when one of their axes is turned round.
+    """Refuse positions that agree with the beams only when an axis is turned round or two are exchanged.
 
     Parameters
     ----------
@@ -62,14 +63,15 @@ def check_axes(
     """
     whole = float(sum(np.nansum(fit.chi2) for fit in fits.values()))
     loud = whole > _LEAST_MISFIT * sum(int(np.sum(fit.n_dof)) for fit in fits.values())
-    if not (loud or any(body.sd is None or body.relative for body in placed.bodies)):
+    stated = all(body.sd is not None and not body.relative for body in placed.bodies)
+    if stated and not loud:
         return []
     given, freedom = _misfits(placed, fits, np.eye(3))
     if freedom < 20:
         return []
     turn = footplate_from_source.rotation
     mirrored = {
-        axis: _misfits(placed, fits, turn @ np.diag(signs) @ turn.T)[0] for axis, signs in MIRRORS.items()
+        name: _misfits(placed, fits, turn @ change @ turn.T)[0] for name, change in _changes().items()
     }
     best = min(mirrored, key=lambda axis: sum(mirrored[axis].values()))
     after = sum(mirrored[best].values())
@@ -77,12 +79,18 @@ def check_axes(
         mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
     )
     share = _CURED_SHARE if loud else _CURED_SHARE_UNKNOWN_NOISE
-    if after > share * sum(given.values()) or after > _LEAST_MISFIT * freedom:
+    noise = float(freedom) if stated else 0.0
+    if after - noise > share * (sum(given.values()) - noise) or after > _LEAST_MISFIT * freedom:
         return []
-    if after > share * rival:
+    if after - noise > share * (rival - noise):
+        cure = (
+            f"give {named('mirror_points')} {best} if their coordinates are left-handed"
+            if best in MIRRORS
+            else "exchange the two columns if they are"
+        )
         text = (
-            f"positions whose {best} is turned round would explain the readings as well as the fault "
-            f"that was found; give {named('mirror_points')} {best} if their coordinates are left-handed."
+            f"positions whose {_words(best)} would explain the readings as well as the fault that was found; "
+            f"{cure}."
         )
         return [Notice("mirrored_axes", text)]
     before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
@@ -90,12 +98,28 @@ def check_axes(
         Fault(
             "the positions of the points",
             "in the same axes as the beam directions",
-            f"positions that agree with the beams only when their {best} is turned round (residuals "
+            f"positions that agree with the beams only when their {_words(best)} (residuals "
             f"{before:.2g} times the noise as given, {after:.2g} so)",
             next_step=f"One of the two is left-handed: give {{mirror_points}} {best} when it is the "
-            f"positions, and with {{mirror}} {best} too when it is the directions",
+            f"positions, and with {{mirror}} {best} too when it is the directions"
+            if best in MIRRORS
+            else "Exchange the two columns of the positions, or of the directions",
         )
     )
+
+
+def _changes() -> dict[str, Array]:
+    """Return what may have happened to the positions: an axis turned round, or two axes exchanged."""
+    made = {axis: np.diag(signs) for axis, signs in MIRRORS.items()}
+    for one, two in combinations(range(3), 2):
+        order = [0, 1, 2]
+        order[one], order[two] = two, one
+        made[f"{'xyz'[one]} and {'xyz'[two]}"] = np.eye(3)[order]
+    return made
+
+
+def _words(change: str) -> str:
+    return f"{change} is turned round" if change in MIRRORS else f"{change} are exchanged"
 
 
 def _misfits(

@@ -28,6 +28,8 @@ _LEAST_GAINED = 0.05
 UNLIKELY = 1e-3
 # Lasers are tried as the cause of what is found when the sum of squares falls by this.
 _WORTH_CORRECTING = 9.0
+# An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
+_MOST_SDS = 6.0
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,11 @@ class LaserEstimate:
         along = vectors.T @ (self.values / self.prior_sd)
         chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
         return float(chdtrc(int(np.sum(seen)), chi2)) if np.any(seen) else 1.0
+
+    @property
+    def beyond_belief(self) -> bool:
+        """Whether an error is so many times its stated sd that it is a fault, which a small error is not."""
+        return bool(np.max(np.abs(self.values) / self.prior_sd) > _MOST_SDS)
 
     @property
     def explains_misfit(self) -> bool:

@@ -72,7 +72,10 @@ def check_values(table: Table, columns: Columns, faults: list[Fault]) -> None:
             check(large & np.isinf(numbers[name]), name, "finite", step)
             check(large & ~np.isinf(numbers[name]), name, f"below {LARGEST:g}", step)
     if columns.polar:
-        check(numbers[columns.first] < 0.0, columns.first, "positive or zero")
+        below = numbers[columns.first] < 0.0
+        decibels = np.sum(below) > 0.5 * len(below)
+        step = "They look like decibels: give amplitudes, 10^(dB/20) times the reference"
+        check(below, columns.first, "positive or zero", step if decibels else "Correct the cell")
     if columns.sd:
         sd = numbers[columns.sd]
         check((sd < 0.0) | np.isinf(sd), columns.sd, "positive and finite")

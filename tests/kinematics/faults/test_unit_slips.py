@@ -31,6 +31,13 @@ def radians_as_degrees(data):
     return changed(data, displacement=wrong / rate)
 
 
+def two_bodies(data, factor):
+    """Return the data with a second body whose readings are a factor larger."""
+    body = data.bodies[0]
+    other = replace(body, body="base", displacement=body.displacement * factor)
+    return replace(data, bodies=(body, other))
+
+
 def places(data, factor):
     body = data.bodies[0]
     return replace(data, bodies=(replace(body, positions_mm=body.positions_mm * factor),))
@@ -43,6 +50,8 @@ SLIPS = {
     "too large": lambda data: changed(data, displacement=data.bodies[0].displacement * 1e6),
     "too small": lambda data: changed(data, displacement=data.bodies[0].displacement * 1e-9),
     "radians": radians_as_degrees,
+    "base moves 1e+03 times": lambda data: two_bodies(data, 1000.0),
+    "base moves 0.001 times": lambda data: two_bodies(data, 0.001),
 }
 
 
@@ -56,6 +65,7 @@ def test_slip_is_named(name):
 def test_right_units_are_not_named():
     for seed in range(10):
         assert unit_slips(right(seed)) == []
+        assert unit_slips(two_bodies(right(seed), 10.0)) == []
 
 
 def test_real_readings_are_no_radians():

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
+from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.points2dof import points2dof
 from kinematics.registration.placement import Placement
@@ -54,6 +55,19 @@ def test_when_both_are_mirrored_no_residual_shows_it():
     chi2 = points2dof(measured(5), Placement(POSE)).motion.chi2
     both = points2dof(measured(5).mirrored("y"), Placement(POSE)).motion.chi2
     assert np.sum(both) == pytest.approx(np.sum(chi2), rel=1e-6)
+
+
+@pytest.mark.parametrize(("one", "two"), [(0, 1), (1, 2), (0, 2)])
+def test_exchanged_columns_of_the_positions_are_named(one, two):
+    data = measured(4)
+    body = data.bodies[0]
+    order = [0, 1, 2]
+    order[one], order[two] = two, one
+    wrong = replace(data, bodies=(replace(body, positions_mm=body.positions_mm[:, order]),))
+    with pytest.raises(KinematicsError) as caught:
+        points2dof(wrong, Placement(POSE))
+    (fault,) = caught.value.faults
+    assert f"{'xyz'[one]} and {'xyz'[two]} are exchanged" in str(fault.got)
 
 
 @pytest.mark.parametrize("fault", ["", *FAULTS])
