@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stapeskit.page.foreign_markup import foreign_markup
 from stapeskit.page.page import Section
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice, from_json
@@ -179,13 +180,24 @@ def write_told(folder: Path, stage: str, told: Told) -> None:
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
-def read_told(path: Path) -> Told:
-    """Read back what write_told wrote; its hash stands in the stage's record."""
+def read_told(path: Path) -> Told | None:
+    """Read back what write_told wrote; None when it holds what this program does not write.
+
+    The hash in the stage's record does not prove who wrote it: whoever passes a folder on can change both.
+    """
     from markupsafe import Markup
 
-    content = json.loads(Path(path).read_text(encoding="utf-8"))
-    sections = tuple(
-        Section(entry["heading"], [Markup(block) for block in entry["blocks"]], entry.get("key", ""))
-        for entry in content["sections"]
-    )
-    return Told(sections, from_json(content["warnings"]))
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        sections = tuple(
+            Section(
+                str(entry["heading"]), [Markup(block) for block in entry["blocks"]], str(entry.get("key", ""))
+            )
+            for entry in content["sections"]
+        )
+        blocks = [str(block) for section in sections for block in section.blocks]
+        if any(map(foreign_markup, blocks)):
+            return None
+        return Told(sections, from_json(content["warnings"]))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None

@@ -142,10 +142,12 @@ def _stage(
     with progress.step(stage.title) as step:
         now = fingerprint(stage.rooms, stage.inputs(study), stage.parameters(study, work), work.hashes)
         reason = _reason(old, now, work)
-        if not reason:
+        kept = None if reason else read_told(work.find(told_name(stage.name)))
+        if kept is not None:
             step.note = "unchanged, reused"
             runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
-            return read_told(work.find(told_name(stage.name)))
+            return kept
+        reason = reason or "its sections are not as this program writes them"
         try:
             with worded(words(stage.table)):
                 names, told = stage.run(study, work)

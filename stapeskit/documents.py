@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from typing import Any
+from typing import Any, TypeGuard
 
 DEEPEST = 100
 """Brackets within each other at most: what people and programs write has less than ten."""
@@ -14,7 +14,7 @@ _LONGEST_TOML = 10_000_000  # characters; a second or two of reading
 _TOKEN = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}]')
 
 
-def is_finite_number(value: object) -> bool:
+def is_finite_number(value: object) -> TypeGuard[float]:
     """Tell whether a value is a number that a float can hold; whole ones may have any length."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -117,22 +118,30 @@ def start(
     child = os.fork()
     if child:
         return child
+    code = 71
     try:
-        os.chdir(folder)
-        os.dup2(os.open(f"{folder}.stderr", os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), 2)
-        os.dup2(os.open(os.devnull, os.O_RDWR), 1)
-        sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
-        name = workload.module.partition(".")[0]
-        sys.argv = [name, *workload.line(second)]
-        if before is not None:
-            before()
+        code = _run(workload, folder, second, before)
+    finally:
+        os._exit(code)  # whatever happens: nothing of the harness runs in this process
+
+
+def _run(workload: Workload, folder: Path, second: bool, before: Callable[[], object] | None) -> int:
+    os.chdir(folder)
+    os.dup2(os.open(f"{folder}.stderr", os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666), 2)
+    os.dup2(os.open(os.devnull, os.O_RDWR), 1)
+    sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
+    sys.argv = [workload.module.partition(".")[0], *workload.line(second)]
+    if before is not None:
+        before()
+    try:
         import_module(workload.module).main()
     except SystemExit as left:
-        sys.stderr.flush()
-        os._exit(left.code if isinstance(left.code, int) else 70)
+        with suppress(OSError):
+            sys.stderr.flush()
+        return left.code if isinstance(left.code, int) else 70
     except BaseException as fault:
         os.write(2, f"{type(fault).__name__}: {fault}\n".encode())
-    os._exit(71)
+    return 71
 
 
 def told(folder: Path) -> str:
