@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def cut_notice(cuts: Iterable[BorderCut], where: str = "scan") -> Notice:
         f"what lies beyond is missing from volume and mass. Or another bone that the field of view crops, "
         f"such as the tip of the incus, touches the stapes and is counted with it. The uncertainty holds "
         f"neither. Look at the slices of the report; scan or export a larger field of view, or correct the "
-        f"labels (--labels)."
+        f"labels ({named('labels')})."
     )
     return Notice(CODE, text)
 

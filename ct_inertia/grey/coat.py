@@ -15,6 +15,7 @@ from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -152,6 +153,6 @@ def bare_bone_notice(surface: Surface, volume_mm3: float) -> Notice:
         f"Bare bone is assumed, and the budget holds nothing for a soft coat: mucosa of "
         f"{1e3 * USUAL_MM:.0f} um with {100.0 * USUAL_GREY:.0f} % of the contrast of bone would add "
         f"{100.0 * share:.1f} % to volume and mass, and is too thin to be told from the blur of the scan. "
-        f"State it with --coat THICKNESS+-SD (um), or --coat 0 for cleaned bone."
+        f"State it with {named('coat')} THICKNESS+-SD (um), or {named('coat')} 0 for cleaned bone."
     )
     return Notice(BARE, text)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ct_inertia.errors import CtInertiaError
 from stapeskit.faults import Fault
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class VoxelScale:
         text = (
             f"The voxel size was corrected by {100.0 * (self.factor - 1.0):+.3f} +- {100.0 * self.sd:.3f} % "
             f"({self.source}) in volume, mass and mass matrix. Coordinates, frames and surfaces are in mm of "
-            f"the scan as it is stored; --spacing {spacing} corrects those too."
+            f"the scan as it is stored; {named('spacing')} {spacing} corrects those too."
         )
         return Notice(CODE, text)
 
@@ -102,6 +103,6 @@ def _unfit(name: str, stated: float, measured: float) -> CtInertiaError:
             name,
             "within 10 % of the length in the scan",
             f"{stated:g} against {measured:g}",
-            next_step="Check the points (scan coordinates, mm), the length in mm, and --spacing",
+            next_step="Check the points (scan coordinates, mm), the length in mm, and {spacing}",
         )
     )
