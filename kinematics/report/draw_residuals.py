@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.fit.rigid_fit import fit_noise
 from stapeskit.page.drawings import FAULT, INK, colour, distinct, frequency_axis, log_spaced, plain, shortened
 from stapeskit.page.page import new_figure
 
@@ -28,6 +29,8 @@ COLUMNS = 700
 _PIECE = 500_000
 _WIDTH, _LEFT, _RIGHT, _BARE, _BELOW, _ABOVE, _GAP = 11.4, 1.8, 2.95, 1.0, 0.55, 0.35, 0.42
 _BAR = 0.75
+# Verdicts that are no fault of the channel itself.
+_NOT_ITS_OWN = ("ok", "flexible", "zeros", "unused")
 _ROW, _TALLEST, _LETTER, _LETTERS = 0.17, 6.2, 0.15, 36
 
 
@@ -80,7 +83,8 @@ def residual_map(fit: LineFit, freq_hz: Array, columns: int = COLUMNS) -> Residu
         ratio = np.where(used, np.abs(residual) / np.where(used, sd, 1.0), -1.0)
         size[:, first:last] = np.maximum.reduceat(ratio, start[first:last] - start[first], axis=1)
     size[size < 0.0] = np.nan
-    return ResidualMap(size, _edges(freq_hz)[start], int(np.max(np.diff(start))), relative_rms(fit))
+    rms = _rms_of_unused(fit, relative_rms(fit))
+    return ResidualMap(size, _edges(freq_hz)[start], int(np.max(np.diff(start))), rms)
 
 
 def relative_rms(fit: LineFit) -> Array:
@@ -89,6 +93,32 @@ def relative_rms(fit: LineFit) -> Array:
     Noise alone gives 1; NaN where a channel was not used or decides the fit alone.
     """
     return np.asarray(np.sqrt(np.where(fit.solution.used > 0, fit.channel_energy, np.nan)))
+
+
+def without_culprits(fit: LineFit, culprits: list[int]) -> LineFit:
+    """Return a fit that shows the residuals of all channels against the motion of those without a fault.
+
+    A faulty channel pulls the motion, so that others look faulty too. The fit itself where the other channels
+    do not determine the motion at all lines.
+    """
+    if not culprits or len(culprits) > len(fit.beams.rows) // 2:
+        return fit
+    value = fit.value.copy()
+    value[culprits] = np.nan
+    again = fit_noise(fit.beams, value, fit.noise, fit.robust)
+    if not np.array_equal(again.solution.good, fit.solution.good):
+        return fit
+    return replace(fit, solution=again.solution)
+
+
+def _rms_of_unused(fit: LineFit, rms: Array) -> Array:
+    """Return the rms with that of channels which are shown and were not fitted."""
+    for channel in np.flatnonzero(np.isnan(rms)):
+        residual, sd, _ = fit.at(slice(None), np.arange(len(rms)) == channel)
+        used = np.isfinite(sd)
+        if np.any(used):
+            rms[channel] = np.sqrt(0.5 * np.mean((np.abs(residual[used]) / sd[used]) ** 2))
+    return rms
 
 
 def _edges(values: Array) -> Array:
@@ -103,7 +133,10 @@ def _edges(values: Array) -> Array:
 def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualMap]:
     """Draw the map of one run, one panel a body; return it with the map of the first body."""
     bodies = result.measurement.bodies
-    maps = [residual_map(result.fits[run, k], result.motion.freq_hz) for k in range(len(bodies))]
+    maps = []
+    for k in range(len(bodies)):
+        culprits = [c for c, v in enumerate(_verdicts(result, run, k)) if v.verdict not in _NOT_ITS_OWN]
+        maps.append(residual_map(without_culprits(result.fits[run, k], culprits), result.motion.freq_hz))
     heights = [float(np.clip(_ROW * len(body.points), 0.6, _TALLEST)) for body in bodies]
     total = sum(heights) + _GAP * (len(bodies) - 1) + _BELOW + _ABOVE
     figure = new_figure(_WIDTH, total)
