@@ -113,9 +113,10 @@ def registration_section(result: Points2Dof) -> Section:
 
 
 def _fiducial_rows(fit: Registration) -> list[tuple[str, ...]]:
-    """Return number, residual and sd of every fiducial, um."""
+    """Return name, residual and sd of every fiducial, um."""
     rows = []
     for number, (residual, sd) in enumerate(zip(fit.residuals_mm, fit.sd_mm, strict=True)):
         size, spread = float(np.linalg.norm(residual)), float(np.max(sd))
-        rows.append((str(number + 1), *(f"{1e3 * value:.3g}" for value in (*residual, size, spread))))
+        name = fit.names[number] if fit.names else str(number + 1)
+        rows.append((name, *(f"{1e3 * value:.3g}" for value in (*residual, size, spread))))
     return rows

@@ -50,6 +50,8 @@ class Registration:
         What was fitted: ``fiducials``, ``plate points`` ...
     plane_mm : (ndarray (3,), ndarray (3,)) or None
         Centroid and normal of the best plane through the target points.
+    names : tuple of str, (n,)
+        Names of the pairs; empty for points without.
     """
 
     transform: RigidTransform
@@ -62,6 +64,7 @@ class Registration:
     notices: tuple[Notice, ...] = field(default=())
     kind: str = "fiducials"
     plane_mm: tuple[Array, Array] | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def rms_mm(self) -> float:
@@ -188,7 +191,7 @@ def _judged(
     chi2 = energy if stated else float("nan")
     plane = b.mean(axis=0), np.linalg.svd(b - b.mean(axis=0))[2][2]
     return Registration(
-        transform, covariance, residuals, sd, chi2, n_dof, flat, tuple(notices), plane_mm=plane
+        transform, covariance, residuals, sd, chi2, n_dof, flat, tuple(notices), plane_mm=plane, names=names
     )
 
 
