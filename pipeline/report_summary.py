@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ct_inertia.mass.budget import mass_sd_missing
 from pipeline.verdict import BELIEVE, CHECK, DO_NOT_USE, Verdict
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus, printed
@@ -54,7 +55,7 @@ def cards(
     mass: Mapping[str, Any], kd: Mapping[str, Any], truth: Mapping[str, Any] | None = None
 ) -> list[Card]:
     """Return the groups of the summary: a title, and rows of name, value and, when known, the truth."""
-    sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
+    sd = None if mass_sd_missing(mass) else mass["mass_matrix"]["standard_deviation_si"][1][1]
     made: list[Card] = [
         ("Mass", [_row("mass", MASS, mass["mass_kg"], sd, None if truth is None else truth.get("mass_kg"))])
     ]
@@ -120,7 +121,8 @@ def summary_block(
 def si_table(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> Markup:
     """Return the same numbers in SI units, with every entry of K and D."""
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
-    rows: list[Sequence[object]] = [("m", f"{mass['mass_kg']:.6g}", f"{sd:.2g}", "kg")]
+    shown = "" if mass_sd_missing(mass) else f"{sd:.2g}"
+    rows: list[Sequence[object]] = [("m", f"{mass['mass_kg']:.6g}", shown, "kg")]
     for letter, key in _KEYS.items():
         for i, first in enumerate(kd["dof"]):
             for j, second in enumerate(kd["dof"][i:], i):
