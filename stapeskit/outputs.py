@@ -15,7 +15,7 @@ from pathlib import Path
 
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.process import outputs_written, undisturbed
-from stapeskit.scratch import scratch
+from stapeskit.scratch import remove_abandoned, scratch
 from stapeskit.system_faults import is_full
 
 Settle = Callable[[Path], Callable[[], None] | None]
@@ -50,6 +50,7 @@ def staged(folder: Path, settle: Settle | None = None) -> Iterator[Path]:
     """
     folder = Path(folder).absolute()
     parent = existing_folder(folder)
+    remove_abandoned(folder.parent)  # where a run that made the folder had its own
     entered = False
     try:
         with scratch(parent) as stage:

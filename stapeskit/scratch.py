@@ -40,7 +40,7 @@ def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
         It cannot be made.
     """
     place = Path(tempfile.gettempdir()) if parent is None else Path(parent)
-    _remove_abandoned(place)
+    remove_abandoned(place)
     top = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
     _open.add(top)
     lock = None
@@ -57,7 +57,7 @@ def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
             os.close(lock)
 
 
-def _remove_abandoned(place: Path) -> None:
+def remove_abandoned(place: Path) -> None:
     """Remove temporary folders of runs that were killed."""
     with suppress(OSError):
         for path in [entry for entry in place.iterdir() if _OURS.fullmatch(entry.name)]:

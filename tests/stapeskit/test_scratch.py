@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from stapeskit.outputs import staged
 from stapeskit.scratch import _open, scratch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,6 +74,15 @@ def test_foreign_folders_of_such_a_name_stay(tmp_path):
         pass
     assert names(tmp_path) == before
     assert (tmp_path / ".stapeskit-12345678" / "mine.txt").exists()
+
+
+def test_outputs_remove_what_the_run_that_made_their_folder_left_beside_it(tmp_path):
+    (tmp_path / ".stapeskit-abcdefgh").mkdir()
+    (tmp_path / "out").mkdir()
+    age(tmp_path)
+    with staged(tmp_path / "out") as stage:
+        (stage / "a").write_text("1")
+    assert names(tmp_path) == ["out"]
 
 
 def test_an_empty_folder_of_a_run_that_was_killed_at_once_is_removed(tmp_path):
