@@ -203,4 +203,4 @@ def test_impossible_calibrations_are_refused():
         GeometryPriors(-1.0)
     measurement, _, _ = ear(0, pos=0.0)
     with pytest.raises(StapeskitError, match="--calibrate must be used with something to estimate"):
-        points2dof(measurement, options=Options(calibrate=GeometryPriors(0.0, 0.0)))
+        points2dof(measurement, options=Options(calibrate=GeometryPriors(0.0, 0.0, 0.0)))
