@@ -121,14 +121,14 @@ def plan2kd(
     plan, mass_file = read_plan(path)
     outputs = _outputs(out, [Path(path), mass_file, config], force)
     outputs.check()
-    found = expect(plan)
+    expectation = expect(plan)
     provenance = record({"plan": path, "mass": mass_file}, {})
-    content = plan_json(found, provenance)
+    content = plan_json(expectation, provenance)
     html = out.with_suffix(".html")
     with outputs.staged() as folder:
         (folder / out.name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        plan_page(found, provenance).write(folder / html.name)
-    return found, content, (out, html)
+        plan_page(expectation, provenance).write(folder / html.name)
+    return expectation, content, (out, html)
 
 
 def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequence[str] = ()) -> OutputSet:

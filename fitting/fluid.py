@@ -66,22 +66,22 @@ def choose_fluid(
     fit, diagnosis, choice
     """
     assert best.ligament is not None  # noqa: S101
-    found = with_corrected(diagnose(best.problem, best.ligament), best.ligament)
-    if found.searched and options.damping != COMPARE:
-        found = with_refits(found, _other_laws(best, plain, both, options))
+    diagnosis = with_corrected(diagnose(best.problem, best.ligament), best.ligament)
+    if diagnosis.searched and options.damping != COMPARE:
+        diagnosis = with_refits(diagnosis, _other_laws(best, plain, both, options))
     if FLUID in best.ligament.terms:
         asked = FLUID in options.causes
         reason = "asked for" if asked else "without it there is no positive semidefinite K and D"
-        return best, found, _used(best, options, reason, asked)
-    named = found.named
-    candidates = () if named is None else (named.name, *found.look_alikes)
+        return best, diagnosis, _used(best, options, reason, asked)
+    named = diagnosis.named
+    candidates = () if named is None else (named.name, *diagnosis.look_alikes)
     if FLUID not in candidates or options.fluid == "none":
         reason = "left out as asked for" if options.fluid == "none" else "the data do not call for it"
-        return best, found, _unused(options, reason)
-    refit = next(one for one in found.refits if one.name == FLUID)
+        return best, diagnosis, _unused(options, reason)
+    refit = next(one for one in diagnosis.refits if one.name == FLUID)
     expected = options.cochlea == "closed"
     if refit.size < _SIGNIFICANT * refit.sd or not (candidates[0] == FLUID or expected):
-        return best, found, _unused(options, f"{title_of(candidates[0])} explains the data better")
+        return best, diagnosis, _unused(options, f"{title_of(candidates[0])} explains the data better")
     if options.cochlea in ("open", "drained"):
         text = (
             f"A mass of fluid of {refit.size:.2g} ± {refit.sd:.1g} mg on the piston deflection would lower "
@@ -89,22 +89,22 @@ def choose_fluid(
             "Check that the window is dry, or use --fluid y."
         )
         choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
-        return best, found, choice
-    made = with_ligament(plain, both, (*options.causes, FLUID), sizes={FLUID: refit.size})
-    if made.ligament is None:
-        return best, found, _unused(options, "the fit with it did not settle")
-    again = with_corrected(diagnose(made.problem, made.ligament), made.ligament)
+        return best, diagnosis, choice
+    law_fit = with_ligament(plain, both, (*options.causes, FLUID), sizes={FLUID: refit.size})
+    if law_fit.ligament is None:
+        return best, diagnosis, _unused(options, "the fit with it did not settle")
+    again = with_corrected(diagnose(law_fit.problem, law_fit.ligament), law_fit.ligament)
     others = [title_of(name) for name in candidates if name != FLUID]
     also = f" The data hardly tell it from {' or '.join(others)}." if others else ""
-    reason = f"chi2 falls by {refit.fall:.0f}, over {found.threshold:.1f}"
-    return made, again, _used(made, options, reason, False, also)
+    reason = f"chi2 falls by {refit.fall:.0f}, over {diagnosis.threshold:.1f}"
+    return law_fit, again, _used(law_fit, options, reason, False, also)
 
 
 def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptions) -> list[Refit]:
     """Refit under the damping laws that were not asked for; their exponents count as an unknown."""
     assert best.ligament is not None  # noqa: S101
     names = tuple(best.ligament.terms)
-    found = []
+    refits = []
     for name in LAWS:
         if name == best.law.name:
             continue
@@ -122,8 +122,8 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
         )
         size = other.law.exponent
         left = other.ligament.p_value
-        found.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left))
-    return found
+        refits.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left))
+    return refits
 
 
 def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:

@@ -123,8 +123,8 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         reason += ", but the fit needs it"
     if choice != AUTO:
         reason = f"asked for with {named('inplane')} {choice}; {reason}"
-    made = InplaneChoice(used, others, reason, statistic, threshold, effect, entry, *levels)
-    return (problem if used else without), made
+    inplane_choice = InplaneChoice(used, others, reason, statistic, threshold, effect, entry, *levels)
+    return (problem if used else without), inplane_choice
 
 
 def _chi2(problem: Problem) -> float:

@@ -119,14 +119,14 @@ def _fitted(
         before = best
         start = next(one for one in plain if one.law.name == best.law.name)
         best, diagnosis, fluid = choose_fluid(best, start, both, options)
-        laws = tuple(best if one is before else one for one in laws)
+        laws = tuple(best if law is before else law for law in laws)
     problem = best.problem
     lines = problem.lines()
     known = identifiability(best.estimate.parameters, lines, problem.units)
     if known.weak and problem.method.likelihood and best.ligament is None:
         estimate = improve(problem, lines, best.estimate)
         best = replace(best, estimate=estimate, chi2=chi2(estimate.parameters, lines))
-        laws = tuple(best if one.law.name == best.law.name else one for one in laws)
+        laws = tuple(best if law.law.name == best.law.name else law for law in laws)
         known = identifiability(estimate.parameters, lines, problem.units)
     fit = _result(motion, options, problem, choice, laws, best, lines, known)
     fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
@@ -268,8 +268,8 @@ def _result(
     if options.bands:
         local = frequency_dependence(problem, lines, best.estimate, budget.widened, options.bands)
         fit = replace(fit, frequency=local)
-    told = fewer_bands(lines.count, options.bands)
-    return replace(fit, notices=unique([*motion.notices, *verdicts(fit), *told]))
+    notices = fewer_bands(lines.count, options.bands)
+    return replace(fit, notices=unique([*motion.notices, *verdicts(fit), *notices]))
 
 
 def _plain(best: LawFit, options: KDOptions) -> LawFit:

@@ -106,10 +106,10 @@ class KDResult(Result, KDFit):
         html = Path(name).with_suffix(".html").name
         text = json.dumps(self.content(), indent=1) + "\n"
         (Path(folder) / name).write_text(text, encoding="utf-8")
-        made = kd_page(self, self.provenance, self.footplate_outline_mm)
+        page = kd_page(self, self.provenance, self.footplate_outline_mm)
         if self.scatter is not None:
-            made.sections.insert(-1, monte_carlo_section(self, self.scatter))
-        made.write(Path(folder) / html)
+            page.sections.insert(-1, monte_carlo_section(self, self.scatter))
+        page.write(Path(folder) / html)
         more = [file_name(Path(name).stem, one) for one in export]
         for one, file in zip(export, more, strict=True):
             (Path(folder) / file).write_bytes(exported(self, one))

@@ -35,9 +35,9 @@ def verdicts(fit: KDFit) -> list[Notice]:
 
 def physics(fit: KDFit) -> list[Notice]:
     """Return warnings about stability and passivity."""
-    found = []
+    notices = []
     if not fit.modes.stable:
-        found.append(
+        notices.append(
             Notice(
                 "unstable",
                 f"The model is unstable: an eigenvalue has the real part {fit.modes.max_real_1_s:+.3g} 1/s. "
@@ -47,7 +47,7 @@ def physics(fit: KDFit) -> list[Notice]:
     stiffness, damping = fit.passive
     wrong = [name for name, good in (("K", stiffness), ("D", damping)) if not good]
     if wrong:
-        found.append(
+        notices.append(
             Notice(
                 "not_passive",
                 f"{' and '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} not positive semidefinite: "
@@ -55,29 +55,29 @@ def physics(fit: KDFit) -> list[Notice]:
             )
         )
     if fit.estimate.active:
-        found.append(
+        notices.append(
             Notice(
                 "constraint_active",
                 f"The estimate is held back by {', '.join(fit.estimate.active)}; the data alone would lead "
                 "elsewhere, and intervals near the constraint are approximate.",
             )
         )
-    return found
+    return notices
 
 
 def _fit_quality(fit: KDFit) -> list[Notice]:
     from scipy.special import chdtr, chdtrc
 
-    found = []
+    notices = []
     if not fit.estimate.converged:
-        found.append(
+        notices.append(
             Notice("not_converged", "The estimator stopped before it settled; do not trust the result.")
         )
     if fit.n_dof > 0 and fit.options.robust == "none":
         ratio = fit.chi2 / fit.n_dof
         joint = fit.chi2 if fit.joint_chi2 is None else fit.joint_chi2
         if chdtrc(fit.n_dof, joint) < _MISFIT:
-            found.append(
+            notices.append(
                 Notice(
                     "misfit",
                     "Residuals exceed noise and shared errors: chi2 per degree of freedom is "
@@ -92,7 +92,7 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
                 )
             )
         elif chdtr(fit.n_dof, fit.chi2) < _MISFIT:
-            found.append(
+            notices.append(
                 Notice(
                     "noise_overstated",
                     f"Residuals are smaller than their stated noise: chi2 per degree of "
@@ -103,8 +103,8 @@ def _fit_quality(fit: KDFit) -> list[Notice]:
     if len(far):
         listed = ", ".join(f"{freq:.6g}" for freq in far[:5]) + (" ..." if len(far) > 5 else "")
         text = f"{len(far)} of {len(fit.observation.freq_hz)} lines lie farther off than noise brings them"
-        found.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
-    return found
+        notices.append(Notice("outliers", f"{text} ({listed} Hz); they were given little weight."))
+    return notices
 
 
 def cause_notices(fit: KDFit) -> list[Notice]:
@@ -179,31 +179,31 @@ def _bias(fit: KDFit) -> list[Notice]:
 
 
 def _inputs(fit: KDFit) -> list[Notice]:
-    found = []
+    notices = []
     if fit.observation.dropped:
-        found.append(
+        notices.append(
             Notice(
                 "lines_dropped", f"{fit.observation.dropped} lines were left out: a value is missing there."
             )
         )
     if not fit.problem.inertia.contributions:
-        found.append(
+        notices.append(
             Notice(
                 "mass_uncertainty_not_given",
                 "The mass matrix came without an uncertainty; the intervals of K and D do not include it.",
             )
         )
-    return found
+    return notices
 
 
 def plausibility(fit: KDFit) -> list[Notice]:
     """Compare with the literature: mass, piston stiffness, radii of gyration."""
-    found = [*_mass(fit)]
+    notices = [*_mass(fit)]
     if "y" in fit.dof:
         place = fit.dof.index("y")
         value = float(fit.stiffness[place, place])
         if not PISTON_RANGE[0] <= value <= PISTON_RANGE[1]:
-            found.append(
+            notices.append(
                 Notice(
                     "implausible_stiffness",
                     f"The piston stiffness {value:.4g} N/m lies outside the published {PISTON_RANGE[0]:g} to "
@@ -215,7 +215,7 @@ def plausibility(fit: KDFit) -> list[Notice]:
                 other = fit.dof.index(name)
                 radius = 1e3 * float(np.sqrt(fit.mass[other, other] / fit.mass[place, place]))
                 if not _GYRATION_RANGE_MM[0] <= radius <= _GYRATION_RANGE_MM[1]:
-                    found.append(
+                    notices.append(
                         Notice(
                             "implausible_inertia",
                             f"The radius of gyration of {name}, {radius:.3g} mm, does not fit a human "
@@ -223,7 +223,7 @@ def plausibility(fit: KDFit) -> list[Notice]:
                             "check the units of M.",
                         )
                     )
-    return found
+    return notices
 
 
 def _mass(fit: KDFit) -> list[Notice]:

@@ -120,7 +120,7 @@ def _outcome(result: MotionResult, files: list[Path]) -> Outcome:
             "lines": len(motion.freq_hz),
             "bodies": bodies_json(result),
             **geometry_report.as_json(result),
-            "repeats": [one.as_json() for one in result.repeats],
+            "repeats": [repeat.as_json() for repeat in result.repeats],
             "verdicts": [
                 {
                     "run": v.run,

@@ -281,15 +281,15 @@ def points2dof(
 
 def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
     """Factorise every body; what any of them cannot observe is told in one message."""
-    made: list[BeamSet] = []
+    beam_sets: list[BeamSet] = []
     faults: list[Fault] = []
     for body in placed.bodies:
         try:
-            made.append(beam_set(body.body, body.positions_mm, body.directions, dof))
+            beam_sets.append(beam_set(body.body, body.positions_mm, body.directions, dof))
         except StapeskitError as fault:
             faults += fault.faults
     raise_all(KinematicsError, faults)
-    return made
+    return beam_sets
 
 
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
@@ -299,7 +299,7 @@ def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[i
 
 def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:
     """Tell whether a cause was found that alters the course of the motion over the lines."""
-    codes = {finding.code for found in diagnoses.values() for finding in found.findings}
+    codes = {finding.code for diagnosis in diagnoses.values() for finding in diagnosis.findings}
     return bool(codes & {"mains_lines", "conjugated_laser"})
 
 

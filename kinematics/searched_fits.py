@@ -55,7 +55,7 @@ class SearchedFits:
     @property
     def clean(self) -> bool:
         """Whether nothing was found."""
-        return not any(found.findings for found in self.diagnoses.values())
+        return not any(diagnosis.findings for diagnosis in self.diagnoses.values())
 
 
 def searched_fits(

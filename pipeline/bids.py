@@ -129,7 +129,7 @@ def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> st
     """Note what must be copied for a study, and return the text of its study file at the new place."""
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     for table, folder in _FOLDERS.items():
-        files = {one.key for one in declared(TABLES[table]) if one.kind.is_file}
+        files = {option.key for option in declared(TABLES[table]) if option.kind.is_file}
         for key in files & set(tables.get(table, {})):
             value = tables[table][key]
             entries = value if isinstance(value, list) else [value]

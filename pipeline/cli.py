@@ -83,8 +83,13 @@ def _as_json(result: StudyResult) -> dict[str, Any]:
         "mass_kg": result.mass["mass_kg"],
         **{key: result.kd[key] for key in keys},
         "stages": [
-            {"name": one.name, "reused": one.reused, "seconds": round(one.seconds, 3), "reason": one.reason}
-            for one in result.stages
+            {
+                "name": stage.name,
+                "reused": stage.reused,
+                "seconds": round(stage.seconds, 3),
+                "reason": stage.reason,
+            }
+            for stage in result.stages
         ],
         "files": [str(file) for file in result.files],
         "warnings": [notice.as_json() for notice in result.notices],

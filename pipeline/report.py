@@ -78,14 +78,14 @@ def write_report(
     """
     mass, kd = work.mass.record.raw, work.kd
     truth = None if study.study.truth is None else _read_truth(study.study.truth)
-    found = unique(notice for one in told.values() for notice in one.notices)
+    notices = unique(notice for one in told.values() for notice in one.notices)
     made = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
     made.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
-    made.summary.append(summary_block(mass, kd, verdict(kd, found), truth))
+    made.summary.append(summary_block(mass, kd, verdict(kd, notices), truth))
     made.summary.append(si_table(mass, kd))
     made.section("The stapes in three dimensions", viewer(work.mass, kd)).key = "stapes_3d"
     made.section("Accept or correct the cut", *_correction(study_file, study, work))
-    made.section("Warnings", page.notices(found))
+    made.section("Warnings", page.notices(notices))
     made.section("Methods in words", page.text(methods(mass, kd, work.motion)))
     for section in made.sections:
         section.group = _FIRST

@@ -113,7 +113,7 @@ def summary_block(
         level=found.level.capitalize(),
         css=found.level.replace(" ", "-"),
         sentence=_SENTENCES[found.level],
-        reasons=[type(one)(one.level, one.code, printed(one.text)) for one in found.reasons],
+        reasons=[type(reason)(reason.level, reason.code, printed(reason.text)) for reason in found.reasons],
         cards=[*cards(mass, kd, truth), *axes_card(kd), *frame_card(mass)],
     )
 

@@ -198,7 +198,9 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     text = json.dumps(fit.content(), indent=1) + "\n"
     (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
     work.keep("kd", json.loads(text))
-    return [KD_FILE], Told(tuple(fit.sections()), tuple(one for one in fit.notices if one not in chain))
+    return [KD_FILE], Told(
+        tuple(fit.sections()), tuple(notice for notice in fit.notices if notice not in chain)
+    )
 
 
 STAGES = (

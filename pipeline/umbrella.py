@@ -128,9 +128,11 @@ def _completion(words: Sequence[str]) -> None:
     from pipeline.options_page import COMMANDS as TABLES
     from stapeskit.options import declared
 
-    common = [one.flag for table in TABLES["every command"] for one in declared(table)]
+    common = [option.flag for table in TABLES["every command"] for option in declared(table)]
     flags: dict[str, Sequence[str]] = {
-        command: [one.flag for table in TABLES[command] for one in declared(table) if not one.positional]
+        command: [
+            option.flag for table in TABLES[command] for option in declared(table) if not option.positional
+        ]
         + common
         for command in COMMANDS
     }

@@ -61,8 +61,8 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
         Content of kd.json.
     notices : iterable of Notice
     """
-    reasons = [Reason(levels().get(one.code, CHECK), one.code, one.text) for one in notices]
-    codes = {one.code for one in reasons}
+    reasons = [Reason(levels().get(notice.code, CHECK), notice.code, notice.text) for notice in notices]
+    codes = {reason.code for reason in reasons}
     if not kd["stable"] and "unstable" not in codes:
         reasons.append(Reason(DO_NOT_USE, "", "The system of M, K and D is unstable."))
     if not all(kd["passive"].values()) and "not_passive" not in codes:
@@ -77,7 +77,7 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
     ]
     if vague:
         reasons.append(Reason(CHECK, "", f"Known to no better than 30 percent: {', '.join(vague)}."))
-    shown = tuple(one for one in reasons if one.level != BELIEVE)
+    shown = tuple(reason for reason in reasons if reason.level != BELIEVE)
     shown = tuple(sorted(shown, key=lambda one: -_ORDER.index(one.level)))
     level = max((one.level for one in shown), key=_ORDER.index, default=BELIEVE)
     return Verdict(level, shown)

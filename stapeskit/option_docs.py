@@ -33,15 +33,16 @@ def template(title: str, tables: Mapping[str, type[OptionTable]]) -> str:
     for name, table in tables.items():
         lines += ["", f"[{name}]"]
         group = ""
-        for one in _of_study(table):
-            if one.group != group:
-                group = one.group
+        for option in _of_study(table):
+            if option.group != group:
+                group = option.group
                 lines += ["", f"## {group}"] if group else []
             lines += [
-                f"# {line}" for line in textwrap.wrap(_study_help(one, table), _WIDTH, break_on_hyphens=False)
+                f"# {line}"
+                for line in textwrap.wrap(_study_help(option, table), _WIDTH, break_on_hyphens=False)
             ]
-            mark = "" if one.recommended or one.required else "# "
-            lines.append(f"{mark}{one.key} = {toml(example_of(one))}")
+            mark = "" if option.recommended or option.required else "# "
+            lines.append(f"{mark}{option.key} = {toml(example_of(option))}")
     return "\n".join(lines) + "\n"
 
 
@@ -66,11 +67,11 @@ def page(commands: Mapping[str, Iterable[type[OptionTable]]], others: Iterable[t
     for command, tables in commands.items():
         lines += ["", f"## {command}", "", "| option | value | study key | default | what it does |"]
         lines.append("|---|---|---|---|---|")
-        lines += [_row(one) for table in tables for one in declared(table)]
+        lines += [_row(option) for table in tables for option in declared(table)]
     for table in others:
         lines += ["", f"## [{table.table}] of a study file", "", "| key | example | what it is |"]
         lines.append("|---|---|---|")
-        lines += [_key_row(one) for one in declared(table)]
+        lines += [_key_row(option) for option in declared(table)]
     return "\n".join(lines) + "\n"
 
 
@@ -93,7 +94,7 @@ def _cell(text: str) -> str:
 
 
 def _of_study(table: type[OptionTable]) -> list[Option]:
-    return [one for one in declared(table) if one.table]
+    return [option for option in declared(table) if option.table]
 
 
 def _study_help(one: Option, table: type[OptionTable]) -> str:

@@ -268,7 +268,7 @@ def _segmentation(result: MassMeasurement) -> dict[str, Any] | None:
 
 def _parameters(options: MassOptions) -> dict[str, Any]:
     """Return every option that was given, as JSON."""
-    given = {one.key: getattr(options, one.field) for one in declared(type(options))}
+    given = {option.key: getattr(options, option.field) for option in declared(type(options))}
     return {
         key: value.name if isinstance(value, Path) else plain(value)
         for key, value in given.items()

@@ -100,14 +100,14 @@ def _fitted(
     if np.count_nonzero(clean) < _LEAST_COLUMNS:
         return None
     edge = points[clean] + shift[clean, None] * face.normal
-    found = fitted_plane(edge, np.full(len(edge), face.area_mm2 / len(edge)), face.normal)
-    turn = float(np.arccos(np.clip(found.normal @ face.normal, -1.0, 1.0)))
+    plane_face = fitted_plane(edge, np.full(len(edge), face.area_mm2 / len(edge)), face.normal)
+    turn = float(np.arccos(np.clip(plane_face.normal @ face.normal, -1.0, 1.0)))
     reach = float(np.max(np.linalg.norm(face.samples_mm - face.point_mm, axis=1)))
-    if abs(face.distance(found.point_mm[None])[0]) + turn * reach > 2.0 * _MOST_MOVE_MM:
+    if abs(face.distance(plane_face.point_mm[None])[0]) + turn * reach > 2.0 * _MOST_MOVE_MM:
         return None
     return replace(
-        found,
-        covariance=_CORRELATED * found.covariance + np.diag([_LEVELS_MM**2 + foot**2, 0.0, 0.0]),
+        plane_face,
+        covariance=_CORRELATED * plane_face.covariance + np.diag([_LEVELS_MM**2 + foot**2, 0.0, 0.0]),
         area_mm2=face.area_mm2,
         samples_mm=face.samples_mm,
         turning_1_mm=face.turning_1_mm,

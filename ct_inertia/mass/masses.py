@@ -141,7 +141,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
     if not ways:
         return []
     lead, *others = ways
-    found = []
+    notices = []
     for other in others:
         stated = all(entry.way in entry.matrix.contributions for entry in (lead, other))
         sd = float(np.hypot(lead.matrix.standard_deviation[0, 0], other.matrix.standard_deviation[0, 0]))
@@ -149,7 +149,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
         apart = other.body.mass_kg - lead.body.mass_kg
         if abs(apart) > limit:
             percent = 100.0 * apart / lead.body.mass_kg
-            found.append(
+            notices.append(
                 Notice(
                     "masses_disagree",
                     f"The mass by {WORDS[other.way]} is {apart * 1e6:+.3f} mg ({percent:+.1f} %) off that "
@@ -157,7 +157,7 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
                     f"{limit * 1e6:.2g} mg. Check voxel size, density and balance.",
                 )
             )
-    return found
+    return notices
 
 
 def not_stated(contributions: Mapping[str, Any], way: str) -> list[Notice]:

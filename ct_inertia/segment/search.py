@@ -147,9 +147,9 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
         seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm))
         large = [piece for piece in large if seeded is not None and piece.label == seeded.stapes.label]
     grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
-    found: list[Sight] = []
+    sights: list[Sight] = []
     for whole in large[:_MOST_WHOLES]:
-        if found and whole.surrounds >= MOST_SURROUNDED:
+        if sights and whole.surrounds >= MOST_SURROUNDED:
             break
         rest = [piece for piece in every if piece.label != whole.label]
         ways = []
@@ -172,14 +172,14 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
             if chosen.stapes.holes == 1 and _usual(chosen.stapes):
                 break
         if ways:
-            found.append(max(ways, key=lambda way: way.stapes.score))
-    if not found:
+            sights.append(max(ways, key=lambda way: way.stapes.score))
+    if not sights:
         return None
-    found.sort(key=lambda way: -way.stapes.score)
-    best = found[0]
+    sights.sort(key=lambda way: -way.stapes.score)
+    best = sights[0]
     if options.seed_mm is None:
         parts = [judged(best, piece) for piece in best.others if piece.possible]
-        rivals = [best.stapes, *[way.stapes for way in found[1:]], *parts]
+        rivals = [best.stapes, *[way.stapes for way in sights[1:]], *parts]
         refuse_rivals(rivals, _places_mm(volume, scan, rivals))
     return best
 

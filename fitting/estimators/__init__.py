@@ -39,5 +39,5 @@ def estimator(name: str) -> Method:
         from stapeskit.faults import Fault
 
         raise FittingError(Fault("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
-    found: Method = import_module(f"fitting.estimators.{name}").METHOD
-    return found
+    method: Method = import_module(f"fitting.estimators.{name}").METHOD
+    return method

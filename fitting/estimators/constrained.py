@@ -150,7 +150,9 @@ def _stable_starts(lines: Lines, problem: Quadratic, convex: Array) -> list[Arra
     generator = np.random.default_rng(0)
     spread = [convex * generator.uniform(0.5, 1.5, len(convex)) for _ in range(_EXTRA_STARTS)]
     starts = [_interior_start(problem, pull_inside(one, lines.n, 0.1)) for one in (convex, *spread)]
-    return [one for one in starts if np.isfinite(height(one, problem))] or [stable_start(problem, starts[0])]
+    return [start for start in starts if np.isfinite(height(start, problem))] or [
+        stable_start(problem, starts[0])
+    ]
 
 
 def _is_stable(parameters: Array, mass: Array) -> bool:

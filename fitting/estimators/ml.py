@@ -128,8 +128,8 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
 
 def distances(parameters: Array, lines: Lines) -> Array:
     """Return e^H Ce^-1 e of every line, (lines,); infinite where the noise is not positive definite."""
-    found = expanded(parameters, lines, DISTANCES)
-    return whiten(parameters, lines).distance if found is None else found.distance
+    expansion = expanded(parameters, lines, DISTANCES)
+    return whiten(parameters, lines).distance if expansion is None else expansion.distance
 
 
 def normal_equations(parameters: Array, lines: Lines) -> tuple[Array, Array]:
@@ -140,9 +140,9 @@ def normal_equations(parameters: Array, lines: Lines) -> tuple[Array, Array]:
 
 def _expand(parameters: Array, lines: Lines, merit: _Merit) -> Expansion:
     """Return distances, weighted Gauss-Newton Hessian and gradient: compiled, or by numpy."""
-    found = expanded(parameters, lines, CORRECTED, 4.0 * merit.spread if merit.robust else 0.0)
-    if found is not None:
-        return found
+    expansion = expanded(parameters, lines, CORRECTED, 4.0 * merit.spread if merit.robust else 0.0)
+    if expansion is not None:
+        return expansion
     now = whiten(parameters, lines)
     return Expansion(now.distance, *_normal(now, lines, merit.weights(now.distance)))
 

@@ -20,5 +20,5 @@ def content(fit: KDFit) -> bytes:
         row, column = places[at % len(places)]
         unit = units[row][column] if name[0] == "K" else fit.law.unit(units[row][column])
         numbers = [values[at], sd[at], noise[at], *fit.intervals[at], *fit.covariance[at]]
-        rows.append([name, fit.dof[row], fit.dof[column], unit, *(repr(float(one)) for one in numbers)])
+        rows.append([name, fit.dof[row], fit.dof[column], unit, *(repr(float(number)) for number in numbers)])
     return ("\n".join(",".join(row) for row in rows) + "\n").encode()

@@ -47,7 +47,7 @@ def content(fit: KDFit) -> bytes:
         + f". Chi2 was {fit.chi2:.0f} for {fit.n_dof} degrees of freedom."
     )
     if len(fit.laws) > 1:
-        names = ", ".join(one.law.name for one in fit.laws)
+        names = ", ".join(law.law.name for law in fit.laws)
         parts.append(f"The damping law was chosen out of {names} by the criterion of Schwarz.")
     if fit.diagnosis is not None:
         named = fit.diagnosis.named

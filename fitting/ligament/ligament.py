@@ -284,10 +284,10 @@ def extended_fit(
     begin = np.zeros(len(terms)) if begin is None else begin
     start = np.insert(fit.parameters, equations.unknowns, begin)
     try:
-        found = fit_joint(lines, extended, start)
+        joint_fit = fit_joint(lines, extended, start)
     except np.linalg.LinAlgError:
         return None
-    return (extended, found) if found.converged else None
+    return (extended, joint_fit) if joint_fit.converged else None
 
 
 def _piston_equations(problem: Problem, lines: JointLines) -> Equations:

@@ -58,7 +58,7 @@ def check_result(*results: Array) -> None:
     FittingError
         Any of these.
     """
-    good = all(bool(np.all(np.isfinite(one))) for one in results)
+    good = all(bool(np.all(np.isfinite(result))) for result in results)
     if not (good and all(np.all(np.diag(one) >= 0.0) for one in results[2:])):
         raise unsolvable()
 

@@ -126,34 +126,34 @@ def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
 
 def _key_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
     """Return a sentence for every key that is unknown."""
-    found = []
+    faults = []
     for key in table:
         if key not in KEYS:
             near = difflib.get_close_matches(key, KEYS, 1)
             hint = f"Did you mean {near[0]}" if near else f"Known keys are {', '.join(KEYS)}"
-            found.append(Fault("a key of the plan", "a known one", key, where, hint))
-    return found
+            faults.append(Fault("a key of the plan", "a known one", key, where, hint))
+    return faults
 
 
 def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
     """Return a sentence for every single value that is none."""
-    found = []
+    faults = []
     law = table.get("damping_law", VISCOUS.name)
     known = [name for name in LAWS if law_of(name).search is None]
     if law not in known:
-        found.append(Fault("damping_law", " or ".join(known), law, where))
+        faults.append(Fault("damping_law", " or ".join(known), law, where))
     lines = table.get("lines", 200)
     if not isinstance(lines, int) or isinstance(lines, bool) or not 2 <= lines <= 100_000:
-        found.append(Fault("lines", "a whole number from 2 to 100000", lines, where))
+        faults.append(Fault("lines", "a whole number from 2 to 100000", lines, where))
     if "noise_m_s" in table and "noise_relative" in table:
-        found.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
+        faults.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
     for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking"):
         value, zero = table.get(key, 1.0), key == "rocking"
         number = is_finite_number(value)
         if not number or value < 0.0 or (value == 0.0 and not zero):
             wanted = "a number, zero or positive" if zero else "a positive number"
-            found.append(Fault(key, wanted, value, where))
-    return found
+            faults.append(Fault(key, wanted, value, where))
+    return faults
 
 
 def _list(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: str) -> list[str]:

@@ -56,16 +56,16 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
             ],
             "refits": [
                 {
-                    "name": one.name,
-                    "title": title_of(one.name),
-                    "size": one.size,
-                    "sd": one.sd,
-                    "unit": unit_of(one.name),
-                    "fall_of_chi2": one.fall,
-                    "p_value": one.p_value,
-                    "change_si": _by_entry(fit, one.effect),
+                    "name": refit.name,
+                    "title": title_of(refit.name),
+                    "size": refit.size,
+                    "sd": refit.sd,
+                    "unit": unit_of(refit.name),
+                    "fall_of_chi2": refit.fall,
+                    "p_value": refit.p_value,
+                    "change_si": _by_entry(fit, refit.effect),
                 }
-                for one in found.refits
+                for refit in found.refits
             ],
             "corrected": {
                 name: {"size": size, "sd": sd, "unit": unit_of(name)}
@@ -144,15 +144,15 @@ def causes_section(fit: KDFit, found: Diagnosis) -> Section:
 
 def _refit_table(fit: KDFit, found: Diagnosis) -> Markup:
     rows = []
-    for one in found.refits:
-        place, change = largest_effect(one.effect, fit.stiffness, fit.damping)
-        size = plus_minus(one.size, one.sd) if one.sd > 0.0 else f"{one.size:.3g}"
+    for refit in found.refits:
+        place, change = largest_effect(refit.effect, fit.stiffness, fit.damping)
+        size = plus_minus(refit.size, refit.sd) if refit.sd > 0.0 else f"{refit.size:.3g}"
         rows.append(
             (
-                title_of(one.name),
-                f"{size} {unit_of(one.name)}",
-                f"{one.fall:.1f}",
-                f"{one.p_value:.2g}",
+                title_of(refit.name),
+                f"{size} {unit_of(refit.name)}",
+                f"{refit.fall:.1f}",
+                f"{refit.p_value:.2g}",
                 f"{fit.parameters[place]} {100.0 * change:+.2g} %",
             )
         )

@@ -85,8 +85,8 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "damping_exponent_sd": fit.laws[0].exponent_sd if len(fit.laws) == 1 else _exponent_sd(fit),
         "damping_unit_of_D11": fit.law.unit("N/m" if fit.dof[0] in "xyz" else "N m"),
         "damping_laws_compared": [
-            {"law": one.law.name, "exponent": one.law.exponent, "chi2": one.chi2, "bic": one.bic}
-            for one in fit.laws
+            {"law": law.law.name, "exponent": law.law.exponent, "chi2": law.chi2, "bic": law.bic}
+            for law in fit.laws
         ],
         "damping_laws_undetermined": dict(fit.undetermined),
         "inplane": {
@@ -187,7 +187,7 @@ def _plain(fit: KDFit) -> dict[str, Any] | None:
 
 
 def _exponent_sd(fit: KDFit) -> float | None:
-    return next((one.exponent_sd for one in fit.laws if one.law == fit.law), None)
+    return next((law.exponent_sd for law in fit.laws if law.law == fit.law), None)
 
 
 def _modes(fit: KDFit) -> list[dict[str, Any]]:

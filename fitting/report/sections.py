@@ -215,13 +215,13 @@ def _matrices(fit: KDFit) -> Section:
     if len(fit.laws) > 1:
         rows = [
             (
-                one.law.name,
-                one.law.formula,
-                f"{one.chi2:.1f}",
-                f"{one.bic:.1f}",
-                "chosen" if one.law == fit.law else "",
+                law.law.name,
+                law.law.formula,
+                f"{law.chi2:.1f}",
+                f"{law.bic:.1f}",
+                "chosen" if law.law == fit.law else "",
             )
-            for one in fit.laws
+            for law in fit.laws
         ]
         section.add(
             page.subheading("Damping laws compared"),

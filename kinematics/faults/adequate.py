@@ -18,11 +18,11 @@ _MANY = 30
 
 def corrected(data: Compact, findings: list[Finding]) -> Compact:
     """Return the data with every finding undone by its estimate, all channels kept."""
-    for found in findings:
-        if found.kind == "noise":
-            data = data.weighted(found.channels, found.size)
-        elif found.fit is not None:
-            data = found.fit.fault.undone(data, found.fit.parameters)
+    for finding in findings:
+        if finding.kind == "noise":
+            data = data.weighted(finding.channels, finding.size)
+        elif finding.fit is not None:
+            data = finding.fit.fault.undone(data, finding.fit.parameters)
     return data.repacked()
 
 

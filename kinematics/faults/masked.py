@@ -46,7 +46,7 @@ def masked_pair(
         if last.best() is not None:
             continue
         findings = [searched(data.without([other]).repacked()).best() for other in (two, one)]
-        told = [found for found in findings if found is not None and found.fit is not None]
+        told = [finding for finding in findings if finding is not None and finding.fit is not None]
         if any(found.kind == "drift" for found in told):
             continue
         if [found.channels for found in told] != [[one], [two]]:
@@ -72,10 +72,10 @@ def _pairs(first: Search) -> list[tuple[int, int]]:
     own, seen = np.diag(p), np.diag(energy)
     det = np.outer(own, own) - p**2
     taken = np.outer(own, seen) + np.outer(seen, own) - 2.0 * p * energy
-    made = np.where(det > _UNSEEN * np.outer(own, own), taken / np.where(det > 0.0, det, 1.0), 0.0)
+    place = np.where(det > _UNSEEN * np.outer(own, own), taken / np.where(det > 0.0, det, 1.0), 0.0)
     names = np.array([first.data.points[c] for c in live])
-    made = np.where(names[:, None] == names, 0.0, np.triu(made, 1))
-    order = np.argsort(-made, axis=None)[:_TRIED]
+    place = np.where(names[:, None] == names, 0.0, np.triu(place, 1))
+    order = np.argsort(-place, axis=None)[:_TRIED]
     least = _EXPLAINED * first.excess()
-    chosen = [np.unravel_index(k, made.shape) for k in order]
-    return [(int(live[i]), int(live[j])) for i, j in chosen if made[i, j] > least]
+    chosen = [np.unravel_index(k, place.shape) for k in order]
+    return [(int(live[i]), int(live[j])) for i, j in chosen if place[i, j] > least]

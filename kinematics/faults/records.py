@@ -77,8 +77,8 @@ def _single(
 ) -> Finding | None:
     """Return a fault of one channel without which nothing is found; None when there is none."""
     tried: set[int] = set()
-    for one in seen:
-        energy = np.where(np.isfinite(one.energy), one.energy, 0.0)
+    for diagnosis in seen:
+        energy = np.where(np.isfinite(diagnosis.energy), diagnosis.energy, 0.0)
         energy[out] = 0.0
         tried.update(int(channel) for channel in np.argsort(-energy)[:_TRIED])
     for channel in tried:

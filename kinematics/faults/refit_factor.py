@@ -32,9 +32,9 @@ def refit(
     ``others`` are the channels without the fault, gathered, or None.
     """
     if fault is not None and fault.factor is not None and others is None and data.mixing is None:
-        made = FactorRefit(data, places, fault, theta, shift)
-        if made.determined:
-            return made
+        factor_refit = FactorRefit(data, places, fault, theta, shift)
+        if factor_refit.determined:
+            return factor_refit
     return Refit(data, places, fault, theta, shift, others)
 
 

@@ -67,7 +67,7 @@ def scattered(first: Search, prior_m: Array, doubt: Array | None, findings: list
     size, gain = scatter(flat)
     if not _MORE * float(np.max(prior_m, initial=0.0)) < size < first.data.beams.lever_m:
         return None
-    fits = [found.fit for found in findings if found.fit is not None]
+    fits = [finding.fit for finding in findings if finding.fit is not None]
     others = sum(fit.drop / first.scale - _PER_PARAMETER * (1 + fit.fault.size) for fit in fits)
     if gain < others:
         return None

@@ -105,20 +105,20 @@ class Search:
 
     def _structure(self) -> Structure:
         """Look for patterns that several points share; noise within a point is none, however correlated."""
-        found = structure_of(self.state, self.rest, self.scale)
+        structure = structure_of(self.state, self.rest, self.scale)
         both = self.state.plain(np.hstack([self.state.e, self.rest]))
         within = None
-        if self.data.mixing is not None and found.p_value < 1.0:
+        if self.data.mixing is not None and structure.p_value < 1.0:
             within = block_covariance(both, self.state.project(), self.data.points, self.live)
         if within is None:
-            return found
+            return structure
         shared, sd = scaled(within)
         even = replace(self.data, a=self.data.a / sd, mixing=Mixing.of(shared, self.live))
         state = solve(even)
         strict = structure_of(state, state.rest(), 1.0)
-        if strict.p_value <= found.p_value:
-            return found
-        return replace(found, ratio=strict.ratio, p_value=strict.p_value)
+        if strict.p_value <= structure.p_value:
+            return structure
+        return replace(structure, ratio=strict.ratio, p_value=strict.p_value)
 
     def energy(self) -> Array:
         """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""

@@ -76,11 +76,11 @@ class Solution:
 
     def rescaled(self, change: Array) -> Solution:
         """Return the solution for variances that are ``change`` (freq,) times as large."""
-        made = Solution(self.channels, 0, self.size)
+        solution = Solution(self.channels, 0, self.size)
         for name in ("lines", "z", "good", "count", "energy", "freedom", "weight", "used"):
-            setattr(made, name, getattr(self, name))
-        made.inverse = self.inverse * change
-        made.misfit, made.explained = self.misfit / change, self.explained / change
+            setattr(solution, name, getattr(self, name))
+        solution.inverse = self.inverse * change
+        solution.misfit, solution.explained = self.misfit / change, self.explained / change
         total = float(np.sum(self.misfit))
-        made.scaled = self.scaled * (float(np.sum(made.misfit)) / total if total > 0.0 else 1.0)
-        return made
+        solution.scaled = self.scaled * (float(np.sum(solution.misfit)) / total if total > 0.0 else 1.0)
+        return solution

@@ -82,10 +82,12 @@ def read_measurement(
 
         with collecting(faults):
             listed = read_points(points)
-    if options.series is not None and not faults and not any(one.from_series for one in files):
+    if options.series is not None and not faults and not any(recordings.from_series for recordings in files):
         faults.append(Fault(SERIES, "left out: no file holds time series", "them"))
     raise_all(KinematicsError, dict.fromkeys(faults))
-    said = tuple(f"{one.file}: {one.frame_units}" for one in files if one.frame_units)
+    said = tuple(
+        f"{recordings.file}: {recordings.frame_units}" for recordings in files if recordings.frame_units
+    )
     return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=said)
 
 

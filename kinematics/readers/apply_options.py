@@ -38,23 +38,26 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
         "{length_unit}": False,
         "{n_avg}": False,
     }
-    for one in files:
-        notices += one.notices
-        placed = any(np.all(np.isfinite(r.position_mm)) for r in one.recordings)
-        absolute = any(not r.per for r in one.recordings)
-        if not one.length_stated and placed:
+    for recordings in files:
+        notices += recordings.notices
+        placed = any(np.all(np.isfinite(r.position_mm)) for r in recordings.recordings)
+        absolute = any(not r.per for r in recordings.recordings)
+        if not recordings.length_stated and placed:
             silent["{length_unit}"] = True
             if not options.length_unit:
-                notices.append(_metres(one))
-        if not one.amplitude_stated and absolute:
+                notices.append(_metres(recordings))
+        if not recordings.amplitude_stated and absolute:
             silent["{amplitude}"] = True
             if not options.amplitude:
-                text = f"{one.file} does not say whether amplitudes are peak or rms: they were taken as peak."
+                text = (
+                    f"{recordings.file} does not say whether amplitudes are peak or rms: they were "
+                    "taken as peak."
+                )
                 notices.append(Notice("amplitude_assumed", text))
-        for recording in one.recordings:
+        for recording in recordings.recordings:
             silent["{beam}"] |= bool(np.any(np.isnan(recording.direction)))
             silent["{n_avg}"] |= recording.n_avg is None and recording.sd is None
-            made.append((one.file, _said(recording, one, options)))
+            made.append((recordings.file, _said(recording, recordings, options)))
     step = "Leave it out, or correct the file"
     faults = [
         Fault(option, "left out where the files say it themselves", "it", "", step)
@@ -82,7 +85,7 @@ def _said(recording: Recording, file: Recordings, options: InputOptions) -> Reco
 
 def _metres(file: Recordings) -> Notice:
     """Tell that positions were taken as metres, with their extent."""
-    places = np.array([one.position_mm for one in file.recordings])
+    places = np.array([recording.position_mm for recording in file.recordings])
     places = places[np.all(np.isfinite(places), axis=1)]
     extent = " x ".join(f"{span:.4g}" for span in np.ptp(places, axis=0))
     text = (

@@ -72,7 +72,7 @@ def noise_of_records(
     Parameters are those of with_common_noise, the recordings before it. Points whose beams come from several
     records share nothing that can be told.
     """
-    made: list[RecordNoise] = []
+    record_noises: list[RecordNoise] = []
     for run in range(shape[0]):
         members = [place for place, take in enumerate(take_of) if take == run]
         groups: list[list[int]] = []
@@ -92,8 +92,8 @@ def noise_of_records(
                 continue
             sd = np.zeros(shape[1])
             sd[lines_of[group[0]]] = first.common_sd
-            made.append(RecordNoise(run, points, sd))
-    return tuple(made)
+            record_noises.append(RecordNoise(run, points, sd))
+    return tuple(record_noises)
 
 
 def _same(one: Recording, other: Recording) -> bool:

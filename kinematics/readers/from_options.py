@@ -45,7 +45,7 @@ def _series(options: LdvOptions) -> SeriesOptions | None:
         return None
     if "channels" not in given and not any(describes_series(path) for path in options.ldv):
         step = "It says how time series become frequency responses"
-        names = [one.name for one in declared(LdvOptions) if one.field in given]
+        names = [option.name for option in declared(LdvOptions) if option.field in given]
         raise_all(
             KinematicsError,
             [Fault(f"{{{name}}}", "given with {channels}", "alone", "", step) for name in names],

@@ -30,34 +30,36 @@ def in_mm(positions: NDArray[np.float64], metres: float) -> NDArray[np.float64]:
 def value_faults(recordings: Sequence[Recording]) -> list[Fault]:
     """List what is wrong with the numbers of recordings, one sentence for each kind and recording."""
     faults = []
-    for one in recordings:
-        known = ~np.isnan(one.position_mm)
-        if np.any(np.abs(one.position_mm[known]) > FARTHEST_MM) or np.sum(known) in (1, 2):
-            got = ", ".join(f"{value:g}" for value in one.position_mm) + " mm"
+    for recording in recordings:
+        known = ~np.isnan(recording.position_mm)
+        if np.any(np.abs(recording.position_mm[known]) > FARTHEST_MM) or np.sum(known) in (1, 2):
+            got = ", ".join(f"{value:g}" for value in recording.position_mm) + " mm"
             want = f"three numbers within {FARTHEST_MM:g} mm"
-            faults.append(Fault(f"the position of point {one.point}", want, got, one.where))
-        if len(one.freq_hz) and one.freq_hz[-1] > HIGHEST_HZ:
+            faults.append(Fault(f"the position of point {recording.point}", want, got, recording.where))
+        if len(recording.freq_hz) and recording.freq_hz[-1] > HIGHEST_HZ:
             want = f"below {HIGHEST_HZ:g} Hz"
-            faults.append(Fault("the frequencies", want, f"{one.freq_hz[-1]:g} Hz", one.where))
-        slow = one.freq_hz[(one.freq_hz > 0.0) & (one.freq_hz < LOWEST_HZ)]
+            faults.append(Fault("the frequencies", want, f"{recording.freq_hz[-1]:g} Hz", recording.where))
+        slow = recording.freq_hz[(recording.freq_hz > 0.0) & (recording.freq_hz < LOWEST_HZ)]
         if len(slow):
             want = f"{LOWEST_HZ:g} Hz or more"
-            faults.append(Fault("the frequencies", want, f"{slow[0]:g} Hz", one.where))
-        bad = np.isinf(one.value.real) | np.isinf(one.value.imag)
-        faults += _told(one, bad, "the values", "finite, or NaN where missing", one.value)
-        bad = ~bad & ((np.abs(one.value.real) > LARGEST) | (np.abs(one.value.imag) > LARGEST))
-        faults += _told(one, bad, "the values", f"below {LARGEST:g}", one.value)
-        if one.sd is not None:
-            bad = (one.sd < 0.0) | np.isinf(one.sd)
-            faults += _told(one, bad, "the standard deviations", "positive and finite", one.sd)
-            bad = np.isfinite(one.sd) & (one.sd > LARGEST)
-            faults += _told(one, bad, "the standard deviations", f"below {LARGEST:g}", one.sd)
-        if one.coherence is not None:
-            bad = (one.coherence < 0.0) | (one.coherence > 1.0)
-            faults += _told(one, bad, "the coherence", "within 0 and 1", one.coherence)
-        if one.n_avg is not None and not 1.0 <= one.n_avg < float("inf"):
+            faults.append(Fault("the frequencies", want, f"{slow[0]:g} Hz", recording.where))
+        bad = np.isinf(recording.value.real) | np.isinf(recording.value.imag)
+        faults += _told(recording, bad, "the values", "finite, or NaN where missing", recording.value)
+        bad = ~bad & ((np.abs(recording.value.real) > LARGEST) | (np.abs(recording.value.imag) > LARGEST))
+        faults += _told(recording, bad, "the values", f"below {LARGEST:g}", recording.value)
+        if recording.sd is not None:
+            bad = (recording.sd < 0.0) | np.isinf(recording.sd)
+            faults += _told(recording, bad, "the standard deviations", "positive and finite", recording.sd)
+            bad = np.isfinite(recording.sd) & (recording.sd > LARGEST)
+            faults += _told(recording, bad, "the standard deviations", f"below {LARGEST:g}", recording.sd)
+        if recording.coherence is not None:
+            bad = (recording.coherence < 0.0) | (recording.coherence > 1.0)
+            faults += _told(recording, bad, "the coherence", "within 0 and 1", recording.coherence)
+        if recording.n_avg is not None and not 1.0 <= recording.n_avg < float("inf"):
             step = "Correct the number"
-            faults.append(Fault("the number of averages", "1 or more", f"{one.n_avg:g}", one.where, step))
+            faults.append(
+                Fault("the number of averages", "1 or more", f"{recording.n_avg:g}", recording.where, step)
+            )
     return faults
 
 

@@ -148,8 +148,10 @@ def calibrate(
     information, _ = _information(model, blocks, dof, values, noise=True)
     covariance = _inverse(information + np.diag(prior))
     chi2, n_dof, p = _against_prior(values, covariance, model.prior_sd)
-    made = Calibration(model, values, covariance, model.moved(values), chi2, n_dof, p, 2.0 * (start - target))
-    return replace(made, notices=_notices(made))
+    calibration = Calibration(
+        model, values, covariance, model.moved(values), chi2, n_dof, p, 2.0 * (start - target)
+    )
+    return replace(calibration, notices=_notices(calibration))
 
 
 def _block(placed: Measurement, run: int, body: int, weights: Array, size: int) -> _Block | None:

@@ -182,7 +182,7 @@ def _checked(
     shift, covariance = turn @ shift, turn @ covariance @ turn.T
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     open_ = undetermined(rows, placed - middle, np.eye(3), middle, axes)
-    made = SurfaceCheck(
+    surface_check = SurfaceCheck(
         cloud.kind,
         surface.name.removeprefix("surface of the "),
         cloud.names,
@@ -199,7 +199,9 @@ def _checked(
         _size(shift[:3], covariance[:3, :3]),
         tuple(open_),
     )
-    return _told(made, _alone(rows @ seen, distance, joint, chi2, made) if p < _UNLIKELY else [])
+    return _told(
+        surface_check, _alone(rows @ seen, distance, joint, chi2, surface_check) if p < _UNLIKELY else []
+    )
 
 
 def _own_sd(cloud: Cloud, surface: TriangleSurface) -> Array:

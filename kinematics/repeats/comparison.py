@@ -256,14 +256,14 @@ def compare(
     time, level = regressors(takes)
     tests = [*gain_tests(shapes, time, level), *shape_tests(shapes, time, level, stated)]
     single = 1.0 - (1.0 - alarm) ** (1.0 / max(len(tests), 1))
-    found = _verdict([test for test in tests if test.p_value < single])
+    repeat_tests = _verdict([test for test in tests if test.p_value < single])
     scatter = scatter_test(shapes, stated)
     factor = scatter.size if scatter else float("nan")
     if scatter is not None:
         tests.append(scatter)
-        shape_found = any(test.name in SHAPE for test in found)
+        shape_found = any(test.name in SHAPE for test in repeat_tests)
         if scatter.p_value < _CERTAIN and factor > _NOTABLE_SCATTER and not shape_found:
-            found.append(scatter)
+            repeat_tests.append(scatter)
     spread = shapes.log_gain - (0.0 if level is None else level - level.mean())
     count = len(takes)
     return RunRepeats(
@@ -272,7 +272,7 @@ def compare(
         np.exp(spread),
         np.degrees(shapes.phase),
         tuple(tests),
-        tuple(found),
+        tuple(repeat_tests),
         int(np.sum(shapes.clear)),
         int(np.max(shapes.counts, initial=0)),
         factor,

@@ -32,16 +32,16 @@ _TESTS = {
 def repeats_section(result: Points2Dof) -> Section:
     """Return what the comparison of repeats and levels gave before they were pooled."""
     section = Section("Repeats and levels", key="repeats")
-    for one in result.repeats:
+    for repeat in result.repeats:
         several = len(result.repeats) > 1
-        where = f"Run {one.run}: " if several else ""
-        section.add(page.text(f"{where}{_sentence(one.summary)}"))
+        where = f"Run {repeat.run}: " if several else ""
+        section.add(page.text(f"{where}{_sentence(repeat.summary)}"))
         section.add(
             page.figure(
-                repeats_figure(one),
+                repeats_figure(repeat),
                 "Amplitude (per unit of level where levels are stated) and phase of every repeat relative to "
-                f"their mean, all channels together; {one.lines} lines, {one.channels} channels.",
-                f"Relative amplitude and phase of {len(one.takes)} repeats",
+                f"their mean, all channels together; {repeat.lines} lines, {repeat.channels} channels.",
+                f"Relative amplitude and phase of {len(repeat.takes)} repeats",
             )
         )
         rows = [
@@ -49,13 +49,13 @@ def repeats_section(result: Points2Dof) -> Section:
                 _TESTS.get(test.name, test.name.replace("_", " ")),
                 _size(test.name, test.size),
                 f"{test.p_value:.2g}".replace("-", "−"),
-                "found" if test in one.found else "",
+                "found" if test in repeat.found else "",
             )
-            for test in one.tests
+            for test in repeat.tests
         ]
         if rows:
             section.add(page.table(("what was compared", "size", "p-value", ""), rows, words=True))
-        table = page.table(*_takes(one))
+        table = page.table(*_takes(repeat))
         section.add(page.folded("All repeats", table))
     return section
 

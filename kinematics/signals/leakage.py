@@ -98,8 +98,8 @@ def edge_notice(segments: list[Array]) -> list[Notice]:
         Responses of some segments.
     """
     edge = whole = 0.0
-    for one in segments:
-        level = one - np.mean(one, axis=1, keepdims=True)
+    for segment in segments:
+        level = segment - np.mean(segment, axis=1, keepdims=True)
         size = np.maximum(np.mean(level**2, axis=1), np.finfo(float).tiny)
         count = max(1, int(_EDGE * level.shape[1]))
         edge += float(np.mean(np.mean(level[:, -count:] ** 2, axis=1) / size))

@@ -145,7 +145,7 @@ def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     for one in fits:
         groups.setdefault(one.nominal, []).append(one)
     groups = dict(sorted(groups.items()))
-    pairs = [(one.nominal, one.fit) for one in fits]
+    pairs = [(fit.nominal, fit.fit) for fit in fits]
     clock, clock_notices = _clock(pairs, how)
     freq = np.array(list(groups)) * clock
     parts = [_line(group) for group in groups.values()]

@@ -146,7 +146,7 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     sd = _sd(units, first, place, faults)
     level = _level(header, place, faults)
     raise_all(KinematicsError, faults)
-    made = Columns(
+    columns = Columns(
         first,
         second,
         polar,
@@ -160,8 +160,8 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         "repeat" in header,
         level,
     )
-    used = made.numbers | made.texts | {""}
-    return replace(made, ignored=tuple(name for name in header if name not in used))
+    used = columns.numbers | columns.texts | {""}
+    return replace(columns, ignored=tuple(name for name in header if name not in used))
 
 
 def _meant(missing: Sequence[str], header: Sequence[str]) -> str:

@@ -45,11 +45,11 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
     """
     path = Path(path)
     _check_kind(path)
-    found: list[Columns] = []
+    column_sets: list[Columns] = []
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
-        found.append(columns_of(header, file, points is not None))
-        return found[0].numbers, found[0].texts
+        column_sets.append(columns_of(header, file, points is not None))
+        return column_sets[0].numbers, column_sets[0].texts
 
     others: list[Fault] = []
     listed = None
@@ -63,7 +63,7 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
     except StapeskitError as fault:
         raise_all(KinematicsError, [*fault.faults, *others])
         raise
-    columns = found[0]
+    columns = column_sets[0]
     rows = rows_of(table, columns, listed, others)
     measurement = _assembled(rows, columns, table, frame)
     notices = [*rows.notices, *ignored_notice(columns, table.file), *measurement.notices]

@@ -77,7 +77,7 @@ class Cohort(CohortLaws, Result):
         """Return the laws as a pandas table."""
         import pandas as pd
 
-        return pd.DataFrame([one.as_json() for one in self.laws])
+        return pd.DataFrame([law.as_json() for law in self.laws])
 
 
 def cohort(

@@ -189,10 +189,10 @@ class CohortLaws:
     def normal_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the 95 % range (SI) of each response over ears of this population, by its planned law."""
         ranges: dict[str, tuple[float, float]] = {}
-        for one in self.laws:
-            if one.family == "primary" and one.response not in ranges:
-                low, high = self.tolerance(one.response, one.predictor)
-                ranges[one.response] = (float(np.exp(low)), float(np.exp(high)))
+        for law in self.laws:
+            if law.family == "primary" and law.response not in ranges:
+                low, high = self.tolerance(law.response, law.predictor)
+                ranges[law.response] = (float(np.exp(low)), float(np.exp(high)))
         return ranges
 
     def as_json(self, provenance: Mapping[str, Any]) -> dict[str, Any]:
@@ -202,7 +202,7 @@ class CohortLaws:
             "schema": SCHEMA,
             "ears": [ear.name for ear in self.ears],
             "excluded": [{"ear": name, "reason": reason} for name, reason in self.excluded],
-            "laws": [one.as_json() for one in self.laws],
+            "laws": [law.as_json() for law in self.laws],
             "independent_parameters": None
             if count is None
             else {
@@ -338,7 +338,9 @@ def _components(table: LogTable) -> Components | None:
 def _unresolved(laws: Sequence[CohortLaw]) -> list[Notice]:
     """Return a warning about planned laws that the data cannot settle."""
     open_laws = [
-        f"{one.response} ~ {one.predictor}" for one in laws if one.law.unbounded and one.family == "primary"
+        f"{cohort_law.response} ~ {cohort_law.predictor}"
+        for cohort_law in laws
+        if cohort_law.law.unbounded and cohort_law.family == "primary"
     ]
     if not open_laws:
         return []

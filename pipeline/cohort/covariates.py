@@ -90,7 +90,7 @@ class Covariates:
             PipelineError,
             [Fault(f"the covariate {name}", "given for the ear to be predicted", "none") for name in missing],
         )
-        return np.array([entry for one in self.codings for entry in one.columns(about[one.name])])
+        return np.array([entry for coding in self.codings for entry in coding.columns(about[coding.name])])
 
 
 def stated(ear: Ear) -> dict[str, Any]:

@@ -261,10 +261,10 @@ def ear_table(ears: Sequence[Ear]) -> Any:
         "estimator": [ear.kd["estimator"] for ear in ears],
         "warnings": [ear.warnings for ear in ears],
     }
-    for one in quantities(ears):
-        end = _column_unit(one.unit)
-        columns[f"{one.name}{end}"] = one.values
-        columns[f"{one.name}_sd{end}"] = one.deviations
+    for quantity in quantities(ears):
+        end = _column_unit(quantity.unit)
+        columns[f"{quantity.name}{end}"] = quantity.values
+        columns[f"{quantity.name}_sd{end}"] = quantity.deviations
     return pd.DataFrame(columns)
 
 

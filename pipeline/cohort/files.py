@@ -22,7 +22,7 @@ def cohort_outputs(
     folder: Path, inputs: Sequence[Path], force: bool, exports: Sequence[str] = ()
 ) -> OutputSet:
     """Return the outputs of a cohort, which replace no input and nothing of another origin."""
-    names = [*COHORT_FILES, LOG_FILE, *(name for one in exports for name in EXPORTS[one].files)]
+    names = [*COHORT_FILES, LOG_FILE, *(name for export in exports for name in EXPORTS[export].files)]
     others = [name for entry in EXPORTS.values() for name in entry.files if name not in names]
     return OutputSet("scan2kd", Path(folder), tuple(names), tuple(inputs), force, leftovers=tuple(others))
 
@@ -62,4 +62,4 @@ def write_cohort(
     (folder / "cohort.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     for name in exports:
         EXPORTS[name].write(folder, cohort, content)
-    return [*COHORT_FILES, *(name for one in exports for name in EXPORTS[one].files)]
+    return [*COHORT_FILES, *(name for export in exports for name in EXPORTS[export].files)]

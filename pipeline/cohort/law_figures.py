@@ -68,9 +68,9 @@ def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
     """Draw the exponents of laws with their intervals, one below another."""
     drawing = page.new_figure(7.5, 0.5 + 0.4 * len(laws))
     panel = drawing.subplots()
-    ends = np.array([one.law.interval for one in laws], dtype=float)
+    ends = np.array([cohort_law.law.interval for cohort_law in laws], dtype=float)
     finite = ends[np.isfinite(ends)]
-    exponents = [one.law.exponent for one in laws]
+    exponents = [cohort_law.law.exponent for cohort_law in laws]
     limits = (min([*exponents, *finite]) - 1.0, max([*exponents, *finite]) + 1.0)
     for place, one in enumerate(laws):
         low, high = np.clip(np.nan_to_num(one.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
@@ -83,7 +83,7 @@ def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
     panel.set(
         xlim=limits,
         yticks=range(len(laws)),
-        yticklabels=[law_name(one) for one in laws],
+        yticklabels=[law_name(cohort_law) for cohort_law in laws],
         xlabel="exponent",
     )
     panel.invert_yaxis()

@@ -96,14 +96,14 @@ def _influence_section(cohort: CohortLaws, primary: Sequence[CohortLaw], as_path
     if not primary or cohort.table is None:
         return []
     named, rows = dict(zip((ear.folder for ear in cohort.ears), labels(cohort.ears), strict=True)), []
-    for one in primary:
-        _, keep = cohort.table.pairs(one.response, one.predictor)
+    for cohort_law in primary:
+        _, keep = cohort.table.pairs(cohort_law.response, cohort_law.predictor)
         ears = [folder for folder, used in zip(cohort.table.ears, keep, strict=True) if used]
-        change = one.left_out.exponents - one.law.exponent
+        change = cohort_law.left_out.exponents - cohort_law.law.exponent
         for k in np.argsort(-np.abs(np.nan_to_num(change)))[:2]:
             if np.isfinite(change[k]):
-                error = one.left_out.errors[k]
-                rows.append((law_name(one), named[ears[k]], f"{change[k]:+.2f}", f"{error:+.2f}"))
+                error = cohort_law.left_out.errors[k]
+                rows.append((law_name(cohort_law), named[ears[k]], f"{change[k]:+.2f}", f"{error:+.2f}"))
     blocks = [
         page.text(
             "Each ear against what the ears of all other persons predict from its predictor. An ear far from "

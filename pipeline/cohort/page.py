@@ -56,7 +56,7 @@ def _side_by_side(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
     """Return a picture and tables: a column per ear when there are few, else a row per ear."""
     blocks = [
         page.figure(
-            _figure(ears, [one for one in found if _on_diagonal(one)]),
+            _figure(ears, [quantity for quantity in found if _on_diagonal(quantity)]),
             "Each ear with two standard deviations of its own; line: plain mean.",
             "values of all ears with error bars",
             vector=len(ears) <= MOST_AS_PATHS,
@@ -117,7 +117,10 @@ def _narrow(name: str) -> str:
 
 def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
     titles = (("Mass and modes", ("mass", "mode")), ("Stiffness K", ("K_",)), ("Damping D", ("D_",)))
-    return [(title, [one for one in found if one.name.startswith(starts)]) for title, starts in titles]
+    return [
+        (title, [quantity for quantity in found if quantity.name.startswith(starts)])
+        for title, starts in titles
+    ]
 
 
 def _title(one: Quantity) -> str:

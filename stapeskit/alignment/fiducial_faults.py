@@ -90,7 +90,7 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
 
 def best(found: Sequence[Explanation], stated: bool) -> tuple[Explanation, list[Explanation]]:
     """Return the explanation of the greatest likelihood and those that the data cannot tell from it."""
-    freedom = float(max(one.n_dof for one in found))
+    freedom = float(max(explanation.n_dof for explanation in found))
 
     def score(one: Explanation) -> float:
         if stated:
@@ -181,8 +181,10 @@ def fault_notices(
     of the three coordinates of one fiducial (or of the improvement by an exchange), corrected for the number
     of candidates (Cook and Weisberg 1982, Residuals and Influence in Regression, section 2.2).
     """
-    free = 3 * sum(one.kind == "wrong" for one in found) - 6
-    usable = [one for one in found if one.kind != "mirrored" and one.n_dof > 0]
+    free = 3 * sum(explanation.kind == "wrong" for explanation in found) - 6
+    usable = [
+        explanation for explanation in found if explanation.kind != "mirrored" and explanation.n_dof > 0
+    ]
     if not usable:
         return []
     first, alike = best(usable, stated)
@@ -288,7 +290,7 @@ def _significant(one: Explanation, energy: float, free: int) -> bool:
 
 def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str], rotation: Array) -> str:
     """Say in words what explains the misfit."""
-    same = [one for one in alike if one.kind == first.kind]
+    same = [explanation for explanation in alike if explanation.kind == first.kind]
     if first.kind == "scaled":
         return (
             f"distances between the references are {first.size_mm:.4f} times those that the vibrometer sees; "
@@ -337,7 +339,7 @@ def refuse_mirrored(
     StapeskitError
         One of the two frames is left-handed.
     """
-    usable = [one for one in found if one.n_dof > 0]
+    usable = [explanation for explanation in found if explanation.n_dof > 0]
     _, alike = best(usable, stated)
     mirror = next((one for one in alike if one.kind == "mirrored"), None)
     if mirror is None or mirror.energy > 0.25 * energy:

@@ -191,7 +191,7 @@ def notices(found: Iterable[Notice]) -> Markup:
     return _render(
         "{% for n in found %}<div class='notice'><code>{{ n.code }}</code> {{ n.text }}</div>{% else %}"
         "<div class='notice good'>No warnings.</div>{% endfor %}",
-        found=[replace(one, text=printed(one.text)) for one in found],
+        found=[replace(notice, text=printed(notice.text)) for notice in found],
     )
 
 

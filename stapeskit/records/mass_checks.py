@@ -175,33 +175,33 @@ def check(raw: Mapping[str, Any], file: str) -> Checked:
     Checked
         Complete when its ``faults`` are empty.
     """
-    made = Checked(raw, file)
+    checked = Checked(raw, file)
     for block in ("inertial_parameters", "mass_matrix"):
-        made.word(f"{block}.about", "footplate_centre")
-        made.word(f"{block}.axes", "footplate")
-    made.listed("inertial_parameters.names", PARAMETER_NAMES)
-    made.listed("mass_matrix.dof", DOF_NAMES)
-    made.parameters = made.numbers("inertial_parameters.values_si", (10,))
-    matrix = made.numbers("mass_matrix.matrix_si", (6, 6))
+        checked.word(f"{block}.about", "footplate_centre")
+        checked.word(f"{block}.axes", "footplate")
+    checked.listed("inertial_parameters.names", PARAMETER_NAMES)
+    checked.listed("mass_matrix.dof", DOF_NAMES)
+    checked.parameters = checked.numbers("inertial_parameters.values_si", (10,))
+    matrix = checked.numbers("mass_matrix.matrix_si", (6, 6))
     impossible = [] if matrix is None else inertia_faults(matrix, "mass_matrix.matrix_si", file)
-    if made.parameters is not None:
-        own = matrix_from_parameters(made.parameters)
+    if checked.parameters is not None:
+        own = matrix_from_parameters(checked.parameters)
         faults = inertia_faults(own, "inertial_parameters.values_si", file)
         same = matrix is not None and _differ(matrix, own) <= _SAME
         impossible = impossible if same or not faults else [*impossible, *faults]
         if matrix is not None and not same:
-            made.fault("mass_matrix", "the matrix of inertial_parameters", "another one")
+            checked.fault("mass_matrix", "the matrix of inertial_parameters", "another one")
         if faults:
-            made.parameters = None
-    made.faults += impossible
-    _frames(made)
-    _notices(made)
-    mass, centre, tensor = _body(made)
-    if made.parameters is not None:
-        _uncertainty(made, made.parameters)
-        _same_body(made, made.parameters, mass, centre, tensor)
-    made.faults = list(dict.fromkeys(made.faults))
-    return made
+            checked.parameters = None
+    checked.faults += impossible
+    _frames(checked)
+    _notices(checked)
+    mass, centre, tensor = _body(checked)
+    if checked.parameters is not None:
+        _uncertainty(checked, checked.parameters)
+        _same_body(checked, checked.parameters, mass, centre, tensor)
+    checked.faults = list(dict.fromkeys(checked.faults))
+    return checked
 
 
 def _differ(given: Array, wanted: Array) -> float:
@@ -232,7 +232,7 @@ def _frames(made: Checked) -> None:
             made.transforms["scan_from_plate"].inverse() @ made.transforms["scan_from_footplate"]
         ).matrix
         off = np.abs(made.transforms["plate_from_footplate"].matrix - wanted)
-        lengths = [float(np.linalg.norm(one.translation_mm)) for one in made.transforms.values()]
+        lengths = [float(np.linalg.norm(transform.translation_mm)) for transform in made.transforms.values()]
         if np.max(off[:, :3]) > _SAME or np.max(off[:, 3]) > _SAME * max([1.0, *lengths]):
             got = f"one that is {np.max(off[:, 3]):.3g} mm and {np.max(off[:, :3]):.3g} rad off"
             made.fault("frames.plate_from_footplate", "inverse(scan_from_plate) @ scan_from_footplate", got)
@@ -256,8 +256,10 @@ def _given(made: Checked, name: str) -> bool:
 def _notices(made: Checked) -> None:
     warnings = made.raw.get("warnings", [])
     good = isinstance(warnings, list) and all(
-        isinstance(one, Mapping) and isinstance(one.get("code"), str) and isinstance(one.get("text"), str)
-        for one in warnings
+        isinstance(warning, Mapping)
+        and isinstance(warning.get("code"), str)
+        and isinstance(warning.get("text"), str)
+        for warning in warnings
     )
     if not good:
         made.fault("warnings", "a list of objects with code and text", short(warnings))

@@ -20,5 +20,5 @@ LAWS: dict[str, str] = {
 
 def law_of(name: str) -> Law:
     """Return the law of a name in the table; it is loaded on first use."""
-    found: Law = import_module(f"fitting.model.laws.{name}").LAW
-    return found
+    law: Law = import_module(f"fitting.model.laws.{name}").LAW
+    return law

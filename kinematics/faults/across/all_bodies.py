@@ -32,7 +32,7 @@ def told_across(
 
     Nothing is looked at when no body has a fault.
     """
-    if not any(found.findings for found in diagnoses.values()):
+    if not any(diagnosis.findings for diagnosis in diagnoses.values()):
         return {}
     motions: dict[Key, Cleared] = {}
     found: dict[Key, list[Finding]] = {}

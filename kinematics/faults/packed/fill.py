@@ -196,9 +196,9 @@ class Gaps:
 
     def _values(self, lines: NDArray[np.intp]) -> ComplexArray:
         """Return the readings (channel, n) of some lines, zero where missing."""
-        made = np.where(self.held[:, lines], self.value[:, lines], 0.0)
-        made *= self._inverse[:, self.segment[lines]]
-        return np.asarray(made)
+        place = np.where(self.held[:, lines], self.value[:, lines], 0.0)
+        place *= self._inverse[:, self.segment[lines]]
+        return np.asarray(place)
 
     @cached_property
     def _inverse(self) -> ComplexArray:

@@ -129,7 +129,7 @@ def read_mapping(path: Path) -> Layout:
         raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
     faults: list[Fault] = []
     signals = found.pop("signal", [])
-    if not isinstance(signals, list) or not all(isinstance(one, dict) for one in signals):
+    if not isinstance(signals, list) or not all(isinstance(signal, dict) for signal in signals):
         faults.append(Fault("signal", "tables [[signal]]", "something else", path.name))
         signals = []
     layout = _checked(Layout, found, path.name, faults)
@@ -185,7 +185,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
     if not chosen and not pairs:
         return None
     signals = [Signal(value=name) for name in chosen] or [Signal(value_re=a, value_im=b) for a, b in pairs]
-    stems = [(_BEAM.match(one.value or one.value_re.rsplit("_", 1)[0])) for one in signals]
+    stems = [(_BEAM.match(signal.value or signal.value_re.rsplit("_", 1)[0])) for signal in signals]
     axes = [match["axis"].lower() if match else "" for match in stems]
     together = len(signals) > 1 and all(axes) and len(set(axes)) == len(axes)
     made = []

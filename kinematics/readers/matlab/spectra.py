@@ -101,7 +101,7 @@ def _unrecognised(tree: Mapping[str, Any], path: Path) -> Fault:
 
 
 def _joined(blocks: list[Recordings], name: str) -> Recordings:
-    recordings = tuple(one for block in blocks for one in block.recordings)
+    recordings = tuple(recording for block in blocks for recording in block.recordings)
     notices = tuple(dict.fromkeys(notice for block in blocks for notice in block.notices))
     return Recordings(
         recordings,
@@ -167,7 +167,7 @@ def _from_layout(
 ) -> Recordings:
     if layout.each:
         elements = variable(space, layout.each, where, tree)
-        if not isinstance(elements, list) or not all(isinstance(one, dict) for one in elements):
+        if not isinstance(elements, list) or not all(isinstance(element, dict) for element in elements):
             want = "a struct array or a cell array of structs"
             raise KinematicsError(Fault(layout.each, want, "something else", where))
         inside = Layout(**{**vars(layout), "each": ""})

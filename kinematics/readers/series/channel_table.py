@@ -105,10 +105,10 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
         if key in seen:
             faults.append(Fault(f"channel {one.name}", "listed once", "it again", one.where, "Keep one row"))
         seen[key] = one.where
-    if not faults and not any(one.role == "response" for one in channels):
+    if not faults and not any(channel.role == "response" for channel in channels):
         faults.append(Fault("the channel table", "with one response at least", "none", table.file))
     raise_all(KinematicsError, faults)
-    return tuple(one for one in channels if one.role != "ignore")
+    return tuple(channel for channel in channels if channel.role != "ignore")
 
 
 def _channel(table: Table, row: int, faults: list[Fault]) -> Channel:

@@ -57,18 +57,18 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise KinematicsError(Fault("time series", "read with {channels} FILE", "none", path.name, step))
     rows = [one for one in read_channels(options.channels) if _belongs(one, path.name)]
-    responses = [one for one in rows if one.role == "response"]
+    responses = [row for row in rows if row.role == "response"]
     if not responses:
         step = "Add a row, or leave the column file empty"
         raise KinematicsError(
             Fault("the channel table", f"with a response of {path.name}", "none", options.channels.name, step)
         )
     reference = _reference(rows, options)
-    names = [one.name for one in responses] + ([] if reference is None else [reference.name])
-    found = estimated(read_series(path, names), responses, reference, options)
-    if not found.recordings:
+    names = [response.name for response in responses] + ([] if reference is None else [reference.name])
+    recordings = estimated(read_series(path, names), responses, reference, options)
+    if not recordings.recordings:
         raise KinematicsError(empty_band(path.name))
-    return found
+    return recordings
 
 
 def empty_band(file: str) -> Fault:
@@ -124,11 +124,11 @@ def _belongs(one: Channel, file: str) -> bool:
 
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:
     table = "" if options.channels is None else options.channels.name
-    found = [one for one in rows if one.role == "reference"]
+    found = [channel for channel in rows if channel.role == "reference"]
     if options.reference_channel:
-        found = [one for one in rows if one.name.lower() == options.reference_channel.lower()]
+        found = [channel for channel in rows if channel.name.lower() == options.reference_channel.lower()]
         if not found:
-            known = ", ".join(dict.fromkeys(one.name for one in rows))
+            known = ", ".join(dict.fromkeys(channel.name for channel in rows))
             raise KinematicsError(
                 Fault("{reference_channel}", f"one of {known}", options.reference_channel, table)
             )
@@ -156,9 +156,9 @@ def _groups(
     ref = None if reference is None else series.channels[reference.name]
     scale = 1.0 if reference is None else reference.scale
     faults, groups, notices = [], [], []
-    fixed = [one for one in responses if one.point or len(series.channels[one.name]) == 1]
-    rows = [one for one in responses if one not in fixed]
-    lengths = {one.name: len(series.channels[one.name]) for one in responses}
+    fixed = [channel for channel in responses if channel.point or len(series.channels[channel.name]) == 1]
+    rows = [channel for channel in responses if channel not in fixed]
+    lengths = {channel.name: len(series.channels[channel.name]) for channel in responses}
     for part in (fixed, rows):
         counts = {lengths[one.name] for one in part}
         if len(counts) > 1:
@@ -210,7 +210,7 @@ def _alive(series: Series, channels: Sequence[Channel], k: int) -> tuple[list[Ch
         (alive if good else dead).append(one)
     if not dead:
         return alive, []
-    names = ", ".join(one.name for one in dead)
+    names = ", ".join(channel.name for channel in dead)
     row = f", row {k + 1}" if len(series.channels[dead[0].name]) > 1 else ""
     text = f"{names} of {series.file}{row} holds one value throughout (a missing point) and is left out."
     return alive, [Notice("zero_rows", text)]

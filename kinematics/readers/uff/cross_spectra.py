@@ -52,7 +52,7 @@ def from_cross_spectra(
     H1 = Gyx / Gxx with Gyx = E[Y X*] and coherence |Gyx|^2 / (Gxx Gyy) (Bendat and Piersol 2010, Random Data,
     section 6.1). Scale and window are those of both spectra alike and cancel.
     """
-    known = {_ends(one) for one in functions if one.kind in (FRF, TRANSMISSIBILITY)}
+    known = {_ends(function) for function in functions if function.kind in (FRF, TRANSMISSIBILITY)}
     made: list[Function] = []
     used: set[int] = set()
     for cross in functions:
@@ -105,12 +105,13 @@ def _pair(cross: Function, functions: Sequence[Function]) -> _Pair | None:
 
 def _auto(cross: Function, node: int, direction: int, functions: Sequence[Function]) -> Function | None:
     fitting = [
-        one
-        for one in functions
-        if one.kind == AUTO
-        and (one.node, abs(one.direction), one.load_case) == (node, abs(direction), cross.load_case)
-        and len(one.x) == len(cross.x)
-        and np.allclose(one.x, cross.x, rtol=1e-6)
+        function
+        for function in functions
+        if function.kind == AUTO
+        and (function.node, abs(function.direction), function.load_case)
+        == (node, abs(direction), cross.load_case)
+        and len(function.x) == len(cross.x)
+        and np.allclose(function.x, cross.x, rtol=1e-6)
     ]
     return fitting[0] if len(fitting) == 1 else None
 

@@ -192,8 +192,8 @@ def _binary(
         end = start + length
         tail = _BINARY_TAIL.match(content, end)
         if tail is not None:
-            made = Dataset(58, place[0], head, content[start:end], True, order == 2, place[1])
-            return made, tail.end()
+            dataset = Dataset(58, place[0], head, content[start:end], True, order == 2, place[1])
+            return dataset, tail.end()
     got = f"{len(content) - start} bytes up to the end of the file"
     if len(content) - start >= min(needed):
         got = f"no line of -1 behind so many, and {size} bytes by its first line"

@@ -222,14 +222,14 @@ def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
 
 def _old_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     """Read dataset 18: origin, a point on the +x axis and one in the +xz plane, all in the parent system."""
-    found: list[System] = []
+    systems: list[System] = []
     lines = _numbered(dataset)
     for start in range(0, len(lines), 4):
         with collecting(faults):
-            found.append(
+            systems.append(
                 _old_system([line for _, line in lines[start : start + 4]], dataset, file, lines[start][0])
             )
-    return found
+    return systems
 
 
 def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
@@ -252,14 +252,14 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
 
 def _new_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
     """Read dataset 2420: label, shape and colour, name, three rows of axes and one of the origin."""
-    found: list[System] = []
+    systems: list[System] = []
     lines = _numbered(dataset, 2)
     for start in range(0, len(lines), 6):
         with collecting(faults):
-            found.append(
+            systems.append(
                 _new_system([line for _, line in lines[start : start + 6]], dataset, file, lines[start][0])
             )
-    return found
+    return systems
 
 
 def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:

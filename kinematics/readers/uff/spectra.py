@@ -226,7 +226,7 @@ def _recording(
 
 def _repeats(made: Sequence[Recording], chosen: Sequence[Motion]) -> list[Recording]:
     """Name repeats by the version number where one channel is there in several."""
-    channels = Counter((one.point, one.direction.tobytes(), one.run) for one in made)
+    channels = Counter((recording.point, recording.direction.tobytes(), recording.run) for recording in made)
     if max(channels.values()) == 1:
         return list(made)
     return [

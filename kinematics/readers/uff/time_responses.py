@@ -76,7 +76,7 @@ def read_responses(
     that was recorded again for each group of responses belongs to the responses behind it, or before it
     where the file begins with responses.
     """
-    times = [one for one in functions if one.kind == TIME and not _is_other(one)]
+    times = [function for function in functions if function.kind == TIME and not _is_other(function)]
     left = len(functions) - len(times)
     recordings: list[Recording] = []
     notices: list[Notice] = []
@@ -84,9 +84,9 @@ def read_responses(
     name: str | None = None
     with collecting(faults):
         name = _reference(times, file, options)
-    for case in dict.fromkeys(one.load_case for one in times):
-        runs = len({one.load_case for one in times}) > 1
-        own = [one for one in times if one.load_case == case]
+    for case in dict.fromkeys(time.load_case for time in times):
+        runs = len({time.load_case for time in times}) > 1
+        own = [time for time in times if time.load_case == case]
         signals = _signals(own, geometry, file, name or "", f"case {case}" if runs else "", faults)
         if name is None:
             continue
@@ -122,27 +122,32 @@ def _label(one: Function) -> str:
 
 def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> str:
     """Return the name of the signal that all responses refer to; empty when a stepped sine needs none."""
-    labels = list(dict.fromkeys(_label(one) for one in times))
+    labels = list(dict.fromkeys(_label(function) for function in times))
     shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
     if options.reference_channel:
         said = options.reference_channel.strip().lower()
         fitting = [
-            _label(one) for one in times if said in (name.lower() for name in (_label(one), *one.names))
+            _label(function)
+            for function in times
+            if said in (name.lower() for name in (_label(function), *function.names))
         ]
-        fitting += [_label(one) for one in times if said == str(one.node)] if not fitting else []
+        fitting += (
+            [_label(function) for function in times if said == str(function.node)] if not fitting else []
+        )
         found = list(dict.fromkeys(fitting))
         if len(found) != 1:
             got = options.reference_channel + (f", which is {' and '.join(found)}" if found else "")
             raise KinematicsError(Fault("{reference_channel}", f"one of {shown}", got, file))
         return found[0]
     stated = {
-        direction_label(one.reference_node, one.reference_direction)
-        for one in times
-        if one.reference_node and (one.reference_node, one.reference_direction) != (one.node, one.direction)
+        direction_label(function.reference_node, function.reference_direction)
+        for function in times
+        if function.reference_node
+        and (function.reference_node, function.reference_direction) != (function.node, function.direction)
     }
     found = [name for name in labels if name in stated]
     if len(found) != 1:
-        found = list(dict.fromkeys(_label(one) for one in times if not is_motion(one)))
+        found = list(dict.fromkeys(_label(function) for function in times if not is_motion(function)))
     if len(found) == 1 or (not found and options.steps is not None):
         return found[0] if found else ""
     step = f"Name it by {named('reference_channel')}, as node and direction"
@@ -162,9 +167,9 @@ def _signals(
         if label != name and not is_motion(records[0]):
             continue
         found: list[Fault] = []
-        channels = [_channel(one, geometry, file, label == name, run, found) for one in records]
-        if not found and len({(one.scale, one.unit) for one in channels}) > 1:
-            got = ", ".join(dict.fromkeys(one.unit for one in channels))
+        channels = [_channel(record, geometry, file, label == name, run, found) for record in records]
+        if not found and len({(channel.scale, channel.unit) for channel in channels}) > 1:
+            got = ", ".join(dict.fromkeys(channel.unit for channel in channels))
             found.append(Fault(f"the records of {label}", "in one unit", got, file, "Export it again"))
         faults += found
         if not found:
@@ -206,14 +211,14 @@ def _channel(
 
 def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]) -> list[list[_Signal]]:
     """Return what was recorded together: responses and their reference, with as many records each."""
-    responses = [one for one in signals if one.channel.name != name]
-    lead = next((one for one in signals if one.channel.name == name), None)
+    responses = [signal for signal in signals if signal.channel.name != name]
+    lead = next((signal for signal in signals if signal.channel.name == name), None)
     if not responses:
         if not faults:
             step = "Export the records of the points too"
             faults.append(Fault("time responses", "of one motion beside the reference", "none", file, step))
         return []
-    counts = {len(one.records) for one in responses}
+    counts = {len(response.records) for response in responses}
     if lead is None or counts == {len(lead.records)}:
         return [[*responses, *([] if lead is None else [lead])]]
     if counts == {1}:
@@ -228,7 +233,7 @@ def _in_turn(
     responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[Fault]
 ) -> list[list[_Signal]]:
     """Give each record of the reference the responses that stand behind it, or before it, in the file."""
-    by_place: Mapping[int, _Signal] = {one.records[0].place: one for one in responses}
+    by_place: Mapping[int, _Signal] = {response.records[0].place: response for response in responses}
     leads = sorted(lead.records, key=lambda one: one.place)
     behind = leads[0].place < min(by_place)
     parts = []

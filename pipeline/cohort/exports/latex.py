@@ -55,7 +55,7 @@ def _table(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None:
     """Write cohort.tex."""
-    shown = [one for one in quantities(cohort.ears) if _on_diagonal(one.name)]
+    shown = [quantity for quantity in quantities(cohort.ears) if _on_diagonal(quantity.name)]
     rows = [
         [
             name,
@@ -70,19 +70,19 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
     ]
     header = ["ear", *(f"{one.name.replace('_', ' ')} ({one.unit})" for one in shown)]
     parts = [r"% \usepackage{booktabs}", _table("Ears with standard deviations, SI units.", header, rows)]
-    laws = [one for one in cohort.laws if one.family == "primary"]
+    laws = [law for law in cohort.laws if law.family == "primary"]
     if laws:
         rows = [
             [
-                law_name(one),
-                f"{one.law.exponent:.2f}",
-                " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in one.law.interval),
-                f"{one.law.p_value:.2g}",
-                f"{one.q_value:.2g}",
-                f"{one.law.sigma:.3f}",
-                str(one.law.n),
+                law_name(law),
+                f"{law.law.exponent:.2f}",
+                " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in law.law.interval),
+                f"{law.law.p_value:.2g}",
+                f"{law.q_value:.2g}",
+                f"{law.law.sigma:.3f}",
+                str(law.law.n),
             ]
-            for one in laws
+            for law in laws
         ]
         header = ["law", "exponent", "95 % interval", "p", "q", "scatter (ln)", "ears"]
         parts.append(_table("Planned laws.", header, rows))
