@@ -11,6 +11,7 @@ from stapeskit.faults import Fault
 from stapeskit.provenance import content_hash, document_hash
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 
@@ -67,8 +68,8 @@ def check_chain(
                 f"Give that file, run points2dof again with {name}, or use the given one by {{force}}",
             )
         )
-    text = f"{motion_name} was computed with the frames of {made}, not with {got} ({{force}})."
-    return [Notice("other_mass_file", text.replace("{force}", "--force")), *travelling]
+    text = f"{motion_name} was computed with the frames of {made}, not with {got} ({named('force')})."
+    return [Notice("other_mass_file", text), *travelling]
 
 
 def _given(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> str | None:

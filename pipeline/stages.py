@@ -187,13 +187,16 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     """Write kd.json."""
     from fitting.chain import check_chain
     from fitting.measure_kd import kd_of
-    from stapeskit.provenance import record
+    from stapeskit.provenance import input_record, record
 
     options = study.fit
-    files = {"motion": work.find("dof.h5"), "mass": work.find("mass.json")}
-    mass = work.mass.record
+    mass, mass_file = work.mass.record, work.find("mass.json")
+    files: dict[str, Path | Mapping[str, Any] | None] = {
+        "motion": work.find("dof.h5"),
+        "mass": input_record(mass_file, hashes=work.hashes, document=mass.raw),
+    }
     provenance = record(files, options.parameters(), hashes=work.hashes)
-    chain = check_chain(work.motion, "dof.h5", mass, files["mass"])
+    chain = check_chain(work.motion, "dof.h5", mass, mass_file)
     fit = kd_of(work.motion, mass.mass_matrix, options, mass, provenance, chain=chain)
     text = json.dumps(fit.content(), indent=1) + "\n"
     (work.fresh / KD_FILE).write_text(text, encoding="utf-8")

@@ -136,10 +136,15 @@ def _give_way() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
 
 
-def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None) -> dict[str, Any]:
+def input_record(
+    path: Path,
+    sha256: bool = False,
+    hashes: Hashes | None = None,
+    document: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """Describe one input: name, size in bytes, modification time (UTC, ISO 8601) and content hash.
 
-    A mass.json has its ``document_hash`` as well.
+    A mass.json has its ``document_hash`` as well; ``document`` is its content where that is in memory.
     """
     path = Path(path)
     stat = path.stat()
@@ -147,11 +152,11 @@ def input_record(path: Path, sha256: bool = False, hashes: Hashes | None = None)
     modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
     content = content_hash(path, sha256) if hashes is None else hashes.of(path)
     found = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
-    if path.suffix.lower() == ".json":
+    if document is None and path.suffix.lower() == ".json":
         with suppress(OSError, ValueError, RecursionError):
             document = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(document, dict) and "frames" in document:
-                found["document_hash"] = document_hash(document)
+    if isinstance(document, Mapping) and "frames" in document:
+        found["document_hash"] = document_hash(document)
     return found
 
 

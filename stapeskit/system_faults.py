@@ -63,8 +63,8 @@ def why_unreadable(path: Path) -> str:
         if path.is_dir():
             os.scandir(path).close()
         elif path.is_file():
-            with path.open("rb") as stream:
-                stream.read(1)
+            # without opening it: files are opened once a run, by what reads them
+            return "" if os.access(path, os.R_OK) else os.strerror(errno.EACCES)
         else:
             path.stat()
             return MISSING  # a pipe or a device would be waited for without end
