@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_noise, pooled_scale
-from kinematics.fit.triads import noise_by_axis, triad_axes
 from kinematics.measurement import BodyChannels, Measurement
 from stapeskit.warnings import Notice
 
@@ -46,9 +45,6 @@ def with_noise(
         relative = body.sd[run]
         largest = largest_rate(value, rate)
         size, floor = np.full(len(rate), _size(largest, rate, relative)), least_sd(largest, rate)
-    axes = triad_axes(body) if body.computed_axes else None
-    if axes is not None:
-        relative = relative * noise_by_axis(beams, value, LineNoise(relative, size, floor), axes)[:, None]
     fit = fit_noise(beams, value, LineNoise(relative, size, floor))
     if not np.any(fit.n_dof > 0):
         where = f" in run {measurement.runs[run]}" if len(measurement.runs) > 1 else ""

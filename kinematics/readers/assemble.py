@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.fit.triads import triad_axes
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
 from kinematics.readers.apply_options import with_bodies, with_runs, with_stated
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.input_options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
-from kinematics.readers.reported_noise import body_noise, triad_notices
+from kinematics.readers.reported_noise import body_noise
 from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
@@ -75,7 +74,7 @@ def assemble(
         all of one kind together.
     """
     options = options or InputOptions()
-    raise_all(KinematicsError, check_used(options, [recordings.file for recordings in files]))
+    raise_all(KinematicsError, check_used(options, [one.file for one in files]))
     recordings, notices = with_stated(files, options)
     recordings, said = without_dc(recordings)
     notices += said
@@ -98,9 +97,6 @@ def assemble(
     flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
     bodies, said = _bodies(flat, places, points, order)
     notices += said
-    bodies = tuple(replace(body, computed_axes=triad_axes(body) is not None) for body in bodies)
-    if not any(notice.code == "axes_from_beams" for notice in notices):
-        notices += triad_notices(bodies)
     runs = tuple(take.name for take in places.takes)
     return Measurement(
         frame,
@@ -166,25 +162,25 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     positions: dict[tuple[str, str], tuple[Array, Place | str]] = {}
     lost: dict[str, list[str]] = {}
     blind: dict[str, list[str]] = {}
-    for recording in recordings:
-        key = (recording.body, recording.point)
+    for one in recordings:
+        key = (one.body, one.point)
         known = None if points is None else points.positions.get(key)
         if known is not None and points is not None:
             positions.setdefault(key, (known, points.file))
-        if np.all(np.isfinite(recording.position_mm)):
-            first, where = positions.setdefault(key, (recording.position_mm, recording.where))
-            if np.any(np.abs(first - recording.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
+        if np.all(np.isfinite(one.position_mm)):
+            first, where = positions.setdefault(key, (one.position_mm, one.where))
+            if np.any(np.abs(first - one.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
                 step = f"Correct it; {named('length_unit')} says the unit where a file does not"
-                got = f"{_shown(first)} and {_shown(recording.position_mm)} mm"
-                thing = f"the position of point {recording.point} of body {recording.body}"
-                fault = Fault(thing, "one", got, f"{where} and {recording.where}", step)
+                got = f"{_shown(first)} and {_shown(one.position_mm)} mm"
+                thing = f"the position of point {one.point} of body {one.body}"
+                fault = Fault(thing, "one", got, f"{where} and {one.where}", step)
                 faults.append(fault)
-                positions[key] = (recording.position_mm, recording.where)
-        if not np.all(np.isfinite(recording.direction)):
-            blind.setdefault(recording.body, []).append(recording.point)
-    for recording in recordings:
-        if (recording.body, recording.point) not in positions:
-            lost.setdefault(recording.body, []).append(recording.point)
+                positions[key] = (one.position_mm, one.where)
+        if not np.all(np.isfinite(one.direction)):
+            blind.setdefault(one.body, []).append(one.point)
+    for one in recordings:
+        if (one.body, one.point) not in positions:
+            lost.setdefault(one.body, []).append(one.point)
     for body, names in lost.items():
         step = f"Give them with {named('points')} points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
@@ -209,8 +205,8 @@ def _listed(names: Sequence[str]) -> str:
 def _per(recordings: Sequence[Recording]) -> list[Notice]:
     """Refuse responses to different quantities in one run; tell what the motion is a response to."""
     by_run: dict[str, dict[str, Place | str]] = {}
-    for recording in recordings:
-        by_run.setdefault(recording.run, {}).setdefault(recording.per, recording.where)
+    for one in recordings:
+        by_run.setdefault(one.run, {}).setdefault(one.per, one.where)
     faults = []
     for run, found in by_run.items():
         if len(found) > 1:
@@ -235,26 +231,24 @@ def _per_name(per: str) -> str:
 
 def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; tell how lines were matched."""
-    takes = list(
-        dict.fromkeys((recording.run, recording.repeat, _level(recording)) for recording in recordings)
-    )
-    bodies = list(dict.fromkeys(recording.body for recording in recordings))
-    found = list(dict.fromkeys(_channel(recording) for recording in recordings))
+    takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
+    bodies = list(dict.fromkeys(one.body for one in recordings))
+    found = list(dict.fromkeys(_channel(one) for one in recordings))
     channels = tuple(sorted(found, key=lambda channel: bodies.index(channel[0])))
     number = {channel: place for place, channel in enumerate(channels)}
-    channel_of = [number[_channel(recording)] for recording in recordings]
-    lengths = [len(recording.freq_hz) for recording in recordings]
+    channel_of = [number[_channel(one)] for one in recordings]
+    lengths = [len(one.freq_hz) for one in recordings]
     grid, faults = join_lines(
-        np.concatenate([recording.freq_hz for recording in recordings]),
+        np.concatenate([one.freq_hz for one in recordings]),
         np.repeat(channel_of, lengths),
-        np.repeat([bodies.index(recording.body) for recording in recordings], lengths),
+        np.repeat([bodies.index(one.body) for one in recordings], lengths),
         bodies,
     )
     places = _Places(
         tuple(Take(run, repeat, float("nan") if level is None else level) for run, repeat, level in takes),
         channels,
         grid.freq_hz,
-        tuple(takes.index((recording.run, recording.repeat, _level(recording))) for recording in recordings),
+        tuple(takes.index((one.run, one.repeat, _level(one))) for one in recordings),
         tuple(channel_of),
         tuple(np.split(grid.line, np.cumsum(lengths)[:-1])),
     )
@@ -293,7 +287,7 @@ def _bodies(
     recordings: Sequence[Recording], places: _Places, points: Points | None, order: int
 ) -> tuple[tuple[BodyChannels, ...], list[Notice]]:
     """Fill the arrays of every body."""
-    channels_by_body: list[BodyChannels] = []
+    made: list[BodyChannels] = []
     notices: list[Notice] = []
     for body in dict.fromkeys(channel[0] for channel in places.channels):
         rows = [n for n, channel in enumerate(places.channels) if channel[0] == body]
@@ -316,12 +310,12 @@ def _bodies(
         positions = np.array([_position(first[n], recordings, points) for n in range(len(rows))])
         spread = [np.nan if points is None else points.sd_mm.get((body, name), np.nan) for name in names]
         directions = np.array([first[n].direction for n in range(len(rows))])
-        channels_by_body.append(
+        made.append(
             BodyChannels(
                 body, names, positions, directions, value, sd, relative, np.array(spread, dtype=float)
             )
         )
-    return tuple(channels_by_body), notices
+    return tuple(made), notices
 
 
 def _position(one: Recording, recordings: Sequence[Recording], points: Points | None) -> Array:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.measurement import BodyChannels
 from kinematics.readers.recording import Recording
 from kinematics.tidy.few_averages import steadied
 from stapeskit.warnings import Notice
@@ -53,19 +52,6 @@ def body_noise(
         text = f"{missing} values of body {body} have no standard deviation and were not used."
         notices.append(Notice("sd_missing", text))
     return sd, not absolute, notices
-
-
-def triad_notices(bodies: Sequence[BodyChannels]) -> list[Notice]:
-    """Return the warning that x, y, z of points were probably computed from several beams."""
-    triads = [body.body for body in bodies if body.computed_axes]
-    if not triads:
-        return []
-    text = (
-        f"the points of {', '.join(triads)} have readings along x, y and z, as exports hold that compute "
-        "them from several beams: their noise is correlated, and larger across the beams than along them. "
-        "Where it is not stated, its size is estimated for each axis. Export the single heads where possible."
-    )
-    return [Notice("axes_from_beams", text)]
 
 
 def _noise(one: Recording, order: int) -> tuple[str, Array | None]:

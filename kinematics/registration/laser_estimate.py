@@ -48,8 +48,7 @@ class LaserEstimate:
         Covariance of what the estimate leaves with the position errors of a point, m.
     prior_sd : ndarray, (p,)
     energy, fall : float
-        Sum of squared residuals over noise that position errors leave, and by how much errors of the lasers
-        lower it.
+        Sum of squared residuals over noise, and by how much the estimate lowers it.
     freedom : int
         What noise makes of ``energy`` in the mean.
     """
@@ -192,7 +191,6 @@ def laser_estimate(
         levels = np.array(
             [_level(block, gram, pull, values) for block, (gram, pull) in zip(blocks, parts, strict=True)]
         )
-    by_all, by_places = (_explained(parts, spread, first) for first in (0, size))
     relative = np.kron(np.eye(len(kinds)), np.eye(count) - 1.0 / count)
     across = {
         key: np.asarray(relative @ covariance[:size, place : place + 3]) for key, place in places.items()
@@ -204,21 +202,9 @@ def laser_estimate(
         relative @ covariance[:size, :size] @ relative,
         across,
         spread[:size],
-        sum(block.energy for block in blocks) - by_places,
-        by_all - by_places,
+        sum(block.energy for block in blocks),
+        sum(_fall(gram, pull, values) for gram, pull in parts),
         sum(block.freedom for block in blocks),
-    )
-
-
-def _explained(parts: Sequence[tuple[Array, Array]], spread: Array, first: int) -> float:
-    """Return the fall of the sum of squares by the parameters from one on, their priors counted."""
-    if not parts or first == len(spread):
-        return 0.0
-    scale = spread[first:]
-    information = sum((gram for gram, _ in parts), np.zeros_like(parts[0][0]))[first:, first:]
-    score = sum((pull for _, pull in parts), np.zeros(len(spread)))[first:] * scale
-    return 0.5 * float(
-        score @ np.linalg.solve(information * np.outer(scale, scale) + np.eye(len(scale)), score)
     )
 
 
