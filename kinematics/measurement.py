@@ -46,8 +46,6 @@ class BodyChannels:
         Positions as in the file; ``positions_mm`` without them.
     file_from_here : ndarray, (3, 3)
         From the axes of ``positions_mm`` to those of the file; orthogonal, a reflection with --mirror.
-    computed_axes : bool
-        Readings along x, y, z were computed from several beams: each axis has a noise of its own.
 
     Raises
     ------
@@ -66,7 +64,6 @@ class BodyChannels:
     reported_directions: Array = field(default_factory=lambda: np.empty(0))
     reported_positions_mm: Array = field(default_factory=lambda: np.empty(0))
     file_from_here: Array = field(default_factory=lambda: np.eye(3))
-    computed_axes: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.points)

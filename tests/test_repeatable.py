@@ -49,7 +49,7 @@ def inputs(tmp_path_factory):
 def undraw(patch):
     settle(patch)
     patch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    patch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: ([b"png" for _ in scenes], ()))
+    patch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
     patch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 

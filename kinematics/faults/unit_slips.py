@@ -84,7 +84,9 @@ def _ratios(measurement: Measurement) -> Iterator[str]:
     sizes = []
     for body in measurement.bodies:
         part = np.abs(body.displacement[:, :, ::step])
-        sizes.append(np.sqrt(np.nanmean(np.where(np.isfinite(part), part, np.nan) ** 2, axis=(0, 1))))
+        measured = np.isfinite(part)
+        count = np.maximum(np.sum(measured, axis=(0, 1)), 1)  # at lines without a reading the size is 0
+        sizes.append(np.sqrt(np.sum(np.where(measured, part, 0.0) ** 2, axis=(0, 1)) / count))
     for body, size in zip(measurement.bodies[1:], sizes[1:], strict=True):
         both = (size > 0.0) & (sizes[0] > 0.0)
         if not np.any(both):

@@ -79,10 +79,14 @@ def check_axes(
         mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
     )
     share = _CURED_SHARE if loud else _CURED_SHARE_UNKNOWN_NOISE
-    noise = float(freedom) if stated else 0.0
-    if after - noise > share * (sum(given.values()) - noise) or after > _LEAST_MISFIT * freedom:
+    # beyond what noise makes of a sum of squares: its mean, and no less than its standard deviation
+    noise, scatter = (float(freedom), float(np.sqrt(2.0 * freedom))) if stated else (0.0, 0.0)
+    excess, before_excess, rival_excess = (
+        max(size - noise, scatter) for size in (after, sum(given.values()), rival)
+    )
+    if excess > share * before_excess or after > _LEAST_MISFIT * freedom:
         return []
-    if after - noise > share * (rival - noise):
+    if excess > share * rival_excess:
         cure = (
             f"give {named('mirror_points')} {best} if their coordinates are left-handed"
             if best in MIRRORS

@@ -26,6 +26,8 @@ _COHERENT_SD = 3.0
 _LEAST_GAINED = 0.05
 # Probability below which an estimate contradicts what was stated.
 UNLIKELY = 1e-3
+# A scatter of the lasers that fewer correct measurements show than the search raises alarms is a fault.
+_ALARM_LEVEL = 0.01
 # Lasers are tried as the cause of what is found when the sum of squares falls by this.
 _WORTH_CORRECTING = 9.0
 # An exchanged sign or a wrong range is no error of a few percent: beyond so many sd nothing is corrected.
@@ -51,6 +53,8 @@ class LaserEstimate:
         Sum of squared residuals over noise, and by how much the estimate lowers it.
     freedom : int
         What noise makes of ``energy`` in the mean.
+    count : int
+        Lasers; each kind of error has one parameter for each of them.
     """
 
     values: Array
@@ -61,6 +65,7 @@ class LaserEstimate:
     energy: float = 0.0
     fall: float = 0.0
     freedom: int = 0
+    count: int = 1
 
     @property
     def sd(self) -> Array:
@@ -73,17 +78,42 @@ class LaserEstimate:
 
         Notes
         -----
-        If the priors hold, the estimate has the covariance prior - posterior.
+        If the priors hold, the estimate has the covariance prior - posterior, both against the mean of all
+        lasers.
         """
         from scipy.special import chdtrc
 
         gained, vectors = np.linalg.eigh(
-            np.eye(len(self.values)) - self.covariance / np.outer(self.prior_sd, self.prior_sd)
+            self._against_mean - self.covariance / np.outer(self.prior_sd, self.prior_sd)
         )
         seen = gained > _LEAST_GAINED
         along = vectors.T @ (self.values / self.prior_sd)
         chi2 = float(np.sum(along[seen] ** 2 / gained[seen]))
         return float(chdtrc(int(np.sum(seen)), chi2)) if np.any(seen) else 1.0
+
+    @property
+    def _against_mean(self) -> Array:
+        """Projection (p, p) of errors to what they are against the mean of all lasers, for each kind."""
+        kinds = len(self.values) // self.count
+        return np.asarray(np.kron(np.eye(kinds), np.eye(self.count) - 1.0 / self.count), dtype=float)
+
+    @property
+    def largest_p_value(self) -> float:
+        """Probability that the largest of the errors is so many times its stated sd.
+
+        Notes
+        -----
+        Bonferroni's bound over the errors; where the priors hold, an estimate has the variance
+        prior - posterior. A single laser that is off does not drown in the number of errors.
+        """
+        from scipy.special import ndtr
+
+        variance = np.diag(self._against_mean) * self.prior_sd**2 - self.sd**2
+        seen = variance > _LEAST_GAINED * self.prior_sd**2
+        if not np.any(seen):
+            return 1.0
+        largest = float(np.max(np.abs(self.values[seen]) / np.sqrt(variance[seen])))
+        return min(1.0, 2.0 * float(np.sum(seen)) * float(ndtr(-largest)))
 
     @property
     def beyond_belief(self) -> bool:
@@ -95,7 +125,8 @@ class LaserEstimate:
         """Whether errors of lasers and positions as small as stated may explain the misfit."""
         left = self.energy - self.fall - self.freedom
         enough = left < _COHERENT_SD * np.sqrt(self.freedom)
-        return bool(enough and self.fall > _WORTH_CORRECTING and self.p_value > UNLIKELY)
+        honest = min(self.p_value, self.largest_p_value) > _ALARM_LEVEL
+        return bool(enough and self.fall > _WORTH_CORRECTING and honest)
 
 
 @dataclass(frozen=True)
@@ -205,6 +236,7 @@ def laser_estimate(
         sum(block.energy for block in blocks),
         sum(_fall(gram, pull, values) for gram, pull in parts),
         sum(block.freedom for block in blocks),
+        count,
     )
 
 

@@ -28,7 +28,7 @@ def scans():
     holed[3, 4, 5] = np.nan
     return {
         "ten times too coarse": (grey, "0.5", "3 to 4 mm high; got a body of its shape 34 mm high"),
-        "in micrometres": (grey, "50", r"got a body of its shape 3.4e\+03 mm high"),
+        "in micrometres": (grey, "50", "--spacing must be the voxel size in mm, 0.0001 to 3; got 50"),
         "inverted": (60000 - grey.astype(np.int32), "0.05", "brighter in bone than in air"),
         "two stapedes": (np.concatenate([grey, grey[::-1]]), "0.05", "got 2: .* Name one with --seed"),
         "noise alone": (np.clip(2000 + noise, 0, 65535), "0.05", "picture of bone in air"),

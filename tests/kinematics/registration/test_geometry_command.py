@@ -107,7 +107,6 @@ def test_without_the_options_fiducials_and_checks_are_told(files, scan):
     ("more", "match"),
     [
         (["--axes-sd", "1"], "--axes-sd must be given with --calibrate"),
-        (["--gain-sd", "1"], "--gain-sd must be given with --calibrate"),
         (["--calibrate", "--beam-sd", "-1"], "--beam-sd must be a number from 0 to 20"),
         (["--plate-points", "none.csv"], "--plate-points must be an existing .*; got none.csv"),
         (["--bone-points", "none.csv"], "--bone-points must be an existing .*; got none.csv"),

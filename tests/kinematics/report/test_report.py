@@ -37,6 +37,7 @@ HEADINGS = (
     "Motion of the rigid bodies",
     "Verdict on every channel",
     "Residuals of the rigid fit",
+    "How the lasers agree",
     "Inputs",
 )
 EVIL = "</script><b>\"&' $x$ {{ 7 * 7 }}"
