@@ -15,6 +15,7 @@ from numpy.random import Generator
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion, SharedErrors
 
+# Pieces of the ring, drawn with other sums than those of the prior's population (72).
 PIECES = 90
 DOF = ("x", "y", "z", "alpha", "beta", "gamma")
 PISTON = (1, 3, 5)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.laws import LawFit
-from fitting.ligament.ligament import LigamentFit
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
 from fitting.model.model import modes

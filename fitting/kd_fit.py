@@ -15,7 +15,7 @@ from fitting.estimators.problem import Problem
 from fitting.fluid import FluidChoice
 from fitting.inplane import InplaneChoice
 from fitting.laws import LawFit
-from fitting.ligament.ligament import LigamentFit
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
 from fitting.model.model import Modes, passive

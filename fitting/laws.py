@@ -17,7 +17,8 @@ from fitting.estimators.problem import Problem
 from fitting.estimators.starts import with_fluid
 from fitting.ligament.equations import Term
 from fitting.ligament.joint_lines import JointLines
-from fitting.ligament.ligament import LigamentFit, fit_ligament
+from fitting.ligament.ligament import fit_ligament
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.laws import LAWS, law_of
 from fitting.model.lines import forward, real_rows

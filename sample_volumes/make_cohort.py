@@ -128,7 +128,7 @@ def make_cohort(folder: Path, population: Population | None = None) -> dict[str,
 
 
 def _stapes(folder: Path, stretch: Array, mirrored: bool) -> Surface:
-    """Return the stretched stapes in the footplate frame of its own shape, mm."""
+    """Return the stretched stapes, mm, in the footplate frame computed from the stretched shape."""
     mesh = read_surface(bodies.OPENEAR_STAPES)
     model = bodies.stapes_in_footplate()
     vertices, faces = model.vertices_mm * stretch, mesh.faces

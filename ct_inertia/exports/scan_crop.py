@@ -13,7 +13,8 @@ from ct_inertia.volume.label_file import nrrd_header
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
 
-# Around the stapes: the footplate's annulus, the plate's face and the tip of the incus are seen.
+# Border around the stapes, so that the annulus, the face of the plate and the tip of the incus are in the
+# picture: a choice for the eye; nothing is computed from it.
 _MARGIN_MM = 0.5
 _TYPES = {
     "u1": "uint8",

@@ -15,15 +15,15 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# An artefact is named from these sizes on (shares of the contrast of bone and air), and when it stands out of
-# noise so many times.
+# An artefact is reported from these sizes on (shares of the contrast of bone and air) ...
 _LEAST_RING = calibrated("artefacts.least_ring")
 _LEAST_DIP = calibrated("artefacts.least_dip")
-_STANDS_OUT = 6.0
+# ... and from so many standard deviations of independent noise on.
+_STANDS_OUT = calibrated("artefacts.stands_out")
 # Blur of equal voxels that differs by this between two axes.
 _UNEVEN = calibrated("artefacts.uneven_blur")
 _LEAST_COLUMNS, _LEAST_IN_COLUMN, _LAYERS = 400, 6, 5
-# The tail of blur is below 0.3 % from here on, in widths.
+# In widths of the blur: a Gaussian edge has 0.3 % of its height left here, Phi(-2.75).
 _TAIL = 2.75
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 
-# Shells in diameters: the inside, the surface with its blur, and what must be empty around.
+# Radii in diameters. The surface is at 0.5; inside and outside are read at least 0.15 diameters away from it,
+# that is one voxel of the smallest ball and most of its blur.
 _INSIDE, _AROUND, _EMPTY = 0.3, 0.65, 0.8
-_EVEN = 0.25
-# Levels of inside and outside are known to this share of the contrast: cupping and scatter.
-_LEVEL_SD = 0.003
+# Grey values around a ball may vary by this share of its contrast; a neighbour's blurred edge varies by more.
+_EVEN = calibrated("ball.even_surroundings")
+# Standard deviation of the levels inside and outside, from cupping and scatter, as a share of the contrast.
+_LEVEL_SD = calibrated("ball.level_sd")
+# Diameter in voxels. Below, the inside (0.6 diameters) is narrower than the blur on both its sides.
 _LEAST_VOXELS = 6.0
 
 

@@ -26,7 +26,7 @@ BARE = "bare_bone_assumed"
 USUAL_MM, USUAL_GREY = 0.035, 0.15
 # Standard deviation of a stated value without one, as a share of it.
 _UNSTATED_SD = 1.0 / 3.0
-# Shares of blurred bone below this lie beyond 5 widths of the blur: no coat there.
+# No coat is added farther than 5.2 widths of the blur from bone, where its share is Phi(-5.2) = 1e-7.
 _NOTHING = 1e-7
 
 

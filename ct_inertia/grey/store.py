@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 
 Array = NDArray[np.float64]
@@ -22,8 +23,9 @@ _SAMPLE, _MOST_STEPS = 400_000, 4096
 _MANY, _PER_NOISE = 200, 6.0
 # Grid of level and noise, and how often it closes in on the posterior.
 _LEVELS, _NOISES, _ZOOMS, _WITHIN = 41, 21, 5, 6.0
-# Relative standard deviation of a noise that is known from another material.
-_NOISE_SD = 0.15
+# Relative standard deviation of a noise that is taken from another material: noise of one scan differs by
+# this much between air, plastic and bone.
+_NOISE_SD = calibrated("store.noise_sd")
 # Share of voxels that are anything else; share below which a grey value among few is an edge or dust.
 _STRAY, _RARE = 1e-7, 0.01
 # Steps above this share of the range: few enough to hold a whole material each.
@@ -62,12 +64,12 @@ class Store:
 
     @property
     def clips_low(self) -> bool:
-        """The lowest value may stand for all below it."""
+        """Whether lower grey values may have been stored as the lowest one."""
         return self.low == 0.0 or not self._wide
 
     @property
     def clips_high(self) -> bool:
-        """The highest value may stand for all above it."""
+        """Whether higher grey values may have been stored as the highest one."""
         bits = np.log2(max(self.high + self.step, 1.0))
         return not self._wide or bool(abs(bits - np.rint(bits)) < 1e-9)
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
+# Border of the pictures around the stapes, and their width: choices for the eye.
 _MARGIN_MM = 0.5
 _PIXELS = 340
 

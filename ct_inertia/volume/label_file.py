@@ -41,7 +41,7 @@ SEGMENTS = {
     2: ("plate", "0.34 0.71 0.91"),
     3: ("other bone", "0.80 0.47 0.65"),
 }
-"""Name and colour (red, green, blue) of each label, to be told apart without red or green cones."""
+"""Name and colour (red, green, blue) of each label: colours of Okabe and Ito, for colour-blind readers."""
 
 
 def packed_labels(labels: Labels) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fitting.estimators.problem import Problem
 from fitting.ligament.joint_lines import DOFS
-from fitting.ligament.ligament import LigamentFit
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.observation import Observation
 from stapeskit.spatial import dof_indices, parameters_from_matrix
 

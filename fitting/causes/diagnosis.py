@@ -19,7 +19,8 @@ from fitting.causes.catalogue import CAUSES, Setting, term_of
 from fitting.causes.scores import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
-from fitting.ligament.ligament import LigamentFit, extended_fit
+from fitting.ligament.ligament import extended_fit
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fitting.ligament.equations import Equations
 from fitting.ligament.joint_fit import fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines
-from fitting.ligament.ligament import LigamentFit, coupling_units
+from fitting.ligament.ligament_fit import LigamentFit, coupling_units
 from fitting.model.symmetric import join, split
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.kd_fit import KDFit
-from fitting.ligament.ligament import INPLANE_DOF
+from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import split
 from fitting.report.causes import causes_json

@@ -8,7 +8,8 @@ import numpy as np
 
 from fitting.kd_fit import KDFit
 from fitting.laws import LawFit
-from fitting.ligament.ligament import INPLANE_DOF, LigamentFit
+from fitting.ligament.inplane_stiffness import INPLANE_DOF
+from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import entry_units, join, split
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus

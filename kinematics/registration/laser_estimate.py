@@ -179,9 +179,9 @@ def laser_estimate(
     prior_sd : mapping of str to float
         By kind (KINDS): standard deviation of each laser, 1, rad and s; positive.
     left_out : mapping of (run, body) to sequence of int, optional
-        Channels with a fault of their own. A body without an entry is not used.
+        Faulty channels, which are not used. A body without an entry is not used at all.
     applied : ndarray, (p,), optional
-        Errors that the readings were freed of.
+        Errors that the readings were corrected for.
 
     Notes
     -----

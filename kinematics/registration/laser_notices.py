@@ -19,9 +19,9 @@ _LASER_KINDS = ("gain", "phase", "delay")
 
 
 def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], list[int]]:
-    """Return by run and body the channels with a fault of their own; bodies at fault as a whole are left out.
+    """Return the faulty channels by run and body, without the bodies that are faulty as a whole.
 
-    A gain, phase or delay of all channels of a laser is none: it is what the lasers are asked for.
+    A gain, phase or delay that all channels of a laser share does not count: it is estimated for the laser.
     """
     found: dict[tuple[int, int], list[int]] = {}
     for key, diagnosis in diagnoses.items():

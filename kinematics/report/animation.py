@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ from kinematics.report.draw_motion import (
     shown_points,
     surface_body,
 )
-from kinematics.report.stapes_surface import Scenery, coarse
+from kinematics.report.stapes_surface import Scenery, packed, packed_mesh
 from stapeskit.page import page
 from stapeskit.page.drawings import colour, kept_lines, log_spaced, shortened
 from stapeskit.page.shading import View, views
@@ -105,31 +104,13 @@ def picture_data(result: Points2Dof, now: Moment, scenery: Scenery) -> dict[str,
         "outline": []
         if own is None
         else np.round(scenery.outline_mm[:: max(1, len(scenery.outline_mm) // 90)], 4).tolist(),
-        "mesh": _mesh(scenery) if scenery.has_surface else None,
-        "q": [[_packed(numbers[run, body]) for body in range(q.shape[1])] for run in range(q.shape[0])],
+        "mesh": packed_mesh(scenery.vertices_mm, scenery.faces, _MOST_FACES) if scenery.has_surface else None,
+        "q": [[packed(numbers[run, body]) for body in range(q.shape[1])] for run in range(q.shape[0])],
         "share": SHARE,
         "span": round(span, 4),
         "reference": motion.reference,
         "unit": f"m/{reference}" if reference else "m",
         "start": {"run": now.run, "line": int(np.searchsorted(lines, now.line))},
-    }
-
-
-def _packed(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
-
-
-def _mesh(scenery: Scenery) -> dict[str, Any]:
-    vertices, faces = coarse(scenery.vertices_mm, scenery.faces, _MOST_FACES)
-    used, renamed = np.unique(faces, return_inverse=True)
-    vertices = vertices[used]
-    low = vertices.min(axis=0)
-    step = float(np.max(np.ptp(vertices, axis=0))) / 32000.0
-    return {
-        "vertices": _packed(np.round((vertices - low) / step).astype("<i2")),
-        "faces": _packed(renamed.reshape(faces.shape).astype("<u2")),
-        "low": np.round(low, 6).tolist(),
-        "step": step,
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -135,3 +136,23 @@ def _turned(faces: Faces) -> Faces:
     """Return every triangle with its smallest corner first, in the same sense."""
     first = np.argmin(faces, axis=1)
     return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def packed(values: NDArray[Any]) -> str:
+    """Return the bytes of an array as text of a page (base64)."""
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+
+
+def packed_mesh(vertices_mm: Array, faces: Faces, most: int) -> dict[str, Any]:
+    """Return a surface of at most ``most`` triangles for a page: coordinates in 16 bits of the span."""
+    vertices, faces = coarse(vertices_mm, faces, min(most, 60000))
+    used, renamed = np.unique(faces, return_inverse=True)
+    vertices = vertices[used]
+    low = vertices.min(axis=0)
+    step = float(np.max(np.ptp(vertices, axis=0))) / 32000.0
+    return {
+        "vertices": packed(np.round((vertices - low) / step).astype("<i2")),
+        "faces": packed(renamed.reshape(faces.shape).astype("<u2")),
+        "low": np.round(low, 6).tolist(),
+        "step": step,
+    }

@@ -1,4 +1,4 @@
-"""One study in a process of its own, so that it cannot take others down; the same here and on a cluster."""
+"""Run one study in a separate process: a crash or lack of memory ends that study alone."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def run_task(
     stopped: Callable[[], bool] = lambda: False,
     memory_bytes: float | None = None,
 ) -> End:
-    """Run a study in a process of its own and wait for its end.
+    """Run a study in a separate process and wait until it ends.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def run_task(
     tell : callable
         Gets each line of progress.
     stopped : callable
-        Whether the study shall be given up.
+        Whether to stop the study.
     memory_bytes : float, optional
-        The study is ended when it needs more.
+        Limit of the memory of the study; the study is ended above it.
     """
     process = _start(task)
     output: dict[str, str] = {}

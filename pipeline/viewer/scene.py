@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.report.stapes_surface import coarse
+from kinematics.report.stapes_surface import packed_mesh
 from stapeskit.page import page
 from stapeskit.spatial import DOF_NAMES
 
@@ -58,7 +57,7 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
         surface = surfaces.mesh(name)
         if surface is not None:
             vertices = _mapped_back(scan_from_footplate, surface.vertices_mm)
-            meshes.append({"name": name, **_mesh(vertices, surface.faces, _MOST_FACES[name])})
+            meshes.append({"name": name, **packed_mesh(vertices, surface.faces, _MOST_FACES[name])})
     return {
         "meshes": meshes,
         "lines": _lines(frames, scan_from_footplate, kd),
@@ -71,25 +70,6 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
 def _mapped_back(a_from_b: Array, points: Array) -> Array:
     """Return points given in a in the coordinates of b."""
     return np.asarray((points - a_from_b[:3, 3]) @ a_from_b[:3, :3])
-
-
-def _mesh(vertices: Array, faces: NDArray[np.int64], most: int) -> dict[str, Any]:
-    """Return a surface of few triangles, its coordinates in 16 bits of the span."""
-    vertices, faces = coarse(vertices, faces, min(most, 60000))
-    used, renamed = np.unique(faces, return_inverse=True)
-    vertices = vertices[used]
-    low = vertices.min(axis=0)
-    step = float(np.max(np.ptp(vertices, axis=0))) / 32000.0
-    return {
-        "at": _packed(np.round((vertices - low) / step).astype("<i2")),
-        "faces": _packed(renamed.reshape(faces.shape).astype("<u2")),
-        "low": np.round(low, 5).tolist(),
-        "step": step,
-    }
-
-
-def _packed(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
 
 
 def _lines(

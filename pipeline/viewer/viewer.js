@@ -29,7 +29,7 @@ document.addEventListener("DOMContentLoaded", function () {
   function buffer(kind, data) { const made = gl.createBuffer(); gl.bindBuffer(kind, made); gl.bufferData(kind, data, gl.STATIC_DRAW); return made; }
 
   const meshes = D.meshes.map((mesh) => {
-    const packed = new Int16Array(bytes(mesh.at)), faces = new Uint16Array(bytes(mesh.faces));
+    const packed = new Int16Array(bytes(mesh.vertices)), faces = new Uint16Array(bytes(mesh.faces));
     const points = Float32Array.from(packed, (value, k) => mesh.low[k % 3] + value * mesh.step), normals = new Float32Array(points.length);
     for (let f = 0; f < faces.length; f += 3) {
       const [a, b, c] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]], u = [], v = [];

@@ -11,10 +11,10 @@ import pytest
 from benchmarks.ring_ears import PISTON, EarSettings, SimulatedEar, ear, frame_change
 from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
+from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import expand
 from fitting.ligament.joint_lines import joint_lines
-from fitting.ligament.ligament import INPLANE_DOF
 from fitting.model.observation import observe_both
 from fitting.model.symmetric import join
 from fitting.montecarlo import monte_carlo

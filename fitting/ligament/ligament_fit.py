@@ -1,0 +1,258 @@
+"""The fitted ligament in SI: K and D about its own plane and about the footplate centre, with covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimators.base import Estimate
+from fitting.estimators.problem import Problem
+from fitting.ligament.equations import Equations
+from fitting.ligament.inplane_stiffness import (
+    COLUMNS,
+    ROWS,
+    InplaneStiffness,
+    coupling_root,
+    inplane_stiffness,
+    inverse_of,
+)
+from fitting.ligament.joint_covariance import joint_covariance
+from fitting.ligament.joint_fit import JointFit
+from fitting.ligament.joint_lines import JointLines
+from fitting.model.damping import DampingLaw
+from fitting.model.principal_axes import PRINCIPAL_DOF
+from fitting.model.symmetric import join, pairs, split
+from fitting.uncertainty.covariance import NOISE, SharedEffect
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+INPLANE_STIFFNESS = "inplane_stiffness"
+_N = len(PRINCIPAL_DOF)
+
+
+@dataclass(frozen=True)
+class LigamentFit:
+    """The joint fit of K, D, the plane of the ligament and the shared errors.
+
+    Attributes
+    ----------
+    law : DampingLaw
+    estimate : Estimate
+        Scaled K' and D' about the plane of the ligament.
+    stiffness, damping : ndarray, (3, 3)
+        About the footplate centre, SI.
+    plane_stiffness, plane_damping : ndarray, (3, 3)
+        K', D' about the plane of the ligament, SI.
+    plane_covariance : ndarray, (12, 12)
+        Of K' and D', all sources, SI.
+    coupling : ndarray, (3, 3)
+        Y, rows y, alpha, gamma, columns x, z, beta; m, m, 1 and so on, SI.
+    coupling_covariance : ndarray, (9, 9)
+    inplane : InplaneStiffness
+    sources : dict of str to ndarray, (12, 12)
+        Covariance of K and D about the footplate centre by source.
+    effects : tuple of SharedEffect
+        The shared errors as the data leave them, for derived quantities.
+    chi2 : float
+        Of equations, shared errors and priors together.
+    n_dof : int
+    widened : float
+        Factor on the channel noise because chi2 exceeds its degrees of freedom.
+    exponent_sd : float or None
+    normalised : ndarray, (lines, 3), complex
+        Residuals over their noise; real and imaginary parts have unit variance.
+    lines, equations, joint
+        What was solved.
+    terms : dict of str to (float, float)
+        Further unknowns that are part of the model, e.g. a fluid: value and sd, SI.
+    """
+
+    law: DampingLaw
+    estimate: Estimate
+    stiffness: Array
+    damping: Array
+    plane_stiffness: Array
+    plane_damping: Array
+    plane_covariance: Array
+    coupling: Array
+    coupling_covariance: Array
+    inplane: InplaneStiffness
+    sources: dict[str, Array]
+    effects: tuple[SharedEffect, ...]
+    chi2: float
+    n_dof: int
+    widened: float
+    exponent_sd: float | None
+    normalised: ComplexArray
+    lines: JointLines = field(repr=False)
+    equations: Equations = field(repr=False)
+    joint: JointFit = field(repr=False)
+    terms: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def fluid(self) -> Array | None:
+        """Mass of fluid on the deflection that is part of the model, (3, 3), SI; None without."""
+        _, equations = self.equations.applied(self.lines, self.joint.parameters)
+        root = self.lines.root_mass[ROWS]
+        return None if equations.fluid is None else np.asarray(equations.fluid * np.outer(root, root))
+
+    @property
+    def applied(self) -> JointLines:
+        """The lines with the further unknowns in them."""
+        return self.equations.applied(self.lines, self.joint.parameters)[0]
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a chi2, or a larger one, when model, noise and shared errors are as stated."""
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.n_dof, self.chi2))
+
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """Height of the plane above the footplate centre as rocking about x and about z see it, m."""
+        return float(self.coupling[1, 1]), float(-self.coupling[2, 0])
+
+    @property
+    def height(self) -> tuple[float, float]:
+        """Weighted mean of the two heights and its sd, m."""
+        places = [_entry(1, 1), _entry(2, 0)]
+        signs = np.array([1.0, -1.0])
+        covariance = self.coupling_covariance[np.ix_(places, places)] * np.outer(signs, signs)
+        weights = np.linalg.solve(covariance, np.ones(2))
+        values = np.array(self.heights_m)
+        return float(weights @ values / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
+
+    @property
+    def heights_sd_m(self) -> tuple[float, float]:
+        """Their standard deviations, m."""
+        sd = np.sqrt(np.diag(self.coupling_covariance))
+        return float(sd[_entry(1, 1)]), float(sd[_entry(2, 0)])
+
+    @property
+    def tilt_rad(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Tilt of the plane about x and about z, each with its sd; rad.
+
+        Notes
+        -----
+        A ring turned by a small angle t about z has K_yx = t (K_xx - K_yy), hence Y[y, x] = t (1 - K_yy /
+        K_xx); about x: Y[y, z] = -t (1 - K_yy / K_zz).
+        """
+        sd = np.sqrt(np.diag(self.coupling_covariance))
+        piston = self.plane_stiffness[0, 0]
+        found = []
+        for column, sign in ((1, -1.0), (0, 1.0)):
+            share = 1.0 - piston / self.inplane.stiffness[column, column]
+            share = sign * share if abs(share) > 0.1 else np.nan
+            found.append((float(self.coupling[0, column] / share), float(sd[column] / abs(share))))
+        return found[0], found[1]
+
+
+def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fit: JointFit) -> LigamentFit:
+    """Return the minimum in SI about both points, with the covariance by source."""
+    known, spread = joint_covariance(lines, equations, fit)
+    p, entries = equations.unknowns, equations.entries
+    inverse = inverse_of(known)
+    covariance = inverse @ spread @ inverse
+    own = inverse_of(known[:p, :p])
+    widened = max(1.0, fit.level)
+    noise = widened * own @ spread[:p, :p] @ own
+    response = -own @ known[:p, p:]
+    shared = covariance[p:, p:]
+    law = equations.law_at(fit.parameters)
+    units, unit = problem.with_law(law).units, coupling_units(lines)
+    plane = split(fit.parameters[:entries] * units, _N)
+    coupling = fit.parameters[equations.coupling].reshape(_N, _N) * unit
+    to_plane = _to_plane(problem, equations, fit.parameters, units, law)
+    spread_root = coupling_root(widened * covariance[equations.coupling, equations.coupling])
+    applied = equations.applied(lines, fit.parameters)[0]
+    corrected = applied.corrected(fit.parameters[p:])
+    inplane = inplane_stiffness(
+        problem.with_law(law), applied, corrected, coupling / unit, spread_root, plane
+    )
+    slope, by_inplane = _slopes(coupling, inplane)
+    to_centre = to_plane.copy()
+    to_centre[:, equations.coupling] += slope * unit.ravel()
+    sources = {NOISE: to_centre @ noise @ to_centre.T}
+    moved = to_centre @ response
+    for source in dict.fromkeys(lines.sources):
+        places = [place for place, name in enumerate(lines.sources) if name == source]
+        half = moved[:, places] @ shared[places] @ moved.T
+        sources[source] = 0.5 * (half + half.T)
+    if np.any(coupling):
+        sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
+    effects = [SharedEffect("shared", lines.sources, shared, moved, lines.mass_slopes[:, ROWS][:, :, ROWS])]
+    still = np.zeros((2 * len(pairs(_N)), _N, _N))
+    effects.append(SharedEffect(INPLANE_STIFFNESS, (), inplane.covariance, by_inplane, still))
+    total = noise + response @ shared @ response.T
+    added = [coupling @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
+    place = equations.coupling
+    exponent_sd = float(np.sqrt(total[entries, entries])) if law.estimated else None
+    return LigamentFit(
+        law,
+        Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged),
+        plane[0] + added[0],
+        plane[1] + added[1],
+        plane[0],
+        plane[1],
+        to_plane @ total @ to_plane.T,
+        coupling,
+        total[place, place] * np.outer(unit.ravel(), unit.ravel()),
+        inplane,
+        sources,
+        tuple(effects) if lines.errors else tuple(effects[1:]),
+        fit.chi2,
+        fit.n_dof,
+        widened,
+        exponent_sd,
+        fit.at.residual * np.sqrt(2.0),
+        lines,
+        equations,
+        fit,
+        {
+            term.name: (float(fit.parameters[at] * term.unit), float(np.sqrt(total[at, at]) * term.unit))
+            for at, term in enumerate(equations.terms, equations.term.start)
+        },
+    )
+
+
+def _to_plane(
+    problem: Problem, equations: Equations, parameters: Array, units: Array, law: DampingLaw
+) -> Array:
+    """Return the derivative of K' and D' in SI by the scaled parameters, (12, p)."""
+    entries = equations.entries
+    slope = np.zeros((entries, equations.unknowns))
+    slope[:, :entries] = np.diag(units)
+    if law.estimated:
+        half = entries // 2
+        damping = parameters[half:entries] * units[half:]
+        slope[half:, entries] = -np.log(problem.scale.omega) * damping
+    return slope
+
+
+def _slopes(coupling: Array, inplane: InplaneStiffness) -> tuple[Array, Array]:
+    """Return derivatives of Y K_cc Y^T and Y D_cc Y^T by Y (12, 9), and by K_cc and D_cc (12, 12)."""
+    by_coupling = np.zeros((2 * len(pairs(_N)), _N * _N))
+    for place, (row, column) in enumerate(np.ndindex(_N, _N)):
+        unit = np.zeros((_N, _N))
+        unit[row, column] = 1.0
+        parts = [unit @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
+        by_coupling[:, place] = join(*(part + part.T for part in parts))
+    half = len(pairs(_N))
+    by_inplane = np.zeros((2 * half, 2 * half))
+    for place in range(2 * half):
+        entry = np.zeros(2 * half)
+        entry[place] = 1.0
+        by_inplane[:, place] = join(*(coupling @ part @ coupling.T for part in split(entry, _N)))
+    return by_coupling, by_inplane
+
+
+def coupling_units(lines: JointLines) -> Array:
+    """Return SI over scaled of Y, (3, 3)."""
+    return np.asarray(lines.root_mass[ROWS][:, None] / lines.root_mass[COLUMNS][None, :])
+
+
+def _entry(row: int, column: int) -> int:
+    return row * _N + column
