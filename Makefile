@@ -5,7 +5,7 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
-.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz faults sanitize sample paper docs site pictures clean
+.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz fuzz-few faults sanitize sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -117,11 +117,15 @@ sanitize: $(TOOLS)
 	$(BIN)/python tools/sanitize.py $(ARGS)
 
 # ARGS="--only scans", ARGS="--replay PLACE": tests/fuzz/__main__.py says more
-fuzz: export OPENBLAS_NUM_THREADS = 1
+fuzz fuzz-few: export OPENBLAS_NUM_THREADS = 1
 fuzz: MINUTES ?= 1
 fuzz: SEED ?= 1
 fuzz: $(TOOLS)
 	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) --seed $(SEED) $(ARGS)
+
+# the same cases every time, for .ci/run: a minute at most
+fuzz-few: $(TOOLS)
+	$(BIN)/python -m tests.fuzz --minutes 1 --blocks 15
 
 clean:
 	rm -rf .venv demo site

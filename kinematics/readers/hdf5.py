@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.containers.hdf5_file import array_of, complex_of, opened, text_of, texts_of
+from kinematics.readers.containers.hdf5_file import array_of, complex_of, read_hdf5, text_of, texts_of
 from kinematics.readers.recording import Recording, Recordings, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
@@ -79,11 +79,14 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     from kinematics.readers.matlab.spectra import with_mapping
 
     path = Path(path)
-    with opened(path, "an HDF5 file") as file:
-        if mapping is None and "freq_hz" in file and ("re" in file or "value" in file):
-            return _own(file, path.name)
-        tree = plain_tree(file, path.name)
-    return with_mapping(tree, path, mapping)
+    found = read_hdf5(path, "an HDF5 file", lambda file: _content(file, path.name, mapping is None))
+    return found if isinstance(found, Recordings) else with_mapping(found, path, mapping)
+
+
+def _content(file: Any, name: str, unmapped: bool) -> Recordings | dict[str, Any]:
+    if unmapped and "freq_hz" in file and ("re" in file or "value" in file):
+        return _own(file, name)
+    return plain_tree(file, name)
 
 
 def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
@@ -359,8 +362,7 @@ def write_hdf5(
             for name, words in texts.items():
                 if any(words):
                     file.create_dataset(name, data=list(words), dtype=h5py.string_dtype())
-        with opened(stage / path.name, path.name) as file:
-            _own(file, path.name)
+        read_hdf5(stage / path.name, path.name, lambda file: _own(file, path.name))
 
 
 def _put(file: Any, name: str, values: Any) -> None:

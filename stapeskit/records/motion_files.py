@@ -16,6 +16,7 @@ from stapeskit.faults import Fault, Place, StapeskitError, raise_all
 from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
 from stapeskit.records.hdf5_file import larger_than_file, written_h5
+from stapeskit.records.hdf5_guard import read_apart
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
 from stapeskit.tables.csv_table import Table, read_table
@@ -25,6 +26,7 @@ from stapeskit.warnings import Notice, from_json
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
 LARGEST_COUNT = 1e15
+_WANTED = "a whole HDF5 file of points2dof"
 _ROWS = 2000
 _PER_REFERENCE = "_per_ref"
 
@@ -148,12 +150,15 @@ def read_motion(path: Path) -> RigidMotion:
         )
     check_whole(path)
     if path.suffix.lower() in (".h5", ".hdf5"):
-        return _read_h5(path)
+        return read_apart(lambda: _read_h5(path), path, _WANTED)
     if path.suffix.lower() != ".csv":
         raise StapeskitError(Fault("a motion file", "a .csv or .h5 file of points2dof", path.name))
     beside = path.with_suffix(".h5")
-    if beside.is_file() and _stored_hash(beside) == content_hash(path):
-        return _read_h5(beside)
+    if beside.is_file():
+        csv_hash = content_hash(path)
+        motion = read_apart(lambda: _read_h5_of(beside, csv_hash), beside, _WANTED)
+        if motion is not None:
+            return motion
     notice = Notice(
         "motion_without_h5",
         f"{path.name} is read alone ({beside.name} is missing or belongs to other content): noise is taken "
@@ -162,14 +167,16 @@ def read_motion(path: Path) -> RigidMotion:
     return _read_csv(path, notice)
 
 
-def _stored_hash(path: Path) -> str:
+def _read_h5_of(path: Path, csv_hash: str) -> RigidMotion | None:
+    """Read an HDF5 file if it was written with the CSV file of that hash."""
     import h5py
 
     try:
         with h5py.File(path, "r") as file:
-            return str(file.attrs.get("csv_hash", ""))
+            stored = str(file.attrs.get("csv_hash", ""))
     except (OSError, RuntimeError, TypeError, ValueError):
-        return ""
+        return None
+    return _read_h5(path) if stored == csv_hash else None
 
 
 def _read_h5(path: Path) -> RigidMotion:
@@ -195,9 +202,7 @@ def _read_h5(path: Path) -> RigidMotion:
         raise
     except (OSError, KeyError, AttributeError, TypeError, ValueError, RuntimeError) as fault:
         step = "Make the file with points2dof"
-        raise StapeskitError(
-            Fault("the motion file", "a whole HDF5 file of points2dof", f"{fault}", path.name, step)
-        ) from fault
+        raise StapeskitError(Fault("the motion file", _WANTED, f"{fault}", path.name, step)) from fault
 
 
 def _motion_from_h5(file: Any) -> RigidMotion:

@@ -154,6 +154,7 @@ def main() -> None:
     )
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--blocks", type=int, default=0, help=f"at most so many times {BLOCK} cases a maker")
     parser.add_argument("--only", action="append", choices=MAKERS, help="makers of cases")
     parser.add_argument("--replay", metavar="PLACE", help="run one case in this process")
     parser.add_argument("--save", metavar="NAME", help="with --replay: keep it in the corpus")
@@ -169,7 +170,8 @@ def main() -> None:
     shared = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=shared if shared.is_dir() else None) as folder:
         watch = Watch(Path(folder), began + 60.0 * given.minutes)
-        for block, maker in ((block, maker) for block in itertools.count() for maker in makers):
+        blocks = range(given.blocks) if given.blocks else itertools.count()
+        for block, maker in ((block, maker) for block in blocks for maker in makers):
             if time.monotonic() > began + 60.0 * given.minutes:
                 break
             watch.block(Place(maker, given.seed, block))

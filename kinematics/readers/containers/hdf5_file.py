@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.containers.guard import probe
 from stapeskit.faults import Fault, StapeskitError
+from stapeskit.records.hdf5_guard import read_apart
 
+Result = TypeVar("Result")
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SMALL = 64 << 20
 _BEST_PACKING = 1100
@@ -32,22 +32,24 @@ def is_hdf5(path: Path) -> bool:
     return False
 
 
-@contextmanager
-def opened(path: Path, wanted: str) -> Iterator[Any]:
-    """Open a file for reading; whatever is wrong with its bytes becomes a sentence.
+def read_hdf5(path: Path, wanted: str, content: Callable[[Any], Result]) -> Result:
+    """Return what ``content`` makes of an open file; whatever is wrong with its bytes becomes a message.
 
     Raises
     ------
     KinematicsError
         The file is truncated or damaged, or holds up or crashes the HDF5 library.
     """
+    return read_apart(lambda: _content(path, wanted, content), path, wanted, KinematicsError)
+
+
+def _content(path: Path, wanted: str, content: Callable[[Any], Result]) -> Result:
     import h5py
 
-    probe(path, wanted)
     step = "It is truncated or damaged: copy or export it again"
     try:
         with h5py.File(path, "r") as file:
-            yield file
+            return content(file)
     except StapeskitError:
         raise
     except (OSError, RuntimeError, LookupError, MemoryError, TypeError, ValueError, AttributeError) as fault:

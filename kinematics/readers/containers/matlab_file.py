@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from kinematics.readers.containers.hdf5_file import is_hdf5, matlab_tree, opened
+from kinematics.readers.containers.hdf5_file import is_hdf5, matlab_tree, read_hdf5
 from kinematics.readers.containers.mat5 import read_mat5
 from stapeskit.faults import Fault
 
@@ -41,9 +41,7 @@ def read_mat(path: Path) -> Tree:
     with path.open("rb") as stream:
         head = stream.read(_HEADER)
     if is_hdf5(path):
-        with opened(path, "a MATLAB 7.3 file") as file:
-            names = [name for name in file if isinstance(name, str) and not name.startswith("#")]
-            return {name: matlab_tree(file[name], file, f"{path.name}, {name}") for name in names}
+        return read_hdf5(path, "a MATLAB 7.3 file", lambda file: _variables(file, path.name))
     if head.startswith((b"# Created by Octave", b"# name:")):
         step = "Save it by save -v7 or save -hdf5 ... -v7.3"
         raise KinematicsError(Fault(path.name, "a MATLAB file", "Octave's text format", "", step))
@@ -56,6 +54,11 @@ def read_mat(path: Path) -> Tree:
             Fault(path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step)
         )
     return read_mat5(path)
+
+
+def _variables(file: Any, where: str) -> Tree:
+    names = [name for name in file if isinstance(name, str) and not name.startswith("#")]
+    return {name: matlab_tree(file[name], file, f"{where}, {name}") for name in names}
 
 
 def describe(tree: Tree, most: int = 12) -> str:

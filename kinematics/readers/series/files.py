@@ -85,14 +85,18 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
 
         return _of_tree(read_mat(path), path.name, names)
     if is_hdf5(path):
-        from kinematics.readers.containers.hdf5_file import opened
-        from kinematics.readers.hdf5 import plain_tree
+        from kinematics.readers.containers.hdf5_file import read_hdf5
 
-        with opened(path, "an HDF5 file") as file:
-            rates = {name: file.attrs[name] for name in RATES if name in file.attrs}
-            tree = {**plain_tree(file, path.name), **rates}
+        tree = read_hdf5(path, "an HDF5 file", lambda file: _hdf5_tree(file, path.name))
         return _of_tree(tree, path.name, names)
     return _csv(path, names)
+
+
+def _hdf5_tree(file: Any, where: str) -> dict[str, Any]:
+    from kinematics.readers.hdf5 import plain_tree
+
+    rates = {name: file.attrs[name] for name in RATES if name in file.attrs}
+    return {**plain_tree(file, where), **rates}
 
 
 def _csv(path: Path, names: Sequence[str]) -> Series:
