@@ -141,6 +141,6 @@ def _json_name(out: Path) -> Path:
     """Refuse a result file that is not named .json."""
     out = Path(out)
     if out.suffix.lower() != ".json":
-        step = f"Give --out {out.with_suffix('.json').name}" if out.name else "Give --out kd.json"
-        raise FittingError(Fault("--out", "a file name that ends with .json", out.name or out, "", step))
+        step = f"Give {{out}} {out.with_suffix('.json').name}" if out.name else "Give {out} kd.json"
+        raise FittingError(Fault("{out}", "a file name that ends with .json", out.name or out, "", step))
     return out

@@ -15,6 +15,7 @@ from fitting.model.laws import LAWS
 from fitting.model.observation import Observation
 from fitting.model.symmetric import join
 from fitting.options import COMPARE, KDOptions
+from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 FLUID = "fluid"
@@ -73,8 +74,8 @@ def choose_fluid(
         asked = FLUID in options.causes
         reason = "asked for" if asked else "without it there is no positive semidefinite K and D"
         return best, diagnosis, _used(best, options, reason, asked)
-    named = diagnosis.named
-    candidates = () if named is None else (named.name, *diagnosis.look_alikes)
+    cause = diagnosis.named
+    candidates = () if cause is None else (cause.name, *diagnosis.look_alikes)
     if FLUID not in candidates or options.fluid == "none":
         reason = "left out as asked for" if options.fluid == "none" else "the data do not call for it"
         return best, diagnosis, _unused(options, reason)
@@ -86,7 +87,7 @@ def choose_fluid(
         text = (
             f"A mass of fluid of {refit.size:.2g} ± {refit.sd:.1g} mg on the piston deflection would lower "
             f"chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
-            "Check that the window is dry, or use --fluid y."
+            f"Check that the window is dry, or use {named('fluid')} y."
         )
         choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
         return best, diagnosis, choice
@@ -134,7 +135,7 @@ def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str =
         text = (
             f"A mass of fluid of {1e6 * value:.3g} ± {1e6 * sd:.1g} mg moves with the piston deflection and "
             f"is part of the model ({reason}).{also} K and D are those without it; its resistance is part of "
-            "D11. --fluid none leaves it out."
+            f"D11. {named('fluid')} none leaves it out."
         )
         notices = (Notice("fluid_found", text),)
     if options.cochlea == "closed" and value < _SIGNIFICANT * sd:

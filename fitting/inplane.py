@@ -106,7 +106,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
                     "{inplane} load",
                     "given with the mass matrix of all six degrees of freedom",
                     "one of the chosen ones only",
-                    next_step="Give --mass mass.json, or use {inplane} ignore",
+                    next_step="Give {mass} mass.json, or use {inplane} ignore",
                 )
             )
         return without, InplaneChoice(

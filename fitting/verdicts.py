@@ -113,25 +113,25 @@ def cause_notices(fit: KDFit) -> list[Notice]:
     from fitting.causes.diagnosis import largest_effect
 
     found = [] if fit.fluid is None else list(fit.fluid.notices)
-    named = None if fit.diagnosis is None else fit.diagnosis.named
-    if named is None or fit.diagnosis is None:
+    cause = None if fit.diagnosis is None else fit.diagnosis.named
+    if cause is None or fit.diagnosis is None:
         return found
-    size = f"{named.size:.3g} ± {named.sd:.1g} {unit_of(named.name)}".rstrip()
-    size = f" of {size}" if named.sd > 0.0 else ""
-    place, change = largest_effect(named.effect, fit.stiffness, fit.damping)
+    size = f"{cause.size:.3g} ± {cause.sd:.1g} {unit_of(cause.name)}".rstrip()
+    size = f" of {size}" if cause.sd > 0.0 else ""
+    place, change = largest_effect(cause.effect, fit.stiffness, fit.damping)
     others = [title_of(name) for name in fit.diagnosis.look_alikes]
     text = (
-        f"The data speak for {title_of(named.name)} ({named.name}){size}; chi2 falls by {named.fall:.0f}, "
+        f"The data speak for {title_of(cause.name)} ({cause.name}){size}; chi2 falls by {cause.fall:.0f}, "
         f"over {fit.diagnosis.threshold:.1f}. With it {fit.parameters[place]} changes by "
         f"{100.0 * change:+.2g} % of sqrt(Xii Xjj)."
     )
     if others:
         text += f" The data hardly tell it from {' or '.join(others)}."
-    text += f" --correct {named.name} estimates and removes it." if named.name in CORRECT else ""
-    if named.p_value < _MISFIT:
+    text += f" {named('correct')} {cause.name} estimates and removes it." if cause.name in CORRECT else ""
+    if cause.p_value < _MISFIT:
         text += " It does not explain the whole misfit."
-    law = named.name.removeprefix("law_")
-    text += f" Use --damping {law}, or compare." if law != named.name else ""
+    law = cause.name.removeprefix("law_")
+    text += f" Use {named('damping')} {law}, or compare." if law != cause.name else ""
     return [*found, Notice("cause_found", text)]
 
 

@@ -115,15 +115,15 @@ def _correction(study_file: Path, study: Study, work: Workspace) -> list[Any]:
     """Return what to do where the cut is right, and the line and command that correct it."""
     own = study.scan.labels
     if own is None:
-        labels = Path(
-            os.path.relpath(work.out / "labels.nrrd", Path(study_file).absolute().parent)
-        ).as_posix()
+        labels = _relative(work.out / "labels.nrrd", Path(study_file).absolute().parent)
         line = f'labels = "{labels}"'
-        edit = f"Open {labels} on the scan in 3D Slicer or ITK-SNAP, correct label 1, and save it there."
+        shown = _relative(work.out / "labels.nrrd", Path.cwd())
+        edit = f"Open {shown} on the scan in 3D Slicer or ITK-SNAP, correct label 1, and save it there."
     else:
         line = f'labels = "{own.name}"  (it is there already)'
         edit = f"Correct {own.name} further and save it where it is."
-    command = f"scan2kd {Path(study_file).name} --out {work.out.name}"
+    here = Path.cwd()
+    command = f"scan2kd {_relative(study_file, here)} --out {_relative(work.out, here)}"
     return [
         page.text(
             "Look at the stapes above and at the slices of the segmentation. Is it the whole stapes and "
@@ -131,9 +131,17 @@ def _correction(study_file: Path, study: Study, work: Workspace) -> list[Any]:
         ),
         page.text(f"Otherwise: {edit} Add this line to [scan] of {Path(study_file).name}:"),
         page.code(line),
-        page.text("and run again; your labels stay as they are:"),
+        page.text("and run again from the same folder; your labels stay as they are:"),
         page.code(command),
     ]
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path as it is written in a folder."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # another drive
+        return Path(path).absolute().as_posix()
 
 
 def ordered(told: Mapping[str, Told]) -> list[Section]:

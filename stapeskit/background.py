@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import sys
 import threading
 from collections.abc import Callable
@@ -21,7 +22,7 @@ def take_short_turns() -> None:
 
 
 class Later(Generic[Result]):
-    """A call that runs on a thread of its own; numpy, hashing and packing leave the others free to run.
+    """A call that runs on another thread, in the caller's context (its vocabulary of option names).
 
     Parameters
     ----------
@@ -33,7 +34,10 @@ class Later(Generic[Result]):
     def __init__(self, work: Callable[..., Result], *arguments: Any) -> None:
         self._found: list[Result] = []
         self._fault: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, args=(work, arguments), name=work.__name__)
+        context = contextvars.copy_context()
+        self._thread = threading.Thread(
+            target=context.run, args=(self._run, work, arguments), name=work.__name__
+        )
         self._thread.start()
 
     def _run(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> None:

@@ -32,10 +32,10 @@ def parse_formats(text: str) -> tuple[str, ...]:
     if wrong or not names:
         raise CtInertiaError(
             Fault(
-                "--export",
+                "{export}",
                 f"a list out of {', '.join(FORMATS)}, or all",
                 ", ".join(wrong) or "nothing",
-                next_step="Write for example --export stl,mjcf",
+                next_step="Write for example {export} stl,mjcf",
             )
         )
     return tuple(name for name in FORMATS if name in names)

@@ -130,7 +130,10 @@ def _differences(check: Mapping[str, Any]) -> tuple[str, str]:
 
 def _second_opinion(found: Mapping[str, Any] | None) -> str:
     if found is None:
-        return "The surface has no second opinion: pymeshlab or its GL libraries are missing here."
+        return (
+            "The surface was not checked by a second mesh library: pymeshlab or its GL libraries are missing "
+            "here."
+        )
     worst = max(abs(found["volume_difference"]), abs(found["inertia_difference"]))
     shape = "closed and two-manifold" if found["two_manifold"] else "NOT closed and two-manifold"
     return (

@@ -110,14 +110,14 @@ def display_mesh(surface: Surface, smooth: int | None = None, faces: int | None 
     thinned = surface
     if smooth:
         thinned = _filtered(
-            thinned, "--smooth", "apply_coord_taubin_smoothing", lambda_=_LAMBDA, mu=_MU, stepsmoothnum=smooth
+            thinned, "{smooth}", "apply_coord_taubin_smoothing", lambda_=_LAMBDA, mu=_MU, stepsmoothnum=smooth
         )
         steps.append(_step("smooth", smooth, surface, thinned))
     if faces is not None and faces < len(thinned.faces):
         before = thinned
         thinned = _filtered(
             thinned,
-            "--faces",
+            "{faces}",
             "meshing_decimation_quadric_edge_collapse",
             targetfacenum=faces,
             preservetopology=True,
@@ -139,14 +139,14 @@ def check_request(smooth: int | None, faces: int | None) -> None:
     """
     if smooth is not None and not 0 <= smooth <= 500:
         raise CtInertiaError(
-            Fault("--smooth", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface")
+            Fault("{smooth}", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface")
         )
     if faces is not None and faces < _LEAST_FACES:
         raise CtInertiaError(
-            Fault("--faces", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature")
+            Fault("{faces}", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature")
         )
     if smooth or faces is not None:
-        _pymeshlab("--smooth" if smooth else "--faces")
+        _pymeshlab("{smooth}" if smooth else "{faces}")
 
 
 def _pymeshlab(option: str) -> Any:

@@ -52,7 +52,7 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     if not path.is_file():
         raise FittingError(
             Fault(
-                "--mass", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
+                "{mass}", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
             )
         )
     try:
@@ -60,7 +60,7 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     except UnicodeDecodeError as fault:
         raise FittingError(
             Fault(
-                "--mass",
+                "{mass}",
                 "a text file of numbers or a mass.json",
                 "a binary file",
                 path.name,

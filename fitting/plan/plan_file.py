@@ -58,12 +58,12 @@ def read_plan(path: Path) -> tuple[Plan, Path | None]:
     path = Path(path)
     if not path.is_file():
         raise FittingError(
-            Fault("--plan", "an existing TOML file", path, next_step="dof2kd --help shows an example")
+            Fault("{plan}", "an existing TOML file", path, next_step="dof2kd --help shows an example")
         )
     try:
         table = parse_toml(path.read_text(encoding="utf-8"))
     except ValueError as fault:
-        raise FittingError(Fault("--plan", "valid TOML", fault, path.name)) from fault
+        raise FittingError(Fault("{plan}", "valid TOML", fault, path.name)) from fault
     return _plan(table, path)
 
 

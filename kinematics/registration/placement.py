@@ -132,10 +132,10 @@ def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: F
             raise KinematicsError(
                 Fault(
                     f"{what} {frame}",
-                    "given together with --mass mass.json, which ties that frame to the footplate",
-                    "no --mass",
+                    "given together with {mass} mass.json, which ties that frame to the footplate",
+                    "no mass record",
                     f"{file}, frame" if file else "",
-                    next_step="Add --mass, or give the coordinates in the footplate frame",
+                    next_step="Add {mass}, or give the coordinates in the footplate frame",
                 )
             )
         if frame == "plate" and mass.plate_from_footplate is None:

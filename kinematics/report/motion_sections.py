@@ -101,7 +101,7 @@ def motion_section(result: Points2Dof) -> Section:
         section.add(
             page.text(
                 "Change of each coordinate for one standard deviation of the source, root mean square over "
-                "lines, of its own rms. These do not stand in the bands; they go to stiffness and damping as "
+                "lines, of its own rms. The bands do not contain these; they enter stiffness and damping as "
                 "a whole."
             )
         )

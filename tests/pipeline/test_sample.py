@@ -1,6 +1,7 @@
 """The sample study from its scan to its report, against the truth behind it."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -61,3 +62,11 @@ def test_five_lines_in_memory_give_the_numbers_of_the_study(sample):
     fit = sk.dof2kd(motion, mass=mass)
     for key in ("stiffness_si", "damping_si", "stiffness_sd_si", "damping_sd_si", "covariance_si"):
         np.testing.assert_allclose(fit.content()[key], sample[0].kd[key], rtol=1e-12, err_msg=key)
+
+
+def test_warnings_of_a_study_name_options_as_its_file_does(sample):
+    result, _ = sample
+    written = [record["text"] for name in ("mass", "kd") for record in json.loads(
+        (result.out / f"{name}.json").read_text(encoding="utf-8"))["warnings"]]  # fmt: skip
+    assert written
+    assert not [text for text in written if re.search(r"(^|\s)--[a-z]", text)]

@@ -11,6 +11,13 @@ import pytest
 from stapeskit.background import Later
 from stapeskit.faults import StapeskitError
 from stapeskit.memory import hold_little_memory, keep_algebra_to_one_thread
+from stapeskit.vocabulary import as_keyword, named, using
+
+
+def test_options_are_named_as_the_caller_names_them():
+    with using(as_keyword):
+        later = Later(named, "plate_fiducials")
+    assert later.result() == "plate_fiducials"
 
 
 def test_results_come_back_and_the_caller_goes_on():

@@ -264,7 +264,7 @@ def test_frames_need_their_mass_record(tmp_path, mass):
         StapeskitError, match="the frame of the fiducials plate must be given together with --mass"
     ):
         place(marks)
-    with pytest.raises(StapeskitError, match=r"got no --mass \(marks\.csv, frame\)"):
+    with pytest.raises(StapeskitError, match=r"got no mass record \(marks\.csv, frame\)"):
         place(replace(marks, path=tmp_path / "marks.csv"))
     with pytest.raises(StapeskitError, match="--frame scan must be given together with --mass"):
         place(frame="scan")

@@ -86,7 +86,7 @@ def test_a_missing_pymeshlab_is_refused_before_any_work(monkeypatch, tmp_path):
     with pytest.raises(CtInertiaError) as caught:
         work([str(scan), "--density", "1900", "--faces", "5000"])
     (fault,) = caught.value.faults
-    assert fault.thing == "--faces"
+    assert fault.thing == "{faces}"
     assert "pymeshlab" in fault.next_step
     check_request(None, None)
 
