@@ -80,7 +80,8 @@ def listen(prog: str, patience_s: float = PATIENCE_S) -> None:
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     _State.watched = True
     atexit.register(_ignore)
-    threading.Thread(target=_watch, args=(reader, patience_s), name="interrupts", daemon=True).start()
+    with suppress(RuntimeError):  # no memory for a thread: the work will find that out, too
+        threading.Thread(target=_watch, args=(reader, patience_s), name="interrupts", daemon=True).start()
 
 
 def on_forced_end(cleanup: Callable[[], None]) -> None:
@@ -154,6 +155,8 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
         _drop_output()
         return 0
     except Exception as fault:
+        if _State.interrupted:  # libraries turn the interruption within their callbacks into other errors
+            raise KeyboardInterrupt from fault
         text = _sentence(fault)
         if text is not None:
             _tell(f"{text}\n")

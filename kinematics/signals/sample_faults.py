@@ -104,15 +104,21 @@ def count_spikes(row: Array) -> int:
     """
     reach = 4
     before, after = row[reach:-reach] - row[: -2 * reach], row[reach:-reach] - row[2 * reach :]
-    differences = 0.5 * np.abs(before + after)
-    beyond = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    differences = before + after
+    np.abs(differences, out=differences)
+    differences *= 0.5
+    opposite = ~(before * after > 0.0)
+    # in place: a record of an hour is as large as the memory of a small machine
+    beyond = np.minimum(np.abs(before, out=before), np.abs(after, out=after), out=before)
+    beyond[opposite] = 0.0
+    del after, opposite
     count = max(1, len(differences) // _BLOCK)
     edges = np.linspace(0, len(differences), count + 1).astype(int)
     level = np.array([np.median(differences[a:b]) for a, b in pairwise(edges)])
     padded = np.pad(level, 1, mode="edge")
     loud = np.maximum(np.maximum(padded[:-2], padded[2:]), level)
-    limit = np.maximum(np.repeat(loud, np.diff(edges)), max(1e-3 * np.max(level), 1e-4 * np.std(row)))
-    out = np.flatnonzero(beyond > _SPIKE * limit)
+    limit = _SPIKE * np.maximum(loud, max(1e-3 * np.max(level), 1e-4 * np.std(row)))
+    out = np.flatnonzero(beyond > np.repeat(limit, np.diff(edges)))
     if not len(out):
         return 0
     tops = [

@@ -16,13 +16,20 @@ def written_h5(path: Path) -> Iterator[Any]:
     ------
     OSError
         The file cannot be written.
+    MemoryError
+        There is no room for it in memory, which the library reports as another error, in words.
     """
     import h5py
 
-    with h5py.File(Path(path).name, "w", driver="core", backing_store=False) as file:
-        yield file
-        file.flush()
-        image = file.id.get_file_image()
+    try:
+        with h5py.File(Path(path).name, "w", driver="core", backing_store=False) as file:
+            yield file
+            file.flush()
+            image = file.id.get_file_image()
+    except (OSError, RuntimeError, ValueError) as fault:
+        if "alloc" in str(fault):
+            raise MemoryError(str(fault)) from fault
+        raise
     Path(path).write_bytes(image)
 
 

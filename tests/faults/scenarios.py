@@ -34,6 +34,20 @@ class Bench:
     place: Path
     rng: random.Random
     times: int
+    hits: int = 0
+    """How many processes were ended by the fault, not through before it."""
+
+    def prepare(self) -> None:
+        """Run the command once and keep its outputs."""
+        self.fresh(existing=False)
+        code = self.wait(start(self.workload, self.place))
+        if code:
+            raise RuntimeError(f"{self.workload.module} ended with {code}: {told(self.place)}")
+        shutil.copytree(self.place / "out", self._kept)
+
+    @property
+    def _kept(self) -> Path:
+        return self.inputs / f"out-{self.workload.module}"
 
     def fresh(self, existing: bool = True) -> None:
         """Set up the folder; with the outputs of a first run in it, and a file of the user."""
@@ -43,13 +57,7 @@ class Bench:
             shutil.copy2(self.inputs / name, self.place / name)
         if not existing:
             return
-        kept = self.inputs / f"out-{self.workload.module}"
-        if not kept.exists():
-            code = self.wait(start(self.workload, self.place))
-            assert code == 0, told(self.place)
-            shutil.copytree(self.place / "out", kept)
-        else:
-            shutil.copytree(kept, self.place / "out", dirs_exist_ok=True)
+        shutil.copytree(self._kept, self.place / "out")
         (self.place / "out" / "notes.txt").write_text("mine")
 
     def wait(self, child: int, limit_s: float = _LIMIT_S) -> int:
@@ -115,6 +123,7 @@ class Bench:
         """Wait for a process that must end with one of the codes, and with one message."""
         code = self.wait(child)
         text = told(self.place)
+        self.hits += code in (-signal.SIGKILL, 2, 130)
         if code not in codes:
             return f"ended with {code} instead of {codes}: {text[-400:]}"
         if "Traceback" in text or (code == 130 and len(text.splitlines()) != 1):
@@ -146,7 +155,7 @@ def count_moves(number: int, act: Callable[[], None]) -> Callable[[], None]:
 
 def _every_move(bench: Bench, act: Callable[[], None], codes: tuple[int, ...]) -> Found:
     for existing in (True, False):
-        for number in range(200):
+        for number in range(bench.rng.randrange(bench.workload.every), 400, bench.workload.every):
             bench.fresh(existing)
             before = bench.hashes()
             hook = count_moves(number, act)

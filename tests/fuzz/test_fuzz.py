@@ -12,6 +12,7 @@ from tests.fuzz import targets
 from tests.fuzz.case import Case
 from tests.fuzz.corpus import saved
 from tests.fuzz.mutations import mutate_bytes, mutate_table, mutate_tree
+from tests.fuzz.vibrometer_files import sound
 from tests.fuzz.worker import Place, run
 
 
@@ -60,6 +61,12 @@ def test_damage_depends_on_the_random_numbers_alone_and_leaves_the_original():
         ]
         assert found[0] == found[1]
     assert tree == {"a": [1, 2.5, {"b": "text"}], "c": None}
+
+
+def test_vibrometer_files_are_sound_before_they_are_damaged(tmp_path):
+    for kind, made in sound().items():
+        found = run(Case(kind, made.files, ("read_ldv", *made.words)), tmp_path / kind)
+        assert found["kind"] == "done", kind
 
 
 def test_what_was_found_stays_cured(tmp_path, monkeypatch):

@@ -35,6 +35,13 @@ with staged(Path('out')) as stage:
         except KeyboardInterrupt:
             pass
 """
+CONVERT = """
+print('at work', flush=True)
+try:
+    __import__('time').sleep(30)
+except KeyboardInterrupt:
+    raise RuntimeError('Object visitation failed')
+"""
 THREAD = """
 from stapeskit.background import Later
 Later(__import__('time').sleep, 30)
@@ -89,7 +96,7 @@ def run(body, folder, **options):
     return subprocess.run(command(body), cwd=folder, text=True, **options)
 
 
-@pytest.mark.parametrize("body", [SLEEP, SWALLOW, STAGED, THREAD])
+@pytest.mark.parametrize("body", [SLEEP, SWALLOW, CONVERT, STAGED, THREAD])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_ends_every_command_at_once(body, number, tmp_path):
     process = start(body, tmp_path)
@@ -184,6 +191,16 @@ def test_faults_of_the_system_are_no_bugs(body, words, tmp_path):
     assert ended.returncode == 2
     assert words in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
+
+
+def test_a_command_that_may_start_no_thread_still_runs(tmp_path):
+    before = 'import threading\ndef start(_):\n    raise RuntimeError("can\'t start new thread")\n'
+    before += "threading.Thread.start = start"
+    ended = subprocess.run(
+        command("print('done')", before=before),
+        cwd=tmp_path, env=environment(), text=True, capture_output=True, check=False,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "done\n", "")
 
 
 def test_a_limit_on_the_size_of_files_leaves_the_old_outputs(tmp_path):
