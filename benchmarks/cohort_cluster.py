@@ -18,8 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.runners.cluster import run_on_cluster
-from pipeline.runners.local import run_here
+from pipeline.runners import Where, cluster, local
 from pipeline.runners.process import Task
 from sample_volumes.make_cohort import Population, make_cohort
 from tests.pipeline.runners.test_cluster import processes
@@ -74,12 +73,14 @@ def main() -> None:
             for number, (where, workers) in enumerate(runs):
                 out = folder / f"{kind}{number}"
                 if not workers:
-                    seconds = timed(lambda t, _out, *rest: run_here(t, 2, *rest), tasks, out)
+                    seconds = timed(lambda t, _out, *rest: local.run(t, Where(2), *rest), tasks, out)
                 else:
                     (folder / f"c{kind}{number}").mkdir()
                     with processes(folder / f"c{kind}{number}", workers) as (address, _):
                         seconds = timed(
-                            lambda t, o, *rest, a=address: run_on_cluster(t, a, o, *rest), tasks, out
+                            lambda t, o, *rest, a=address: cluster.run(t, Where(1, a, o), *rest),
+                            tasks,
+                            out,
                         )
                 results.append(numbers(out))
                 print(

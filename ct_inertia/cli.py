@@ -161,3 +161,7 @@ def _start(arguments: list[str]) -> tuple[Given, Outcome]:
 def main() -> NoReturn:
     """Run `ct2mass`."""
     run("ct2mass", _start)
+
+
+if __name__ == "__main__":
+    main()

@@ -89,3 +89,7 @@ def _plan(given: Given) -> Outcome:
 def main() -> NoReturn:
     """Run the command and leave with its exit code."""
     run("dof2kd", _work)
+
+
+if __name__ == "__main__":
+    main()

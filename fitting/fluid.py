@@ -15,6 +15,8 @@ from fitting.model.laws import LAWS
 from fitting.model.observation import Observation
 from fitting.model.symmetric import join
 from fitting.options import COMPARE, KDOptions
+from stapeskit.page.numbers import plus_minus
+from stapeskit.page.quantities import MASS
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -85,8 +87,8 @@ def choose_fluid(
         return best, diagnosis, _unused(options, f"{title_of(candidates[0])} explains the data better")
     if options.cochlea in ("open", "drained"):
         text = (
-            f"A mass of fluid of {refit.size:.2g} ± {refit.sd:.1g} mg on the piston deflection would lower "
-            f"chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
+            f"A mass of fluid of {plus_minus(refit.size, refit.sd)} {MASS.symbol} on the piston deflection "
+            f"would lower chi2 by {refit.fall:.0f}, but the cochlea is {options.cochlea}; it was left out. "
             f"Check that the window is dry, or use {named('fluid')} y."
         )
         choice = _unused(options, f"the cochlea is {options.cochlea}", (Notice("fluid_contradicts", text),))
@@ -133,7 +135,7 @@ def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str =
     notices: tuple[Notice, ...] = ()
     if not asked:
         text = (
-            f"A mass of fluid of {1e6 * value:.3g} ± {1e6 * sd:.1g} mg moves with the piston deflection and "
+            f"A mass of fluid of {MASS.with_sd(value, sd)} moves with the piston deflection and "
             f"is part of the model ({reason}).{also} K and D are those without it; its resistance is part of "
             f"D11. {named('fluid')} none leaves it out."
         )

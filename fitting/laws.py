@@ -25,6 +25,7 @@ from fitting.model.lines import forward, real_rows
 from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import chi2, degrees
+from stapeskit.page.quantities import MASS
 
 Array = NDArray[np.float64]
 
@@ -136,8 +137,8 @@ def with_ligament(
     begun = None
     if "fluid" in names:
         parameters, fluid = with_fluid(fit.estimate.parameters, problem.lines())
-        mass_mg = 1e6 * fluid * float(problem.scale.root_mass[0]) ** 2
-        begun = (parameters, np.array([mass_mg if name == "fluid" else 0.0 for name in names]))
+        size = MASS.of(fluid * float(problem.scale.root_mass[0]) ** 2)
+        begun = (parameters, np.array([size if name == "fluid" else 0.0 for name in names]))
 
     def extend(lines: JointLines) -> tuple[Term, ...]:
         setting = Setting(lines, lines.omega * problem.scale.omega, problem.inertia.matrix)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.options import CORRECT
 from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.page.quantities import MASS
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 # Published stiffness of the human annular ligament in piston direction, N/m.
 PISTON_RANGE = (120.0, 3200.0)
 # Human stapedes weigh 2 to 4.5 mg; outside this range a mass is one in another unit, or of something else.
-_MASS_RANGE_MG = (0.5, 10.0)
+_MASS_RANGE_KG = (0.5e-6, 10e-6)
 # Half length and half width of a human footplate, mm: radii of gyration about x, z lie below its size.
 _GYRATION_RANGE_MM = (0.2, 4.0)
 _MISFIT = 1e-4
@@ -231,14 +232,14 @@ def _mass(fit: KDFit) -> list[Notice]:
     moving = [place for place, name in enumerate(fit.dof) if name in "xyz"]
     if not moving or "stapes" not in fit.options.structure.lower():
         return []
-    mass_mg = 1e6 * float(fit.mass[moving[0], moving[0]])
-    if _MASS_RANGE_MG[0] <= mass_mg <= _MASS_RANGE_MG[1]:
+    mass_kg = float(fit.mass[moving[0], moving[0]])
+    if _MASS_RANGE_KG[0] <= mass_kg <= _MASS_RANGE_KG[1]:
         return []
     return [
         Notice(
             "implausible_mass",
-            f"The mass matrix gives the {fit.options.structure} {mass_mg:.3g} mg; human ones weigh 2 to 4.5 "
-            "mg. K and D grow in proportion to it: check that M is in SI units (kg, kg m, kg m2), or name "
-            f"the body by {named('structure')} if it is no stapes.",
+            f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones "
+            "weigh 2 to 4.5 mg. K and D grow in proportion to it: check that M is in SI units (kg, kg m, "
+            f"kg m2), or name the body by {named('structure')} if it is no stapes.",
         )
     ]

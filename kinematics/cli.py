@@ -143,3 +143,7 @@ def _outcome(result: MotionResult, files: list[Path]) -> Outcome:
 def main() -> NoReturn:
     """Run the command and leave with its exit code."""
     run("points2dof", work)
+
+
+if __name__ == "__main__":
+    main()

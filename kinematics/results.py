@@ -61,18 +61,20 @@ class MotionResult(Result, Points2Dof):
         """Return the rows and columns of dof.csv, one row a run, body and frequency."""
         import pandas as pd
 
-        from stapeskit.records.motion_files import column_names, standard_deviation
+        from stapeskit.records.motion_columns import ROW_COLUMNS, MotionColumns
+        from stapeskit.records.motion_files import standard_deviation
 
         motion = self.motion
         run, body, line = np.nonzero(np.isfinite(motion.q[..., 0].real))
         q, sd = motion.q[run, body, line], standard_deviation(motion)[run, body, line]
         parts = np.stack([q.real, q.imag], axis=-1).reshape(len(q), -1)
-        numbers = np.hstack([motion.freq_hz[line, None], parts, sd, motion.chi2[run, body, line, None]])
-        names = column_names(motion.dof, bool(motion.reference))
-        frame = pd.DataFrame(numbers, columns=names[2:-1])
+        names = MotionColumns(motion.dof, bool(motion.reference)).all
+        numbers = np.hstack([motion.freq_hz[line, None], parts, sd])
+        frame = pd.DataFrame(numbers, columns=names[2 : 2 + numbers.shape[1]])
         frame.insert(0, "run", np.array(motion.runs, dtype=object)[run])
         frame.insert(1, "body", np.array(motion.bodies, dtype=object)[body])
-        frame[names[-1]] = motion.n_dof[run, body, line]
+        for column in ROW_COLUMNS:
+            frame[column.name] = column.values(motion)[run, body, line]
         return frame
 
     def plot(self) -> Figure:

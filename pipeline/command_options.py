@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.cohort.exports import EXPORTS
+from pipeline.runners import RUNNERS
 from stapeskit.option_kinds import FLAG, FOLDER, NAMES, TEXT, at_least, files, several
 from stapeskit.options import OptionTable, Rule, option
 
@@ -65,7 +66,8 @@ class StudyOptions(OptionTable):
     jobs: int = option(at_least(1), "studies that run at a time on this machine", 1)
     scheduler: str | None = option(
         TEXT,
-        "address of a dask scheduler whose workers run the studies; they share the storage with this machine",
+        f"address of {' or '.join(entry.summary for entry in RUNNERS.values() if entry.schemes)} "
+        "whose workers run the studies; they share the storage with this machine",
         metavar="ADDRESS",
         example="tcp://10.0.0.1:8786",
     )

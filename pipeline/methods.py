@@ -5,16 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fitting.estimators import estimator
 from stapeskit import __version__
 from stapeskit.page.numbers import plus_minus
 from stapeskit.records.motion import RigidMotion
-
-_ESTIMATORS = {
-    "ml": "maximum likelihood with errors in all measured variables",
-    "irls": "iteratively reweighted least squares",
-    "pinv": "the pseudo-inverse (Eq. 5 of the CURAC 2019 study, p. 98 ff.)",
-    "constrained": "least squares with bounds and stability (CURAC 2019, p. 98 ff.)",
-}
 
 
 def methods(mass: Mapping[str, Any], kd: Mapping[str, Any], motion: RigidMotion) -> str:
@@ -40,7 +34,7 @@ def methods(mass: Mapping[str, Any], kd: Mapping[str, Any], motion: RigidMotion)
         f"footplate. Rigid motion of {' and '.join(motion.bodies)} was fitted to the readings of the laser "
         f"Doppler vibrometer at {model['lines']} frequencies. Stiffness and damping ({model['damping_law']}) "
         f"of the annular ligament for {', '.join(kd['dof'])} were estimated by "
-        f"{_ESTIMATORS.get(kd['estimator'], kd['estimator'])} between {low_high[0]:.4g} and "
+        f"{estimator(kd['estimator']).phrase} between {low_high[0]:.4g} and "
         f"{low_high[1]:.4g} Hz. Standard deviations contain noise, registration, frames, point positions and "
         f"the mass matrix. Computed with stapeskit {__version__}."
     )

@@ -14,6 +14,7 @@ from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.ears import Ear, read_ear
 from pipeline.cohort.files import LOG_FILE, cohort_outputs, write_cohort
 from pipeline.cohort_log import CohortLog
+from pipeline.runners import Where, runner_of
 from pipeline.runners.process import End, Task
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError, raise_all
@@ -119,7 +120,7 @@ def run_studies(
     tell : callable, optional
         Gets the lines of progress.
     scheduler : str, optional
-        Address of a dask scheduler whose workers run the studies.
+        Address of a cluster that runs the studies (pipeline.runners.RUNNERS).
     choices : CohortChoices, optional
 
     Raises
@@ -132,7 +133,7 @@ def run_studies(
     named = dict(zip(folder_names(studies), (Path(path).absolute() for path in studies), strict=True))
     outputs = _checked_outputs(named, out, force, choices.exports)
     with CohortLog(out, len(named), tell) as log:
-        ends = _run_all(named, out, jobs, force, log, scheduler)
+        ends = _run_all(named, out, force, log, Where(jobs, scheduler or "", log.path.parent))
         faults = {name: end.fault for name, end in ends.items() if end.code}
         codes = {name: end.code for name, end in ends.items() if end.code}
         ears = tuple(
@@ -175,7 +176,7 @@ def _checked_outputs(
 
 
 def _run_all(
-    studies: Mapping[str, Path], out: Path, jobs: int, force: bool, log: CohortLog, scheduler: str | None
+    studies: Mapping[str, Path], out: Path, force: bool, log: CohortLog, where: Where
 ) -> dict[str, End]:
     """Run all studies, here or on a cluster; an interruption names those that were finished."""
     tasks = [Task(name, path, out / name, force) for name, path in studies.items()]
@@ -186,14 +187,7 @@ def _run_all(
         log.ended(name, end)
 
     try:
-        if scheduler is None:
-            from pipeline.runners.local import run_here
-
-            run_here(tasks, jobs, log.tell, ended)
-        else:
-            from pipeline.runners.cluster import run_on_cluster
-
-            run_on_cluster(tasks, scheduler, log.path.parent, log.tell, ended)
+        runner_of(where.address)(tasks, where, log.tell, ended)
     except KeyboardInterrupt as stop:
         done = [name for name, end in ends.items() if not end.code]
         if not done:

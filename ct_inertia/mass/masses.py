@@ -13,6 +13,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
 from ct_inertia.surface.moments import Moments
 from stapeskit.faults import Fault
+from stapeskit.page.quantities import MASS
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -152,9 +153,9 @@ def disagreements(ways: Sequence[MassByWay]) -> list[Notice]:
             notices.append(
                 Notice(
                     "masses_disagree",
-                    f"The mass by {WORDS[other.way]} is {apart * 1e6:+.3f} mg ({percent:+.1f} %) off that "
-                    f"by {WORDS[lead.way]}, which is used; their standard deviations explain "
-                    f"{limit * 1e6:.2g} mg. Check voxel size, density and balance.",
+                    f"The mass by {WORDS[other.way]} is {MASS.text(apart, '+.3f')} ({percent:+.1f} %) off "
+                    f"that by {WORDS[lead.way]}, which is used; their standard deviations explain "
+                    f"{MASS.text(limit, '.2g')}. Check voxel size, density and balance.",
                 )
             )
     return notices

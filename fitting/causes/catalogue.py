@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
+from stapeskit.page.quantities import MASS
 from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
 
 Array = NDArray[np.float64]
@@ -167,14 +168,14 @@ def _law(factor: Callable[[Array], ComplexArray]) -> Callable[[Setting], Apply]:
 
 
 def _fluid(places: tuple[int, ...]) -> Callable[[Setting], Apply]:
-    """Add a mass (mg at the place of the piston, or as inertia at 1 mm) on the deflection of these rows."""
+    """Add a mass on the deflection of some rows: as it is for the piston, as inertia at 1 mm for rocking."""
 
     def made(setting: Setting) -> Apply:
         rows = np.array([1, 3, 5])
         unit = np.zeros((3, 3))
         for place in places:
             arm = 1.0 if place == 0 else 1e-6
-            unit[place, place] = 1e-6 * arm / setting.lines.root_mass[rows[place]] ** 2
+            unit[place, place] = MASS.si(1.0) * arm / setting.lines.root_mass[rows[place]] ** 2
 
         def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
             before = 0.0 if equations.fluid is None else equations.fluid
@@ -203,8 +204,8 @@ def _holder(frequency_hz: float) -> Callable[[Setting], Apply]:
 
 
 def _point_mass(value: float, _: Setting) -> Array:
-    """Return the inertial parameters of a mass (mg) at the head."""
-    mass, place = 1e-6 * value, np.array(HEAD_M)
+    """Return the inertial parameters of a mass at the head."""
+    mass, place = MASS.si(value), np.array(HEAD_M)
     tensor = mass * (place @ place * np.eye(3) - np.outer(place, place))
     entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]]
     return np.array([mass, *(mass * place), *entries])
@@ -268,21 +269,21 @@ CAUSES: dict[str, Cause] = {
     "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gained), True),
     "fluid": Cause(
         "a mass of fluid that moves with the piston deflection",
-        "mg",
-        1e-6,
+        MASS.symbol,
+        MASS.si(1.0),
         _fluid((0,)),
         True,
-        starts=(0.0, 3.0),
+        starts=(0.0, MASS.of(3e-6)),
         positive=True,
     ),
     "head_mass": Cause(
         "a mass at the head of the stapes",
-        "mg",
-        1e-6,
+        MASS.symbol,
+        MASS.si(1.0),
         _mass(_point_mass),
         True,
-        example=0.1,
-        starts=(0.0, 4.0),
+        example=MASS.of(1e-7),
+        starts=(0.0, MASS.of(4e-6)),
     ),
     "centre_x": Cause("a centre of mass elsewhere along x", "mm", 1e-3, _mass(_centre(0)), True, example=0.1),
     "centre_y": Cause("a centre of mass elsewhere along y", "mm", 1e-3, _mass(_centre(1)), True, example=0.1),

@@ -122,7 +122,7 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
     order = [scored[place] for place in np.argsort(p_values, kind="stable")]
     order = [place for place in order if CAUSES[names[place]].refitted]
     refits = []
-    searched = alarm or ligament.p_value < calibrated("causes.misfit_p")
+    searched = bool(alarm or ligament.p_value < calibrated("causes.misfit_p"))
     if searched:
         for place in order[: int(calibrated("causes.shortlist"))]:
             one = _refit(ligament, names[place], terms[place], found, place, units)

@@ -92,6 +92,8 @@ class Method:
 
     Attributes
     ----------
+    phrase : str
+        What it is called in a paragraph on methods: "K and D were estimated by ...".
     estimate : callable
         Estimate the scaled parameters.
     scores : callable
@@ -109,6 +111,7 @@ class Method:
         Whether it takes bounds and a choice of CONSTRAINTS.
     """
 
+    phrase: str
     estimate: _Estimates
     scores: _Equations
     precision: Callable[[Lines, State], ComplexArray]

@@ -234,4 +234,10 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     return pinv.weighted_scores(parameters, lines, np.ones(lines.n))
 
 
-METHOD = Method(estimate, scores, lambda lines, _: fixed_precision(np.ones(lines.n), lines), bounded=True)
+METHOD = Method(
+    "least squares of the equations of motion with bounds and stability (CURAC 2019, p. 98 ff.)",
+    estimate,
+    scores,
+    lambda lines, _: fixed_precision(np.ones(lines.n), lines),
+    bounded=True,
+)

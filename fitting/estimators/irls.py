@@ -72,4 +72,6 @@ def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:
     return np.einsum("ilp,il->lp", regressor(lines.dq, lines.factor).conj(), multiplier).real
 
 
-METHOD = Method(estimate, scores, noise_precision)
+METHOD = Method(
+    "least squares of the equation error, reweighted by its own noise", estimate, scores, noise_precision
+)

@@ -320,4 +320,12 @@ def robust_slope(distance: Array, terms: Array, lines: Lines) -> tuple[Array, Ar
     return weights, terms * own[:, None] + np.outer(spread_slope, by_spread @ terms)
 
 
-METHOD = Method(estimate, scores, noise_precision, gradient, likelihood=True, robust=("none", "t4"))
+METHOD = Method(
+    "maximum likelihood with errors in all variables (Pintelon and Schoukens 2012)",
+    estimate,
+    scores,
+    noise_precision,
+    gradient,
+    likelihood=True,
+    robust=("none", "t4"),
+)

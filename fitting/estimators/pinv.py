@@ -49,4 +49,9 @@ def weighted_scores(parameters: Array, lines: Lines, row_weights: Array) -> Arra
     return np.einsum("ilp,il->lp", regressor(lines.dq, lines.factor).conj(), residual).real
 
 
-METHOD = Method(estimate, scores, lambda lines, _: fixed_precision(lines.row_weights, lines))
+METHOD = Method(
+    "the pseudo-inverse of the stacked equations of motion (Eq. 5 of the CURAC 2019 study, p. 98 ff.)",
+    estimate,
+    scores,
+    lambda lines, _: fixed_precision(lines.row_weights, lines),
+)

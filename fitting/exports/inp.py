@@ -89,7 +89,7 @@ def content(fit: KDFit) -> bytes:
     fixed: list[int] = []
     axial("SPRINGA", "SPRING", fit.stiffness)
     comments = ["** Stiffness and damping of the annular ligament; units m, N, kg, s, rad; footplate axes."]
-    if fit.law.name == "viscous" and fit.passive[1]:
+    if fit.law.law.polynomial and fit.passive[1]:
         axial("DASHPOTA", "DASHPOT", fit.damping)
     else:
         comments.append(f"** No dashpots: the dynamic stiffness is {fit.law.formula}, or D is not passive.")

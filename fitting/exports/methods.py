@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from fitting.causes.catalogue import title_of
+from fitting.estimators import estimator
 from fitting.kd_fit import KDFit
-
-_ESTIMATORS = {
-    "ml": "maximum likelihood with errors in all variables (Pintelon and Schoukens 2012)",
-    "irls": "least squares of the equation error, reweighted by its own noise",
-    "pinv": "the pseudo-inverse of the stacked equations of motion",
-    "constrained": "constrained least squares of the equations of motion",
-}
 
 
 def content(fit: KDFit) -> bytes:
@@ -24,7 +18,7 @@ def content(fit: KDFit) -> bytes:
         f"Stiffness K and damping D of the suspension in {', '.join(fit.dof)} about the footplate centre "
         f"were estimated from the motion of {fit.options.structure} and {fit.options.base} at {len(freq)} "
         f"lines between {freq.min():.0f} and {freq.max():.0f} Hz ({runs} {'run' if runs == 1 else 'runs'}) "
-        f"by {_ESTIMATORS.get(fit.options.estimator, fit.options.estimator)}, with the dynamic stiffness "
+        f"by {estimator(fit.options.estimator).phrase}, with the dynamic stiffness "
         f"{fit.law.formula} (stapeskit {version}).",
     ]
     if fit.ligament is not None:

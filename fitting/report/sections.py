@@ -22,6 +22,7 @@ from fitting.uncertainty.covariance import ATTENUATION, NOISE
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
+from stapeskit.page.quantities import MASS
 from stapeskit.spatial import DOF_UNITS
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         )
     if fit.fluid is not None:
         mass, sd = fit.fluid.mass_kg, fit.fluid.mass_sd_kg
-        used = "none" if mass is None or sd is None else f"{plus_minus(1e6 * mass, 1e6 * sd)} mg"
+        used = "none" if mass is None or sd is None else MASS.with_sd(mass, sd)
         rows.append(("mass of fluid", f"{used}: {fit.fluid.reason}"))
     if fit.diagnosis is not None:
         named = fit.diagnosis.named

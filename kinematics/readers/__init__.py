@@ -20,7 +20,7 @@ from kinematics.measurement import Measurement
 from kinematics.readers.input_options import SERIES, InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from kinematics.readers.text import openable
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, Place, collecting, raise_all
 
 if TYPE_CHECKING:
     from kinematics.readers.formats import Format
@@ -164,7 +164,7 @@ def _as_recordings(measurement: Measurement, path: Path) -> Recordings:
                         measurement.freq_hz[there],
                         value[there],
                         measurement.order,
-                        f"{path.name}, point {point}",
+                        Place(path.name, detail=f"point {point}"),
                         run="" if name == "1" else name if take is None else take.run,
                         body=body.body,
                         position_mm=body.positions_mm[channel],

@@ -10,9 +10,8 @@ import numpy as np
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.input_options import InputOptions, is_file
-from kinematics.readers.recording import Recording, Recordings
+from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.readers.unit_labels import LENGTHS
-from kinematics.readers.value_checks import scaled
 from kinematics.tidy.points_csv import Points
 from stapeskit.faults import Fault, raise_all
 from stapeskit.vocabulary import named

@@ -50,11 +50,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import array_of, complex_of, read_hdf5, text_of, texts_of
-from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
-from kinematics.readers.value_checks import number_faults, scaled
-from stapeskit.faults import Fault, collecting, raise_all
+from kinematics.readers.value_checks import number_faults
+from stapeskit.faults import Fault, Place, collecting, raise_all
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
@@ -172,7 +172,7 @@ def _own(file: Any, name: str) -> Recordings:
                     freq,
                     scaled(value[run, k], scale),
                     unit.order,
-                    f"{name}, channel {k + 1}" + (f", run {run + 1}" if runs > 1 else ""),
+                    Place(name, "channel", (k + 1,), f"run {run + 1}" if runs > 1 else ""),
                     run_names[run] or (str(run + 1) if runs > 1 else ""),
                     bodies[k],
                     position[k],

@@ -43,8 +43,9 @@ class Recording:
         SI, peak amplitude, e^{+iwt}; NaN where missing.
     order : int
         0 displacement (m), 1 velocity (m/s), 2 acceleration (m/s2).
-    where : Place or str
-        Place for messages: file, data set or variable.
+    where : Place
+        For messages: ``Place(file, "line", (7,))``, ``Place(file, detail="channel x")``; faults that differ
+        in the numbers only become one sentence.
     run : str
         The excitation; empty when the file does not say.
     body : str
@@ -85,7 +86,7 @@ class Recording:
     freq_hz: Array
     value: ComplexArray
     order: int
-    where: Place | str
+    where: Place
     run: str = ""
     body: str = ""
     position_mm: Array = field(default_factory=unknown_vector)

@@ -12,15 +12,6 @@ from stapeskit.faults import Fault, Place
 from stapeskit.units import FARTHEST_MM, HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 
-def scaled(values: NDArray[np.complex128], factor: float) -> NDArray[np.complex128]:
-    """Return numbers in another unit; infinite parts leave the other part alone."""
-    made = np.array(values, dtype=complex)
-    with np.errstate(over="ignore", invalid="ignore"):
-        made.real *= factor
-        made.imag *= factor
-    return made
-
-
 def in_mm(positions: NDArray[np.float64], metres: float) -> NDArray[np.float64]:
     """Return positions (..., 3) in mm from those in a unit of so many metres."""
     with np.errstate(over="ignore"):

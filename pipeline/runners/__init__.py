@@ -1,1 +1,98 @@
-"""Where the studies of a cohort run: in processes of this machine, or on the workers of a cluster."""
+"""Where the studies of a cohort run, one place a file: in processes of this machine, or on a cluster.
+
+A runner is a module of this folder with a function ``run(tasks, where, tell, ended)``, and one entry of
+`RUNNERS`; ``scan2kd --scheduler``, its help and the contract test follow from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from pipeline.runners.process import End, Task
+
+HERE = "local"
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where studies shall run.
+
+    Attributes
+    ----------
+    jobs : int
+        How many run at a time on this machine.
+    address : str
+        Of the scheduler of a cluster; empty on this machine.
+    shared : Path
+        An existing folder that every machine must see under the same path.
+    """
+
+    jobs: int = 1
+    address: str = ""
+    shared: Path = Path()
+
+
+class Run(Protocol):
+    """The function ``run`` of a runner."""
+
+    def __call__(
+        self,
+        tasks: Sequence[Task],
+        where: Where,
+        tell: Callable[[str, str], None],
+        ended: Callable[[str, End], None],
+    ) -> None:
+        """Run studies until all have ended; give them up when interrupted.
+
+        Parameters
+        ----------
+        tasks : sequence of Task
+        where : Where
+        tell : callable
+            Gets the name of a study (empty for a line about all of them) and a line of its progress.
+        ended : callable
+            Gets the name of a study and its end, one at a time.
+        """
+
+
+@dataclass(frozen=True)
+class Runner:
+    """An entry: what it is, for the help, and the schemes of addresses (``tcp`` of tcp://HOST:PORT)."""
+
+    summary: str
+    schemes: tuple[str, ...] = ()
+
+
+RUNNERS: dict[str, Runner] = {
+    HERE: Runner("processes of this machine"),
+    "cluster": Runner("a dask scheduler", ("tcp", "tls", "ws", "wss", "ucx", "")),
+}
+"""By the name of the module; an address without a scheme goes to the entry with an empty one."""
+
+
+def runner_of(address: str) -> Run:
+    """Return the function that runs studies at an address; empty: on this machine.
+
+    Raises
+    ------
+    PipelineError
+        No runner takes addresses of that scheme.
+    """
+    name = HERE
+    if address:
+        scheme = address.partition("://")[0] if "://" in address else ""
+        known = {scheme: name for name, runner in RUNNERS.items() for scheme in runner.schemes}
+        if scheme not in known:
+            from pipeline.errors import PipelineError
+            from stapeskit.faults import Fault
+
+            wanted = f"an address that begins with {', '.join(f'{word}://' for word in known if word)}"
+            raise PipelineError(Fault("{scheduler}", wanted, address))
+        name = known[scheme]
+    run: Run = import_module(f"pipeline.runners.{name}").run
+    return run

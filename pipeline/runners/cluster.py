@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import PipelineError
+from pipeline.runners import Where
 from pipeline.runners.process import AGAIN, End, Task, run_task
 from stapeskit.faults import Fault
 
@@ -34,39 +35,28 @@ class _Order:
     topic: str
 
 
-def run_on_cluster(
+def run(
     tasks: Sequence[Task],
-    address: str,
-    shared: Path,
+    where: Where,
     tell: Callable[[str, str], None],
     ended: Callable[[str, End], None],
 ) -> None:
-    """Run studies on the workers of a cluster until all have ended.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    address : str
-        Of the scheduler: ``tcp://host:8786``.
-    shared : Path
-        An existing folder that workers must see under the same path.
-    tell, ended : callable
-        As in `pipeline.runners.local.run_here`.
+    """Run studies on the workers of the scheduler ``where.address``, as `pipeline.runners.Run`.
 
     Raises
     ------
     PipelineError
         dask.distributed is not installed, or no scheduler answers.
     """
-    client = _connect(address)
+    client = _connect(where.address)
     token = uuid.uuid4().hex[:12]
-    mark = shared / f"cluster-{token}"
+    mark = where.shared / f"cluster-{token}"
     mark.touch()
     topic = f"stapeskit-{token}"
     try:
         client.subscribe_topic(topic, lambda event: tell(*event[1]))
         if not client.scheduler_info()["workers"]:
-            tell("", f"the scheduler {address} has no workers yet; waiting for them")
+            tell("", f"the scheduler {where.address} has no workers yet; waiting for them")
         versions = _versions()
         orders = [_Order(task, versions, mark, topic) for task in tasks]
         futures = {

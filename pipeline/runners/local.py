@@ -6,37 +6,28 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
+from pipeline.runners import Where
 from pipeline.runners.process import End, Task, run_task
 
 _POLL_S = 0.1
 
 
-def run_here(
+def run(
     tasks: Sequence[Task],
-    jobs: int,
+    where: Where,
     tell: Callable[[str, str], None],
     ended: Callable[[str, End], None],
 ) -> None:
-    """Keep ``jobs`` studies at work until all have ended; give them up when interrupted.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    jobs : int
-    tell : callable
-        Gets the name of a study and a line of its progress.
-    ended : callable
-        Gets the name of a study and its end, one at a time.
-    """
+    """Keep ``where.jobs`` studies at work until all have ended, as `pipeline.runners.Run`."""
     stop = threading.Event()
 
-    def run(task: Task) -> End:
+    def run_one(task: Task) -> End:
         if stop.is_set():
             return End(130, fault="interrupted")
         return run_task(task, lambda line: tell(task.name, line), stop.is_set)
 
-    with ThreadPoolExecutor(jobs) as pool:
-        waiting: dict[Future[End], str] = {pool.submit(run, task): task.name for task in tasks}
+    with ThreadPoolExecutor(where.jobs) as pool:
+        waiting: dict[Future[End], str] = {pool.submit(run_one, task): task.name for task in tasks}
         try:
             while waiting:
                 done, _ = wait(waiting, _POLL_S, FIRST_COMPLETED)

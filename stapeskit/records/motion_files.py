@@ -18,25 +18,15 @@ from stapeskit.provenance import content_hash
 from stapeskit.records.hdf5_file import larger_than_file, written_h5
 from stapeskit.records.hdf5_guard import read_apart
 from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.spatial import DOF_NAMES, DOF_UNITS
+from stapeskit.records.motion_columns import ROW_COLUMNS, STORED, MotionColumns, columns_of
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
-LARGEST_COUNT = 1e15
 _WANTED = "a whole HDF5 file of points2dof"
 _ROWS = 2000
-_PER_REFERENCE = "_per_ref"
-
-
-def column_names(dof: Sequence[str], per_reference: bool) -> list[str]:
-    """Return the columns of a dof.csv in their order."""
-    end = _PER_REFERENCE if per_reference else ""
-    parts = [f"{name}_{part}_{DOF_UNITS[name]}{end}" for name in dof for part in ("re", "im")]
-    deviations = [f"{name}_sd_{DOF_UNITS[name]}{end}" for name in dof]
-    return ["run", "body", "freq_hz", *parts, *deviations, "chi2", "n_dof"]
 
 
 def line_covariance(motion: RigidMotion) -> NDArray[np.complex128]:
@@ -70,12 +60,14 @@ def write_motion(
 
 
 def _write_csv(path: Path, motion: RigidMotion) -> None:
-    """Write the rows of all determined lines: q with all its digits, sd and chi2 with 9."""
+    """Write the rows of all determined lines: q with all its digits, sd with 9."""
     runs, bodies, _, dof = motion.q.shape
-    names = column_names(motion.dof, bool(motion.reference))
+    names = MotionColumns(motion.dof, bool(motion.reference)).all
     sd = standard_deviation(motion)
     freq = [repr(value) for value in motion.freq_hz.tolist()]
-    pattern = ",".join(["%s", *["%r"] * (2 * dof), *["%.9g"] * (dof + 1), "%d"]) + "\n"
+    forms = [column.form for column in ROW_COLUMNS]
+    pattern = ",".join(["%s", *["%r"] * (2 * dof), *["%.9g"] * dof, *forms]) + "\n"
+    more = np.stack([column.values(motion) for column in ROW_COLUMNS], axis=-1)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(names) + "\n")
         for run, body in np.ndindex(runs, bodies):
@@ -83,9 +75,9 @@ def _write_csv(path: Path, motion: RigidMotion) -> None:
             kept = np.flatnonzero(np.isfinite(motion.q[run, body, :, 0].real))
             for first in range(0, len(kept), _ROWS):
                 pick = kept[first : first + _ROWS]
-                q, chi2 = motion.q[run, body, pick], motion.chi2[run, body, pick, None]
+                q = motion.q[run, body, pick]
                 parts = np.stack([q.real, q.imag], axis=-1).reshape(len(q), -1)
-                table = np.hstack([parts, sd[run, body, pick], chi2, motion.n_dof[run, body, pick, None]])
+                table = np.hstack([parts, sd[run, body, pick], more[run, body, pick]])
                 values: list[Any] = []
                 for line, row in zip(pick.tolist(), table.tolist(), strict=True):
                     values.append(start + freq[line])
@@ -113,7 +105,7 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
         file.attrs["provenance"] = json.dumps(dict(motion.provenance))
         for name in ("runs", "bodies", "dof"):
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
-        for name in ("freq_hz", "q", "covariance", "chi2", "n_dof"):
+        for name in ("freq_hz", "q", "covariance", *(column.name for column in STORED)):
             _put(file, name, getattr(motion, name))
         if motion.common_sd is not None:
             _put(file, "common_sd", motion.common_sd)
@@ -209,7 +201,8 @@ def _motion_from_h5(file: Any) -> RigidMotion:
     parts: dict[str, Any] = {
         key: tuple(word.decode() for word in file[key][()]) for key in ("runs", "bodies", "dof")
     }
-    parts |= {key: file[key][()] for key in ("freq_hz", "q", "covariance", "chi2", "n_dof")}
+    names = ("freq_hz", "q", "covariance", *(column.name for column in STORED))
+    parts |= {name: file[name][()] for name in names}
     shared = None
     if "shared" in file:
         group = file["shared"]
@@ -231,32 +224,28 @@ def _motion_from_h5(file: Any) -> RigidMotion:
 
 
 def _read_csv(path: Path, notice: Notice) -> RigidMotion:
-    found: dict[str, Any] = {}
-
     def choose(header: Sequence[str], name: str) -> tuple[set[str], set[str]]:
-        end = _PER_REFERENCE if any(column.endswith(_PER_REFERENCE) for column in header) else ""
-        dof = tuple(n for n in DOF_NAMES if any(column.startswith(f"{n}_re_") for column in header))
-        needed = column_names(dof, bool(end))
-        missing = [
-            column for column in needed if column not in header and column not in ("run", "chi2", "n_dof")
-        ]
-        if not dof:
+        columns = columns_of(header)
+        missing = [column for column in columns.needed if column not in header]
+        if not columns.dof:
             missing = ["x_re_m or another degree of freedom"]
         if missing:
             place = Place(name, "line", (1,))
             raise StapeskitError(Fault("a motion file", "complete", f"no column {', '.join(missing)}", place))
-        found.update(dof=dof, end=end, needed=needed)
-        return {c for c in needed if c in header} - {"run", "body"}, {"run", "body"} & set(header)
+        numbers = {*columns.needed, *(column.name for column in STORED)} - {"body"}
+        return numbers & set(header), {"run", "body"} & set(header)
 
     table = read_table(path, choose)
-    return _motion_from_table(table, found["dof"], found["end"], notice)
+    return _motion_from_table(table, notice)
 
 
-def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Notice) -> RigidMotion:
+def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
+    columns = columns_of(table.numbers)
+    dof = columns.dof
     body, freq = table.texts["body"], table.numbers["freq_hz"]
     runs = table.texts["run"].names if "run" in table.texts else ("1",)
     run = table.texts["run"].codes if "run" in table.texts else np.zeros(len(table), dtype=np.intp)
-    sd = np.column_stack([table.numbers[f"{name}_sd_{DOF_UNITS[name]}{end}"] for name in dof])
+    sd = np.column_stack([table.numbers[name] for name in columns.deviations])
     faults = [*table.faults, *_row_faults(table, freq, sd, body.codes)]
     lines, line = np.unique(freq, return_inverse=True)
     shape = (len(runs), len(body.names), len(lines))
@@ -272,17 +261,19 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
     raise_all(StapeskitError, faults)
     q = np.full((*shape, len(dof)), np.nan + 0j)
     variance = np.full(q.shape, np.nan)
-    chi2, n_dof = np.full(shape, np.nan), np.zeros(shape, dtype=int)
     at = (run, body.codes, line)
-    for column, name in enumerate(dof):
-        re, im = (table.numbers[f"{name}_{part}_{DOF_UNITS[name]}{end}"] for part in ("re", "im"))
-        q[(*at, column)] = re + 1j * im
-        variance[(*at, column)] = 2.0 * sd[:, column] ** 2
-    if "chi2" in table.numbers and "n_dof" in table.numbers:
-        chi2[at], n_dof[at] = table.numbers["chi2"], np.nan_to_num(table.numbers["n_dof"]).astype(int)
+    for k, (real, imaginary) in enumerate(zip(columns.real, columns.imaginary, strict=True)):
+        q[(*at, k)] = table.numbers[real] + 1j * table.numbers[imaginary]
+        variance[(*at, k)] = 2.0 * sd[:, k] ** 2
+    stored: dict[str, Any] = {}
+    for column in STORED:
+        cells = np.full(shape, np.nan)
+        if column.name in table.numbers:
+            cells[at] = table.numbers[column.name]
+        stored[column.name] = column.filled(cells)
     covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
     reference = ""
-    if end:
+    if columns.per_reference:
         reference = _reference_of(q, body.names, dof, table.file)
         joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
         for owner in range(shape[1]):
@@ -290,7 +281,7 @@ def _motion_from_table(table: Table, dof: tuple[str, ...], end: str, notice: Not
             joint[:, :, part, part] = covariance[:, owner]
         covariance = joint
     return RigidMotion(
-        runs, body.names, dof, lines, q, covariance, chi2, n_dof, reference=reference, notices=(notice,)
+        runs, body.names, dof, lines, q, covariance, **stored, reference=reference, notices=(notice,)
     )
 
 
@@ -302,15 +293,10 @@ def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) ->
             finite = 0.0 < freq[row] < np.inf
             want = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz" if finite else "positive and finite"
             faults.append(Fault("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))
-    for name in {"chi2", "n_dof"} & set(table.numbers):
-        values = table.numbers[name]
-        odd = (values < 0.0) | (values > LARGEST_COUNT)
-        if name == "n_dof":
-            odd |= values != np.where(np.isnan(values), values, np.round(values))
-            odd &= ~np.isnan(values)
-        for row in np.flatnonzero(odd):
-            want = "a count" if name == "n_dof" else f"from 0 to {LARGEST_COUNT:g}"
-            faults.append(Fault(name, want, f"{values[row]:g}", table.where(int(row))))
+    for column in STORED:
+        values = table.numbers.get(column.name, np.zeros(0))
+        for row in np.flatnonzero(column.is_wrong(values)):
+            faults.append(Fault(column.name, column.expected, f"{values[row]:g}", table.where(int(row))))
     for row in np.flatnonzero(np.any((sd < 0.0) | (sd > LARGEST), axis=1)):
         faults.append(
             Fault("a standard deviation", "positive and finite", sd[row].tolist(), table.where(int(row)))

@@ -10,7 +10,8 @@ from kinematics.fit.frf_ratio import per_reference
 from kinematics.points2dof import Options, points2dof
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.records.motion_files import column_names, read_motion, standard_deviation, write_motion
+from stapeskit.records.motion_columns import ROW_COLUMNS, MotionColumns
+from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
 from stapeskit.warnings import Notice
 from tests.kinematics.simulated import body, measurement, scene
 
@@ -66,7 +67,7 @@ def test_both_files_read_back(tmp_path, motion):
 def test_columns_are_those_promised(tmp_path, motion):
     csv, _ = write_motion(tmp_path, "dof", motion)
     header = csv.read_text(encoding="utf-8").splitlines()[0].split(",")
-    assert header == [
+    promised = [
         "run",
         "body",
         "freq_hz",
@@ -82,8 +83,22 @@ def test_columns_are_those_promised(tmp_path, motion):
         "chi2",
         "n_dof",
     ]
-    assert header == column_names(DOF, False)
+    assert header[: len(promised)] == promised
+    assert header == MotionColumns(DOF, False).all
     assert len(csv.read_text(encoding="utf-8").splitlines()) == 1 + 19
+
+
+@pytest.mark.parametrize("column", ROW_COLUMNS, ids=lambda column: column.name)
+def test_every_column_of_the_table_is_written_and_read_back(tmp_path, motion, column):
+    csv, h5 = write_motion(tmp_path, "dof", motion)
+    values = column.values(motion)
+    assert values.shape == motion.q.shape[:3]
+    assert column.name in csv.read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert not np.any(column.is_wrong(values[np.isfinite(values)].astype(float)))
+    h5.unlink()
+    if column.stored:
+        measured = np.isfinite(motion.q[..., 0])
+        assert np.allclose(getattr(read_motion(csv), column.name)[measured], values[measured], rtol=1e-8)
 
 
 def test_a_csv_alone_has_uncorrelated_noise(tmp_path, motion):

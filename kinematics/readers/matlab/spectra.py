@@ -33,10 +33,9 @@ from kinematics.readers.matlab.variables import (
     values_of,
     variable,
 )
-from kinematics.readers.recording import Recording, Recordings, unknown_vector
+from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
-from kinematics.readers.value_checks import scaled
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -232,7 +231,7 @@ def _plain(
                                 freq,
                                 scaled(values[k, :, beam], scale),
                                 unit.order,
-                                f"{where}, {name}, row {k + 1}",
+                                Place(f"{where}, {name}", "row", (k + 1,)),
                                 signal.run or layout.run,
                                 signal.body or layout.body,
                                 places[k],

@@ -20,7 +20,7 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
@@ -226,7 +226,7 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple
             freq,
             value,
             order,
-            f"{name}, point {point}",
+            Place(name, detail=f"point {point}"),
             position_mm=positions[point],
             direction=beam_of(axis),
             per=min(pers),

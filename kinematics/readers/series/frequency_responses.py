@@ -27,7 +27,7 @@ from kinematics.signals.frf_periodic import Periodic, periodic_frf
 from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
-from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
@@ -329,7 +329,7 @@ def _recordings(
             frf.freq_hz[kept],
             frf.value[k, kept],
             one.order,
-            f"{series.file}, channel {one.name}",
+            Place(series.file, detail=f"channel {one.name}"),
             one.run,
             one.body,
             one.position_mm,

@@ -215,7 +215,7 @@ def _recording(
         function.x[order],
         scaled(function.y[order], motion.scale),
         motion.order,
-        f"{file}, dataset {function.place}",
+        Place(file, "dataset", (function.place,)),
         run=run,
         position_mm=geometry.position_mm(function.node),
         direction=geometry.direction(function.node, function.direction),

@@ -78,6 +78,7 @@ def test_a_cause_is_named_with_its_size_and_removed(cause: str) -> None:
     fit = fitted(case)
     assert "cause_found" in codes(fit)
     assert fit.diagnosis.named.name == cause
+    assert json.loads(json.dumps(kd_json(fit, {})))["causes"]["searched"] is True
     fixed = fitted(case, correct=cause)
     size, sd = fixed.diagnosis.corrected[cause]
     assert size == pytest.approx(ERRORS[cause], abs=4.0 * sd)

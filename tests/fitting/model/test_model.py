@@ -134,10 +134,13 @@ def test_passivity_does_not_depend_on_units_and_sees_a_single_bad_coupling() -> 
 
 
 def test_laws_refuse_what_they_cannot_be() -> None:
-    with pytest.raises(FittingError, match="the damping law must be one of viscous, hysteretic, fractional"):
-        DampingLaw("coulomb")
-    with pytest.raises(FittingError, match="the damping exponent must be between 0 and 2"):
-        DampingLaw("fractional", 2.5)
+    for name, exponent, thing, got in (
+        ("coulomb", 1.0, "the damping law", "coulomb"),
+        ("fractional", 2.5, "the damping exponent", "2.5"),
+    ):
+        with pytest.raises(FittingError) as refused:
+            DampingLaw(name, exponent)
+        assert (refused.value.faults[0].thing, refused.value.faults[0].got) == (thing, got)
 
 
 def test_units_of_damping() -> None:

@@ -14,7 +14,7 @@ from kinematics.measurement import RecordNoise, from_arrays
 from kinematics.points2dof import Options, points2dof
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.recording import Recording
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Place, StapeskitError
 from stapeskit.records.motion_files import standard_deviation
 from stapeskit.spatial import point_rows
 from tests.kinematics.simulated import body, measurement, readings, scene
@@ -25,7 +25,7 @@ LINES = np.arange(3)
 
 def recording(common, size=2.0):
     common = None if common is None else np.asarray(common, dtype=float)
-    return Recording("1", FREQ, np.full(3, size * 1j), 1, "file", sd=np.full(3, 0.3), common_sd=common)
+    return Recording("1", FREQ, np.full(3, size * 1j), 1, Place("file"), sd=np.full(3, 0.3), common_sd=common)
 
 
 def test_one_record_keeps_it_apart():

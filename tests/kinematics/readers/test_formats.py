@@ -14,7 +14,7 @@ from kinematics.readers import formats, read_measurement
 from kinematics.readers.formats import FORMATS, TIDY, Format, format_of, kind_of
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.recording import Recording, Recordings
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Place, StapeskitError
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
@@ -34,7 +34,7 @@ def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
     def read(path):
         position, direction = np.zeros(3), np.array([0.0, 1.0, 0.0])
         recording = Recording(
-            "1", np.array([100.0]), np.array([2.0 + 1.0j]), 0, path.name,
+            "1", np.array([100.0]), np.array([2.0 + 1.0j]), 0, Place(path.name),
             body="s", position_mm=position, direction=direction,
         )  # fmt: skip
         return Recordings((recording,), amplitude_stated=True)

@@ -10,10 +10,9 @@ import pytest
 
 from kinematics.readers import InputOptions
 from kinematics.readers.assemble import assemble
-from kinematics.readers.recording import Recording, Recordings
-from kinematics.readers.value_checks import scaled
+from kinematics.readers.recording import Recording, Recordings, scaled
 from kinematics.tidy.points_csv import read_points
-from stapeskit.faults import StapeskitError
+from stapeskit.faults import Place, StapeskitError
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_volumes"
@@ -38,7 +37,7 @@ def recordings(numbers=range(6), body="stapes", first=1, **how):
             F,
             value(number, axis),
             1,
-            f"a.uff, dataset {place}",
+            Place("a.uff", "dataset", (place,)),
             body=body,
             position_mm=PLACES[number],
             direction=AXES[axis],

@@ -113,7 +113,7 @@ def test_position_direction_quantity_and_names(tmp_path):
     np.testing.assert_allclose(recording.position_mm, [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(recording.direction, [0.0, 0.0, 1.0])
     np.testing.assert_allclose(recording.value, Y, rtol=1e-5)
-    assert "dataset 3" in recording.where
+    assert (recording.where.unit, recording.where.numbers) == ("dataset", (3,))
 
 
 @pytest.mark.parametrize(

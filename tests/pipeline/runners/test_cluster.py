@@ -16,8 +16,8 @@ from distributed import KilledWorker
 
 from pipeline.errors import PipelineError
 from pipeline.records import code_hash
-from pipeline.runners.cluster import _end_of, _Order, _refusal, run_on_cluster
-from pipeline.runners.local import run_here
+from pipeline.runners import Where, cluster, local
+from pipeline.runners.cluster import _end_of, _Order, _refusal
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 ROOT = Path(__file__).parents[3]
@@ -59,8 +59,9 @@ class Asked(Report):
 
     def __init__(self, folder, plans, address):
         super().__init__()
-        arguments = (tasks(folder, plans), address, folder / "out", self.tell, self.ended)
-        self.thread = threading.Thread(target=run_on_cluster, args=arguments)
+        where = Where(address=address, shared=folder / "out")
+        arguments = (tasks(folder, plans), where, self.tell, self.ended)
+        self.thread = threading.Thread(target=cluster.run, args=arguments)
         self.thread.start()
 
     def codes(self):
@@ -79,7 +80,7 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
         cohort = Asked(folder, plans, address)
         wait_for("started-[ab]-*", folder / "out", 2)
         first.send_signal(signal.SIGKILL)
-        run_here(tasks(quiet, plans), 4, Report().tell, Report().ended)
+        local.run(tasks(quiet, plans), Where(4), Report().tell, Report().ended)
         assert cohort.codes() == {"a": 0, "b": 0, "c": 0, "d": 2}
         assert results(folder) == results(quiet)
         assert len(list((folder / "out").glob("started-[ab]-*"))) == 3
@@ -91,14 +92,14 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
     assert "scheduler was lost" in more.ends["h"].fault
     assert not list((folder / "out").glob("cluster-*"))
     rest = Report()
-    run_here(tasks(folder, {"a": "", "c": "", "h": ""}), 3, rest.tell, rest.ended)
+    local.run(tasks(folder, {"a": "", "c": "", "h": ""}), Where(3), rest.tell, rest.ended)
     assert [rest.ends[name].name for name in "ach"] == ["reused", "reused", "h"]
 
 
 def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.runners.cluster._CONNECT_S", 0.3)
     with pytest.raises(PipelineError) as refused:
-        run_on_cluster([], "tcp://127.0.0.1:9", tmp_path, print, print)
+        cluster.run([], Where(address="tcp://127.0.0.1:9", shared=tmp_path), print, print)
     assert refused.value.faults[0].thing == "{scheduler}"
     assert not list(tmp_path.iterdir())
 

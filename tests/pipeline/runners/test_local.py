@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from pipeline.runners.local import run_here
+from pipeline.runners import Where
+from pipeline.runners.local import run
 from pipeline.runners.process import run_task
 from tests.pipeline.runners.helpers import Report, results, tasks
 
@@ -13,14 +14,14 @@ from tests.pipeline.runners.helpers import Report, results, tasks
 def test_every_study_ends_and_a_second_run_does_what_is_left(tmp_path):
     plans = {"a": "", "b": 'fails = "input"', "c": 'fails = "killed"'}
     report = Report()
-    run_here(tasks(tmp_path, plans), 3, report.tell, report.ended)
+    run(tasks(tmp_path, plans), Where(3), report.tell, report.ended)
     assert {name: end.code for name, end in report.ends.items()} == {"a": 0, "b": 2, "c": 2}
     assert report.ends["a"].name == "a"
     assert "signal 9" in report.ends["c"].fault
     assert ("a", "scan 0.1 s") in report.lines
     assert list(results(tmp_path)) == ["a"]
     again = Report()
-    run_here(tasks(tmp_path, {"a": "", "c": ""}), 2, again.tell, again.ended)
+    run(tasks(tmp_path, {"a": "", "c": ""}), Where(2), again.tell, again.ended)
     assert again.ends["a"].name == "reused"
     assert list(results(tmp_path)) == ["a", "c"]
 
@@ -56,5 +57,5 @@ def test_an_error_of_the_listener_ends_all(tmp_path):
 
     begun = time.monotonic()
     with pytest.raises(ValueError, match="no more"):
-        run_here(tasks(tmp_path, {"a": "", "b": "seconds = 30"}), 2, Report().tell, broken)
+        run(tasks(tmp_path, {"a": "", "b": "seconds = 30"}), Where(2), Report().tell, broken)
     assert time.monotonic() - begun < 10

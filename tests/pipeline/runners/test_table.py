@@ -1,0 +1,31 @@
+"""The table of runners: each entry has a module that runs, and an address chooses one."""
+
+import inspect
+from importlib import import_module
+
+import pytest
+
+from pipeline.errors import PipelineError
+from pipeline.runners import HERE, RUNNERS, Run, runner_of
+
+
+@pytest.mark.parametrize("name", RUNNERS)
+def test_every_entry_can_be_called_as_the_interface_says(name):
+    run = import_module(f"pipeline.runners.{name}").run
+    wanted = list(inspect.signature(Run.__call__).parameters)[1:]
+    assert list(inspect.signature(run).parameters) == wanted
+    assert bool(RUNNERS[name].schemes) == (name != HERE)
+
+
+@pytest.mark.parametrize(
+    ("address", "module"), [("", "local"), ("tcp://host:8786", "cluster"), ("host:8786", "cluster")]
+)
+def test_the_address_chooses_the_runner(address, module):
+    assert runner_of(address).__module__ == f"pipeline.runners.{module}"
+
+
+def test_an_unknown_scheme_is_refused():
+    with pytest.raises(PipelineError) as refused:
+        runner_of("ftp://host")
+    assert refused.value.faults[0].thing == "{scheduler}"
+    assert refused.value.faults[0].got == "ftp://host"
