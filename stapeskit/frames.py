@@ -178,20 +178,6 @@ class RigidTransform:
         return self @ step
 
 
-def rotation_between(source: ArrayLike, target: ArrayLike) -> Array:
-    """Return the smallest rotation (3, 3) that turns one unit vector (3,) into another."""
-    a, b = np.asarray(source, dtype=float), np.asarray(target, dtype=float)
-    axis = np.cross(a, b)
-    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
-    if sine < 1e-12:
-        if cosine > 0.0:
-            return np.eye(3)
-        helper = np.eye(3)[int(np.argmin(np.abs(a)))]
-        normal = np.cross(a, helper)
-        return rotation_from_vector(np.pi * normal / np.linalg.norm(normal))
-    return rotation_from_vector(axis / sine * np.arctan2(sine, cosine))
-
-
 def axes_matrix(x: Sequence[float] | Array, y: Sequence[float] | Array) -> Array:
     """Return the rotation whose columns are a right-handed triad: ``y`` exact, ``x`` made square to it.
 

@@ -204,7 +204,6 @@ def _folder(value: Any) -> Path:
 
 
 FOLDER = Kind("a folder", "DIR", _folder)
-FILE = file()
 
 
 def choice(*known: str) -> Kind:

@@ -201,11 +201,12 @@ def excludes(name: str, other: str, why: str = "", next_step: str = "Leave one o
     )
 
 
-def needs(name: str, other: str, why: str = "", next_step: str = "") -> Rule:
+def needs(name: str, other: str, why: str = "") -> Rule:
     """Return the rule that an option is given with another only."""
     expected = f"given with {{{other}}}" + (f", {why}" if why else "")
-    step = next_step or f"Add {{{other}}}"
-    return Rule(lambda v: v.has(name) and not v.has(other), f"{{{name}}}", expected, "it alone", step)
+    return Rule(
+        lambda v: v.has(name) and not v.has(other), f"{{{name}}}", expected, "it alone", f"Add {{{other}}}"
+    )
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ _open: set[Path] = set()
 
 
 @contextmanager
-def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
+def scratch(parent: Path | None = None) -> Iterator[Path]:
     """Lend an empty folder that is removed when the block ends.
 
     The folder is locked meanwhile. What killed runs left beside it is removed first: folders of this name,
@@ -32,7 +32,6 @@ def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
     ----------
     parent : Path, optional
         Where it is made; the system's folder for temporary files by default.
-    prefix : str
 
     Raises
     ------
@@ -41,7 +40,7 @@ def scratch(parent: Path | None = None, prefix: str = PREFIX) -> Iterator[Path]:
     """
     place = Path(tempfile.gettempdir()) if parent is None else Path(parent)
     remove_abandoned(place)
-    top = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+    top = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
     _open.add(top)
     lock = None
     try:

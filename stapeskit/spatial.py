@@ -20,32 +20,6 @@ PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", 
 _TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
-def parse_dof(text: str, option: str = "{dof}") -> tuple[str, ...]:
-    """Read a comma list of degrees of freedom and return it in the fixed order.
-
-    ``all`` stands for the six of them.
-
-    Raises
-    ------
-    StapeskitError
-        A name is unknown, given twice, or the list is empty.
-    """
-    if text.strip().lower() == "all":
-        return DOF_NAMES
-    names = [part.strip().lower() for part in text.split(",") if part.strip()]
-    wrong = [name for name in names if name not in DOF_NAMES]
-    if wrong or not names or len(set(names)) != len(names):
-        raise StapeskitError(
-            Fault(
-                option,
-                f"a list of different names out of {', '.join(DOF_NAMES)}, or all",
-                text or "nothing",
-                next_step=f"Write for example {option} y,alpha,gamma",
-            )
-        )
-    return tuple(name for name in DOF_NAMES if name in names)
-
-
 def dof_indices(names: tuple[str, ...]) -> list[int]:
     """Return the positions (0 to 5) of degrees of freedom in the full order."""
     return [DOF_NAMES.index(name) for name in names]
@@ -182,7 +156,7 @@ def central_tensor(parameters: ArrayLike) -> tuple[float, Array]:
     return mass, matrix_from_parameters(p)[3:, 3:] - mass * arm @ arm.T
 
 
-def check_inertia(matrix: ArrayLike, name: str = "the mass matrix") -> None:
+def check_inertia(matrix: ArrayLike) -> None:
     """Refuse a 6x6 spatial inertia that no body can have.
 
     Raises
@@ -190,4 +164,4 @@ def check_inertia(matrix: ArrayLike, name: str = "the mass matrix") -> None:
     StapeskitError
         Any of inertia_faults.
     """
-    raise_all(StapeskitError, inertia_faults(matrix, name))
+    raise_all(StapeskitError, inertia_faults(matrix))

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WAYS = ("mass", "calibration", "density")
 WORDS = {
     "mass": "the balance",
     "calibration": "calibrated grey values",

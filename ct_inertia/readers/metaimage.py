@@ -20,7 +20,6 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
-META_SUFFIXES = (".mha", ".mhd")
 _TYPES = {
     "MET_CHAR": "i1",
     "MET_UCHAR": "u1",

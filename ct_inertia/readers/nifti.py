@@ -23,7 +23,6 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-NIFTI_SUFFIXES = (".nii", ".nii.gz", ".hdr", ".img")
 _TYPES = {
     2: "u1",
     4: "i2",

@@ -22,7 +22,6 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-NRRD_SUFFIXES = (".nrrd", ".nhdr")
 _HEADER_BYTES = 1 << 20
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),

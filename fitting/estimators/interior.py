@@ -50,8 +50,8 @@ def pull_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
     return join(pulled[0], pulled[1])
 
 
-def wall(parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None) -> float:
-    """Return -log det K - log det D - sum log of the distances to finite bounds; inf outside."""
+def wall(parameters: Array, n: int) -> float:
+    """Return -log det K - log det D; inf outside."""
     value = 0.0
     for part in split(parameters, n):
         try:
@@ -61,18 +61,10 @@ def wall(parameters: Array, n: int, lower: Array | None = None, upper: Array | N
         if pivots.min() <= _THINNEST * pivots.max():
             return float("inf")
         value -= 2.0 * float(np.sum(np.log(np.maximum(pivots, 1e-300))))
-    for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        if bound is not None:
-            slack = sign * (parameters - bound)[np.isfinite(bound)]
-            if np.any(slack <= 0.0):
-                return float("inf")
-            value -= float(np.sum(np.log(slack)))
     return value
 
 
-def wall_slopes(
-    parameters: Array, n: int, lower: Array | None = None, upper: Array | None = None
-) -> tuple[Array, Array]:
+def wall_slopes(parameters: Array, n: int) -> tuple[Array, Array]:
     """Return gradient (p,) and Hessian (p, p) of the wall at an interior point."""
     half = len(parameters) // 2
     gradient, hessian = np.zeros(2 * half), np.zeros((2 * half, 2 * half))
@@ -81,23 +73,11 @@ def wall_slopes(
         block = slice(place * half, (place + 1) * half)
         gradient[block] = -np.einsum("kii->k", products)
         hessian[block, block] = np.einsum("kij,lji->kl", products, products)
-    for bound, sign in ((lower, 1.0), (upper, -1.0)):
-        if bound is not None:
-            finite = np.flatnonzero(np.isfinite(bound))
-            slack = sign * (parameters - bound)[finite]
-            gradient[finite] -= sign / slack
-            hessian[finite, finite] += 1.0 / slack**2
     return gradient, hessian
 
 
 def minimise(
-    expansion: Expansion,
-    value: Objective,
-    start: Array,
-    n: int,
-    gap: float,
-    lower: Array | None = None,
-    upper: Array | None = None,
+    expansion: Expansion, value: Objective, start: Array, n: int, gap: float
 ) -> tuple[Array, float, int]:
     """Follow the barrier path from an interior start until the barrier's share is below ``gap``.
 
@@ -111,9 +91,7 @@ def minimise(
         Both matrices positive definite.
     n : int
     gap : float
-        Largest 2 n / t to end with, in units of the objective; finite bounds count with 2 n.
-    lower, upper : ndarray, (p,), optional
-        Bounds, infinite where there is none; the start must be strictly between them.
+        Largest 2 n / t to end with, in units of the objective.
 
     Returns
     -------
@@ -123,11 +101,11 @@ def minimise(
     steps : int
     """
     now = np.array(start)
-    order = 2.0 * n + sum(int(np.sum(np.isfinite(bound))) for bound in (lower, upper) if bound is not None)
+    order = 2.0 * n
     sharpness = order / max(0.1 * abs(value(now)), gap)
     steps = 0
     while True:
-        now, count = _centre(expansion, value, now, n, sharpness, (lower, upper))
+        now, count = _centre(expansion, value, now, n, sharpness)
         steps += count
         if order / sharpness <= gap * (1.0 + 1e-9):
             return now, order / sharpness, steps
@@ -135,28 +113,23 @@ def minimise(
 
 
 def _centre(
-    expansion: Expansion,
-    value: Objective,
-    start: Array,
-    n: int,
-    sharpness: float,
-    bounds: tuple[Array | None, Array | None],
+    expansion: Expansion, value: Objective, start: Array, n: int, sharpness: float
 ) -> tuple[Array, int]:
     """Minimise sharpness * objective + wall by Newton steps; return the point and the number of steps."""
     now = start
     for count in range(1, _MOST_STEPS + 1):
         level, gradient, hessian = expansion(now)
-        wall_gradient, wall_hessian = wall_slopes(now, n, *bounds)
+        wall_gradient, wall_hessian = wall_slopes(now, n)
         slope = sharpness * gradient + wall_gradient
         move = -solve_symmetric(sharpness * hessian + wall_hessian, slope)
         decrement = float(-slope @ move)
         if not decrement > 0.0:
             return now, count
-        height = sharpness * level + wall(now, n, *bounds)
+        height = sharpness * level + wall(now, n)
         length = 1.0
         while length > _SHORTEST:
             trial = now + length * move
-            lifted = wall(trial, n, *bounds)
+            lifted = wall(trial, n)
             if np.isfinite(lifted):
                 reached = sharpness * value(trial) + lifted
                 if reached <= height - 1e-4 * length * decrement + 1e-12 * abs(height):

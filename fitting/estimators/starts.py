@@ -14,6 +14,7 @@ from fitting.model.lines import Lines, cholesky, evaluate, forward, real_rows, r
 
 Array = NDArray[np.float64]
 _DIRECTIONS = 3
+_FLUID_ROUNDS = 3  # of weighted least squares, each with the noise at the last estimate
 
 
 def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
@@ -42,7 +43,7 @@ def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
     return held if held.objective < found.objective else found
 
 
-def with_fluid(parameters: Array, lines: Lines, rounds: int = 3) -> tuple[Array, float]:
+def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float]:
     """Return K and D, and a mass of fluid on the first deflection, that the equations suggest; scaled.
 
     Parameters
@@ -50,8 +51,6 @@ def with_fluid(parameters: Array, lines: Lines, rounds: int = 3) -> tuple[Array,
     parameters : ndarray, (p,)
         Where the noise of the equations is first taken.
     lines : Lines
-    rounds : int
-        Of weighted least squares with the noise at the last estimate.
 
     Notes
     -----
@@ -61,7 +60,7 @@ def with_fluid(parameters: Array, lines: Lines, rounds: int = 3) -> tuple[Array,
     fluid[0] = -(lines.omega**2) * lines.dq[0]
     columns = np.concatenate([regressor(lines.dq, lines.factor), fluid[:, :, None]], axis=2)
     found = np.append(parameters, 0.0)
-    for _ in range(rounds):
+    for _ in range(_FLUID_ROUNDS):
         factor = cholesky(evaluate(found[:-1], lines).noise)
         rows, right = real_rows(forward(factor, columns)), real_rows(forward(factor, lines.force))
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):

@@ -20,6 +20,7 @@ from fitting.model.symmetric import split
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+_STEP = 1e-4  # of a scaled parameter, for central differences: their error is its square
 
 
 @dataclass(frozen=True)
@@ -203,9 +204,7 @@ def moved_motion(motion: ComplexArray, turn: ComplexArray | None, shift: Complex
     return motion if shift is None else motion + shift
 
 
-def term_operators(
-    lines: JointLines, equations: Equations, parameters: Array, step: float = 1e-4
-) -> ComplexArray:
+def term_operators(lines: JointLines, equations: Equations, parameters: Array) -> ComplexArray:
     """Return the derivatives of B, as it acts on the motion as measured, by the terms, (t, lines, n, 12)."""
     found = []
     errors = parameters[equations.unknowns :]
@@ -213,9 +212,9 @@ def term_operators(
         ends = []
         for sign in (1.0, -1.0):
             near = parameters.copy()
-            near[place] += sign * step
+            near[place] += sign * _STEP
             there, changed = equations.applied(lines, near)
             made = times_turn(operator_of(there, changed, near), turned(there, errors))
             ends.append(made if there.factors is None else made * there.factors[:, None, :])
-        found.append((ends[0] - ends[1]) / (2.0 * step))
+        found.append((ends[0] - ends[1]) / (2.0 * _STEP))
     return np.array(found)

@@ -106,7 +106,7 @@ class JointLines:
         return replace(self, y=self.y * factors, covariance=covariance, factors=before)
 
 
-def joint_lines(problem: Problem, both: Observation, shared: bool = True) -> JointLines:
+def joint_lines(problem: Problem, both: Observation) -> JointLines:
     """Scale the motion of both bodies and gather the shared errors of motion and mass.
 
     Parameters
@@ -115,15 +115,13 @@ def joint_lines(problem: Problem, both: Observation, shared: bool = True) -> Joi
         Scale, law and inertia.
     both : Observation
         All six degrees of freedom of structure and base.
-    shared : bool
-        Whether the shared errors are unknowns of the likelihood.
     """
     scale = problem.scale
     root = np.sqrt(np.diag(problem.inertia.matrix))
     unit = np.tile(root, 2) / scale.amplitude
     y = both.q * unit
     covariance = both.covariance * np.outer(unit, unit)
-    changes, slopes, sources = _shared(problem, both) if shared else _none(len(y))
+    changes, slopes, sources = _shared(problem, both)
     maps, rests = _maps(y, changes * unit)
     scaled = slopes / np.outer(root, root)
     omega = 2.0 * np.pi * both.freq_hz / scale.omega

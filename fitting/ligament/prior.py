@@ -45,13 +45,6 @@ class Prior:
         root[size[0] :, size[1] :] = np.diag(precision_root)
         return Prior(np.concatenate([self.mean, np.zeros(more)]), root)
 
-    def inserted(self, place: int, precision_root: Array) -> Prior:
-        """Return the prior with independent parameters of mean 0 put ahead of ``place``."""
-        made = self.extended(precision_root)
-        count, total = len(precision_root), len(made.mean)
-        order = np.r_[:place, total - count : total, place : total - count]
-        return Prior(made.mean[order], made.root[:, order])
-
     def draw(self, around: Array, rng: np.random.Generator) -> Prior:
         """Return the prior with its mean drawn around ``around`` (p,) where it knows a parameter."""
         known = np.any(self.root, axis=0)

@@ -105,37 +105,6 @@ def dynamic_stiffness(
     return np.asarray(stiffness, dtype=float) + factor * np.asarray(damping, dtype=float)
 
 
-def frequency_response(
-    mass: ArrayLike,
-    stiffness: ArrayLike,
-    damping: ArrayLike,
-    freq_hz: ArrayLike,
-    law: DampingLaw = VISCOUS,
-) -> ComplexArray:
-    """Return the response H(w) of the stapes to the base motion transported to the footplate centre.
-
-    Parameters
-    ----------
-    mass, stiffness, damping : array_like, (n, n)
-        SI.
-    freq_hz : array_like, (lines,)
-        Hz.
-
-    Returns
-    -------
-    ndarray, (lines, n, n), complex
-        ``q_s = H q_b``.
-
-    Notes
-    -----
-    H = (-w^2 M + Z)^-1 Z, paper Eq. 8.
-    """
-    omega = 2.0 * np.pi * np.asarray(freq_hz, dtype=float)
-    z = dynamic_stiffness(stiffness, damping, omega, law)
-    inertia = omega[:, None, None] ** 2 * np.asarray(mass, dtype=float)
-    return np.asarray(np.linalg.solve(z - inertia, z), dtype=complex)
-
-
 def simulate(
     mass: ArrayLike,
     stiffness: ArrayLike,

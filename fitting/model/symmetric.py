@@ -65,7 +65,7 @@ def join(stiffness: Array, damping: Array) -> Array:
     return np.concatenate([vector(stiffness), vector(damping)])
 
 
-def entry_units(dof: tuple[str, ...], suffix: str = "") -> list[list[str]]:
+def entry_units(dof: tuple[str, ...]) -> list[list[str]]:
     """Return the unit of every entry of a stiffness matrix: N/m, N or N m by its row and column."""
     table = {
         ("m", "m"): "N/m",
@@ -73,4 +73,4 @@ def entry_units(dof: tuple[str, ...], suffix: str = "") -> list[list[str]]:
         ("rad", "m"): "N",
         ("rad", "rad"): "N m",
     }
-    return [[table[DOF_UNITS[row], DOF_UNITS[column]] + suffix for column in dof] for row in dof]
+    return [[table[DOF_UNITS[row], DOF_UNITS[column]] for column in dof] for row in dof]

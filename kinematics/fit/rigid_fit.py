@@ -21,6 +21,8 @@ ComplexArray = NDArray[np.complex128]
 Channels = slice | NDArray[np.bool_]
 _WHOLE = slice(None)
 _SMALL = 1_000_000
+# Degrees of freedom pooled at each line: the factor is known to 1 / sqrt(2 * 400), 3.5 %.
+_POOLED_DOF = 400
 
 
 @dataclass(frozen=True)
@@ -248,7 +250,7 @@ def refitted(beams: BeamSet, fit: LineFit) -> LineFit:
     return fit_noise(beams, fit.value, fit.noise)
 
 
-def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int = 400) -> Array:
+def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array) -> Array:
     """Return the noise factor (freq,) that neighbouring lines show together.
 
     Parameters
@@ -257,15 +259,13 @@ def pooled_scale(chi2: Array, n_dof: NDArray[np.int64], level: Array, want: int 
         With relative sd; lines that are not determined count nothing.
     level : ndarray, (freq,)
         How the noise is expected to run over frequency; the ratio to it is pooled.
-    want : int
-        Degrees of freedom to pool at each line, so that the factor is known to about 1 / sqrt(2 want).
     """
     good = np.isfinite(chi2) & (n_dof > 0)
     total = int(np.sum(n_dof[good]))
     if total == 0:
         return np.full(len(chi2), np.nan)
     lines = len(chi2)
-    width = min(lines, max(1, int(np.ceil(want / (total / lines)))))
+    width = min(lines, max(1, int(np.ceil(_POOLED_DOF / (total / lines)))))
     sums = np.concatenate([[0.0], np.cumsum(np.where(good, chi2 / level**2, 0.0))])
     counts = np.concatenate([[0], np.cumsum(np.where(good, n_dof, 0))])
     start = np.clip(np.arange(lines) - width // 2, 0, lines - width)

@@ -221,17 +221,6 @@ def _format_of_folder(path: Path) -> Format:
     raise KinematicsError(Fault("a vibrometer folder", expected, path.name, next_step=step))
 
 
-def kind_of(path: Path) -> str:
-    """Return the name of the format of a file or folder: ``tidy``, ``uff``, ...
-
-    Raises
-    ------
-    KinematicsError
-        As of `format_of`.
-    """
-    return format_of(path).name
-
-
 def describes_series(path: Path) -> bool:
     """Return whether a file is of a format whose time series need no table of channels."""
     path = Path(path)

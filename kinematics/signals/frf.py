@@ -253,7 +253,7 @@ def _notices(common_sd: Array, share: Array, averages: float, how: Welch) -> lis
             f" H1 reads all of them {low:.2g} % low for it, by one factor, which K, D and responses per "
             "reference do not contain; Hv reads half of that, H2 none where channels have no own noise."
         )
-    notices = common_notice(common_sd, "the reference", more)
+    notices = common_notice(common_sd, more)
     if averages < _FEW_AVERAGES:
         text = f"only {averages:.2g} independent averages were made: the stated noise is rough."
         notices.append(Notice("few_averages", text))

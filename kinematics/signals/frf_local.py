@@ -114,7 +114,7 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     common_sd = np.sqrt(0.5 * lever * steady_common(common, steady))
     size = np.abs(value) ** 2 * power
     whole = size + raw
-    notices = [*common_notice(common_sd, "the reference")]
+    notices = [*common_notice(common_sd)]
     if freedom < 2 * _LEAST_FREEDOM:
         text = f"{freedom} degrees of freedom are left for the noise of a line: it is rough."
         notices.append(Notice("few_averages", text))

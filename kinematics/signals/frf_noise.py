@@ -164,12 +164,12 @@ def _raised(freedom: Array | float) -> Array | float:
     return 1.0 / (1.0 - 1.0 / np.maximum(freedom, 2.0))
 
 
-def common_notice(common_sd: Array, what: str, more: str = "") -> list[Notice]:
+def common_notice(common_sd: Array, more: str = "") -> list[Notice]:
     """Say how loud the noise of the reference is, when it is seen."""
     if not np.any(common_sd > 0.0):
         return []
     text = (
-        f"the noise of {what} moves all channels recorded together alike, by "
+        f"the noise of the reference moves all channels recorded together alike, by "
         f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was told apart from the "
         "noise of each channel, does not touch ratios of motions, K and D, and stands in the covariance of "
         f"the motion itself.{more}"

@@ -142,7 +142,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
         float(np.sum(counts)),
         common_sd,
         np.sqrt(power / np.sum(counts)) * 2.0 / samples,
-        (*common_notice(common_sd, "the reference"), *notices),
+        (*common_notice(common_sd), *notices),
     )
 
 

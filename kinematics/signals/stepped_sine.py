@@ -156,7 +156,7 @@ def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     own = own * np.array([_raised(group) for group in groups.values()])
     common_sd = np.sqrt(0.5 * common)
     size = np.array([np.mean([one.reference for one in group]) for group in groups.values()])
-    notices = (*common_notice(common_sd, "the reference"), *clock_notices, *_step_notices(pairs))
+    notices = (*common_notice(common_sd), *clock_notices, *_step_notices(pairs))
     return Frf(freq, value, np.sqrt(0.5 * own), None, float("nan"), common_sd, size, notices)
 
 

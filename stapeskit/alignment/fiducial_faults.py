@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 INCONSISTENT = 1e-3
 _NOTICEABLE_MM = 0.05
 _ALIKE = 6.0
-_SCALE_SDS = 4.0
 _ROUNDING = 1e-24
 # How many times smaller another order must leave the sum of squares where no sd is stated.
 _FAR_BETTER = 100.0

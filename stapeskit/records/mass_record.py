@@ -77,12 +77,6 @@ class MassMatrix:
         return sum((np.asarray(part) for part in self.contributions.values()), np.zeros((10, 10)))
 
     @property
-    def covariance_frame_fixed(self) -> Array:
-        """Covariance of the ten parameters without the error of the frame, (10, 10), SI."""
-        parts = (np.asarray(part) for name, part in self.contributions.items() if name != FRAME_SOURCE)
-        return sum(parts, np.zeros((10, 10)))
-
-    @property
     def standard_deviation(self) -> Array:
         """Standard deviation of every entry of the matrix, (6, 6), SI."""
         basis = parameter_basis()

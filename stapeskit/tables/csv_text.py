@@ -68,7 +68,7 @@ def open_sheet(path: Path) -> Sheet:
     start, line, separator = 0, 1, ""
     while True:
         if start >= len(data):
-            raise _empty(path.name, "a header and rows", "no header")
+            raise _empty(path.name, "no header")
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
         text = decoded(data[start:end], path.name, line)
@@ -123,8 +123,8 @@ def no_rows(name: str, got: str = "the header alone") -> Fault:
     return Fault(name, "a table with rows below its header", got, "", "Export it again")
 
 
-def _empty(name: str, expected: str, got: str) -> StapeskitError:
-    return StapeskitError(Fault("a CSV file", expected, got, name, "Export it again"))
+def _empty(name: str, got: str) -> StapeskitError:
+    return StapeskitError(Fault("a CSV file", "a header and rows", got, name, "Export it again"))
 
 
 def _bytes(path: Path) -> bytes | mmap.mmap:
@@ -148,7 +148,7 @@ def _bytes(path: Path) -> bytes | mmap.mmap:
     if b"\n" not in data and b"\r" in data:
         data = data.replace(b"\r", b"\n")
     if not data or data.isspace():
-        raise _empty(path.name, "a header and rows", "an empty file")
+        raise _empty(path.name, "an empty file")
     return data
 
 

@@ -13,7 +13,6 @@ from stapeskit.frames import (
     axes_matrix,
     axis_vector,
     cross_matrix,
-    rotation_between,
     rotation_from_vector,
     vector_from_rotation,
 )
@@ -116,20 +115,6 @@ def test_frames_that_do_not_meet_are_refused():
 def test_a_transform_cannot_be_changed():
     with pytest.raises(ValueError, match="read-only"):
         RigidTransform.identity("b", "a").matrix[0, 3] = 1.0
-
-
-@given(vectors, vectors)
-def test_rotation_between_turns_one_direction_into_another(a, b):
-    if min(np.linalg.norm(a), np.linalg.norm(b)) < 1e-3:
-        return
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    assert np.allclose(rotation_between(a, b) @ a, b, atol=1e-9)
-
-
-def test_rotation_between_opposite_directions_is_a_half_turn():
-    rotation = rotation_between([0.0, 1.0, 0.0], [0.0, -1.0, 0.0])
-    assert np.allclose(rotation @ [0.0, 1.0, 0.0], [0.0, -1.0, 0.0])
-    assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
 def test_axes_matrix_keeps_y_and_squares_x():

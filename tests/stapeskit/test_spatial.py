@@ -17,7 +17,6 @@ from stapeskit.spatial import (
     matrix_from_parameters,
     parameter_basis,
     parameters_from_matrix,
-    parse_dof,
     point_rows,
     shifted_point_rows,
     twist_transfer,
@@ -113,14 +112,6 @@ def test_rows_of_shifted_points_differ_by_the_shifted_rows():
     arms, beams, shift = np.random.default_rng(3).normal(size=(3, 5, 3))
     change = point_rows(arms + shift, beams) - point_rows(arms, beams)
     assert np.allclose(shifted_point_rows(beams, shift), change, atol=1e-14)
-
-
-def test_dof_lists():
-    assert parse_dof("all") == DOF_NAMES
-    assert parse_dof("gamma, Y,alpha") == ("y", "alpha", "gamma")
-    for text in ("", "y,y", "phi", "y,roll"):
-        with pytest.raises(StapeskitError, match="--dof must be a list of different names"):
-            parse_dof(text)
 
 
 def box(a, b, c, mass=1.0):

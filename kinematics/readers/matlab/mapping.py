@@ -198,7 +198,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
                 one.value_im,
                 end,
                 usd=_beam_usd(one.value or one.value_re, space),
-                coherence=_companion(_COHERENCES, end, space),
+                coherence=_coherence(end, space),
                 n_avg=next((low[name] for name in _COUNTS if name in low), ""),
                 unit=next(
                     (
@@ -289,10 +289,10 @@ def _beam_usd(name: str, space: Mapping[str, Any]) -> str:
     return descriptions[0] if len(descriptions) == 1 else ""
 
 
-def _companion(names: tuple[str, ...], axis: str, space: Mapping[str, Any]) -> str:
+def _coherence(axis: str, space: Mapping[str, Any]) -> str:
     for key in space:
         plain = key.lower()
-        if any(plain in (name + (f"_{axis}" if axis else ""), name + axis) for name in names):
+        if any(plain in (name + (f"_{axis}" if axis else ""), name + axis) for name in _COHERENCES):
             return key
     return ""
 

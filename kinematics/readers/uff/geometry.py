@@ -105,8 +105,7 @@ def read_geometry(datasets: Iterable[Dataset], file: str, used: set[int]) -> Geo
             with collecting(faults):
                 factor = _length_factor(dataset, dataset.at(file, 2))
         elif dataset.number in (_SYSTEMS, _PRECISE_SYSTEMS):
-            read = _old_systems if dataset.number == _SYSTEMS else _new_systems
-            systems |= {system.label: system for system in read(dataset, file, faults)}
+            systems |= {system.label: system for system in _systems(dataset, file, faults)}
         elif dataset.number in (_NODES, _PRECISE_NODES):
             for label, entry in _nodes(dataset, file, faults):
                 if label in nodes and not np.allclose(nodes[label][0], entry[0], rtol=1e-5, atol=1e-12):
@@ -220,15 +219,16 @@ def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:
     return [(row, line) for row, line in enumerate(dataset.lines[start:], start + 1) if line.strip()]
 
 
-def _old_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
-    """Read dataset 18: origin, a point on the +x axis and one in the +xz plane, all in the parent system."""
+def _systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
+    """Return the coordinate systems of dataset 18, or of 2420, whose first two lines name the part."""
+    old = dataset.number == _SYSTEMS
+    skip, size, read = (0, 4, _old_system) if old else (2, 6, _new_system)
     systems: list[System] = []
-    lines = _numbered(dataset)
-    for start in range(0, len(lines), 4):
+    lines = _numbered(dataset, skip)
+    for start in range(0, len(lines), size):
         with collecting(faults):
-            systems.append(
-                _old_system([line for _, line in lines[start : start + 4]], dataset, file, lines[start][0])
-            )
+            part = [line for _, line in lines[start : start + size]]
+            systems.append(read(part, dataset, file, lines[start][0]))
     return systems
 
 
@@ -248,18 +248,6 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
         raise KinematicsError(Fault(thing, "three points that span a plane", got, where, "Correct it"))
     x, z = x / long, z / wide
     return System(label, shape, parent, np.array([x, np.cross(z, x), z]), origin)
-
-
-def _new_systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
-    """Read dataset 2420: label, shape and colour, name, three rows of axes and one of the origin."""
-    systems: list[System] = []
-    lines = _numbered(dataset, 2)
-    for start in range(0, len(lines), 6):
-        with collecting(faults):
-            systems.append(
-                _new_system([line for _, line in lines[start : start + 6]], dataset, file, lines[start][0])
-            )
-    return systems
 
 
 def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:

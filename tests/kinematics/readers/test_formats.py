@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from kinematics.readers import formats, read_measurement
-from kinematics.readers.formats import FORMATS, TIDY, Format, format_of, kind_of
+from kinematics.readers.formats import FORMATS, TIDY, Format, format_of
 from kinematics.readers.input_options import InputOptions
 from kinematics.readers.recording import Recording, Recordings
 from stapeskit.faults import Place, StapeskitError
@@ -46,7 +46,7 @@ def test_one_entry_makes_a_format_known(tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "FORMATS", (entry, *FORMATS))
     path = tmp_path / "a.new"
     path.write_bytes(b"NEW")
-    assert kind_of(path) == "new"
+    assert format_of(path).name == "new"
     assert read_measurement([path]).bodies[0].displacement[0, 0, 0] == 2.0 + 1.0j
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinematics.readers.formats import kind_of, read_recordings
+from kinematics.readers.formats import format_of, read_recordings
 from kinematics.readers.psv import fastscan as psv_fastscan
 from kinematics.readers.psv import per_point as psv_points
 from stapeskit.faults import StapeskitError
@@ -32,7 +32,7 @@ def by_channel(made):
 
 def test_a_folder_of_frequencies(tmp_path):
     folder = scanned(tmp_path)
-    assert kind_of(folder) == "fastscan"
+    assert format_of(folder).name == "fastscan"
     made = read_recordings(folder)
     assert [notice.code for notice in made.notices] == ["axes_from_beams"]
     assert (len(made.recordings), made.file, made.length_stated) == (6, "scan", False)
@@ -175,7 +175,7 @@ def test_a_folder_of_points(tmp_path):
             for k in (0, 1, 2)
         ),
     )
-    assert kind_of(folder) == "points"
+    assert format_of(folder).name == "points"
     made = read_recordings(folder)
     assert len(made.recordings) == 6
     for n in (0, 1):
@@ -214,7 +214,7 @@ def test_magnitude_and_phase(tmp_path):
 def test_all_points_in_one_file(tmp_path):
     path = tmp_path / "all.txt"
     path.write_bytes(b"\r\n".join(point(n, FREQ, SPECTRUM * n) for n in (1, 2, 3)))
-    assert kind_of(path) == "points"
+    assert format_of(path).name == "points"
     made = psv_points.read(path)
     assert [one.point for one in made.recordings] == ["1", "2", "3"]
     np.testing.assert_allclose(made.recordings[2].value, 3.0 * SPECTRUM, rtol=1e-7)
@@ -290,9 +290,9 @@ def test_files_of_the_vendors_program_say_what_to_export(name, tmp_path):
 
 def test_folders_and_files_of_no_known_kind(tmp_path):
     with pytest.raises(StapeskitError, match="one with text exports"):
-        kind_of(tmp_path)
+        format_of(tmp_path).name
     (tmp_path / "a.xyz").write_text("something")
     with pytest.raises(StapeskitError, match="a universal file"):
-        kind_of(tmp_path / "a.xyz")
+        format_of(tmp_path / "a.xyz").name
     with pytest.raises(StapeskitError, match="an existing file"):
-        kind_of(tmp_path / "none.uff")
+        format_of(tmp_path / "none.uff").name

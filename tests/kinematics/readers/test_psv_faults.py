@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinematics.readers import InputOptions, read_measurement
-from kinematics.readers.formats import kind_of, read_recordings
+from kinematics.readers.formats import format_of, read_recordings
 from stapeskit.faults import StapeskitError
 from tests.kinematics.readers.test_psv import FREQ, SPECTRUM, pointwise, scanned
 from tests.kinematics.written_psv import fastscan, point
@@ -75,7 +75,7 @@ def test_files_that_do_not_belong_to_an_export_are_passed_over_or_named(tmp_path
     (folder / "a.svd").write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90))
     os.symlink(folder, folder / "loop")
     os.symlink(folder / "nowhere.txt", folder / "gone.txt")
-    assert kind_of(folder) == "fastscan"
+    assert format_of(folder).name == "fastscan"
     assert len(read_recordings(folder).recordings) == expected
     (folder / "notes.txt").write_text("Measured on Monday\n")
     assert "no table (notes.txt). Export it again as ASCII, or take it out of the folder." in fault(folder)

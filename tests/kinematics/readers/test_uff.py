@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from kinematics.readers.formats import kind_of, read_recordings
+from kinematics.readers.formats import format_of, read_recordings
 from kinematics.readers.uff.datasets import datasets, looks_like_uff
 from kinematics.readers.uff.functions import read_function
 from kinematics.readers.uff.spectra import read
@@ -298,7 +298,7 @@ def test_points_by_name_where_the_file_has_no_numbers(tmp_path):
 @pytest.mark.parametrize("name", ["a.uff", "a.unv", "a.txt", "a"])
 def test_universal_files_are_known_by_their_first_lines(name, tmp_path):
     path = written(tmp_path, uff.function(X, Y), name=name)
-    assert kind_of(path) == "uff"
+    assert format_of(path).name == "uff"
     assert read_recordings(path).file == name
     assert not looks_like_uff(b"body,point\n")
 
