@@ -290,9 +290,9 @@ def test_files_of_the_vendors_program_say_what_to_export(name, tmp_path):
 
 def test_folders_and_files_of_no_known_kind(tmp_path):
     with pytest.raises(StapeskitError, match="one with text exports"):
-        format_of(tmp_path).name
+        format_of(tmp_path)
     (tmp_path / "a.xyz").write_text("something")
     with pytest.raises(StapeskitError, match="a universal file"):
-        format_of(tmp_path / "a.xyz").name
+        format_of(tmp_path / "a.xyz")
     with pytest.raises(StapeskitError, match="an existing file"):
-        format_of(tmp_path / "none.uff").name
+        format_of(tmp_path / "none.uff")
