@@ -16,8 +16,12 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 
 LANDMARK_NAMES = ("anterior", "posterior", "superior", "inferior", "head", "footplate_centre")
+# Angle of a given direction to the long axis, degrees: refused above the first, for its sign is then within
+# the error of a direction read off a viewer; reported as weak above the second. Chosen by judgement.
 _SQUARE_DEG = 87.0
 _WEAK_DEG = 70.0
+# Distance of a landmark from the footplate centre below which its side is in doubt, mm. Chosen by judgement:
+# points set by hand scatter by some hundredths of a millimetre.
 _LEAST_OFFSET_MM = 0.1
 
 

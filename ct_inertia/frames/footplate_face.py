@@ -7,22 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 
+# Definition of the footplate frame: the medial face is what faces medially within this angle, its normals
+# averaged over this length; its plane is the robust fit with this scale. Other values define another frame.
 FACE_ANGLE_DEG = 60.0
 NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
+# Longest edges of triangles after refinement, mm: below the scale of the normals on a mesh; on a surface of
+# grey values, which the blur has smoothed, twice as long for a quarter of the triangles.
 _EDGE_MM = 0.04
 _SEEN_EDGE_MM = 0.08
 # Depth of the region around a footplate; deeper, by this factor, where the face reaches the region's end.
 _DEPTH_MM, _DEEPER = 0.6, 1.5
-_GRAIN_OF_BLUR, _GRAIN_OF_EDGE = 0.4, 0.5
+_GRAIN_OF_BLUR = calibrated("footplate_face.grain_of_blur")
+_GRAIN_OF_EDGE = calibrated("footplate_face.grain_of_edge")
+# The part of the surface that is searched for the face: its cosines reach this far below that of the angle,
+# and it is cut out anew when the axis has turned by this much (rad), which changes cosines by less.
 _CONE_MARGIN = 0.15
 _CONE_TURN = 0.05
+# Most iterations of the fixed point and of its plane: a guard against cycles.
 _ROUNDS = 100
 
 

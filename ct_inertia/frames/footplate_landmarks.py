@@ -10,6 +10,8 @@ from ct_inertia.frames.anatomy import AnatomyHints
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
+# Largest distance of the landmark head from the bone, mm. Chosen by judgement: about the width of the head,
+# so that a point set inside it or beside it passes and one in other coordinates does not.
 _HEAD_MM = 1.0
 _LANDMARK_STEP = "Check the landmarks and their coordinate system (LPS or RAS), or {mirror}"
 

@@ -7,18 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.surface.surface_field import Mesh
 
 Array = NDArray[np.float64]
 
+# Directions over the sphere: 12 degrees apart, half the cone of a face, then 6 degrees apart within
+# 10 degrees of the best, which covers the cell of a coarse direction.
 _DIRECTIONS = 300
 _FINE_DIRECTIONS = 1200
 _NEAR_DEG = 10.0
+# Faces whose direction is refined: the footplate and two rivals.
 _REFINED = 3
+# Edge of the cells that pool triangles, in diameters of the body: a quarter of the slab of a face.
 _CELL = 0.02
-_CONE_DEG = 22.0
-_SLAB = 0.08
-_OTHER_DEG = 40.0
+_CONE_DEG = calibrated("footplate_search.cone_deg")
+_SLAB = calibrated("footplate_search.slab")
+_OTHER_DEG = calibrated("footplate_search.other_deg")
 
 
 @dataclass(frozen=True)

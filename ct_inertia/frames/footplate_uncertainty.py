@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG, NORMAL_SCALE_MM, Solved, plane_weights, solve
 from ct_inertia.frames.footplate_noise import (
     boundary_covariance,
@@ -16,15 +17,19 @@ from stapeskit.frames import vector_from_rotation
 
 Array = NDArray[np.float64]
 
-_RIM_DEG_PER_MM = 55.0
-_SEEN_RIM_DEG_PER_MM = 30.0
-_RIM_LEFT = np.array([0.35, 0.35, 0.75, 0.75, 0.75, 0.75])
-_RESOLUTION_LEFT = np.array([0.35, 0.35, 0.8, 0.8, 0.8, 0.8])
-_LEFT_UM, _LEFT_UM_MM2, _LEFT_ASIDE_UM = 0.25, 200.0, 0.5
-_LEFT_RAD_MM, _LEFT_RAD_MM2 = 0.013, 0.12
-_BLUR_SHIFT_1_MM = 2.9
-_BLUR_TILT_RAD_MM2 = 0.84
-_BLUR_MOST_MM = 0.04
+_RIM_DEG_PER_MM = calibrated("footplate_uncertainty.rim_deg_per_mm")
+_SEEN_RIM_DEG_PER_MM = calibrated("footplate_uncertainty.seen_rim_deg_per_mm")
+_RIM_LEFT = np.array(calibrated("footplate_uncertainty.rim_left"))
+_RESOLUTION_LEFT = np.array(calibrated("footplate_uncertainty.resolution_left"))
+_LEFT_UM = calibrated("footplate_uncertainty.left_um")
+_LEFT_UM_MM2 = calibrated("footplate_uncertainty.left_um_mm2")
+_LEFT_ASIDE_UM = calibrated("footplate_uncertainty.left_aside_um")
+_LEFT_RAD_MM = calibrated("footplate_uncertainty.left_rad_mm")
+_LEFT_RAD_MM2 = calibrated("footplate_uncertainty.left_rad_mm2")
+_BLUR_SHIFT_1_MM = calibrated("footplate_uncertainty.blur_shift_1_mm")
+_BLUR_TILT_RAD_MM2 = calibrated("footplate_uncertainty.blur_tilt_rad_mm2")
+_BLUR_MOST_MM = calibrated("footplate_uncertainty.blur_most_mm")
+# Accuracy of the axis, rad, of solutions that are only compared: far below the differences that count.
 _ROUGH = 3e-5
 
 

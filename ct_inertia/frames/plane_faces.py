@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate_search import sphere
 from ct_inertia.surface.surface_field import Mesh
 from stapeskit.frames import rotation_from_vector
@@ -17,14 +18,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_CONE_DEG = 12.0
-_BIN_MM = 0.04
-_LAYER_MM = 0.08
-_CELL_MM = 0.4
+_CONE_DEG = calibrated("plane_faces.cone_deg")
+_LAYER_MM = calibrated("plane_faces.layer_mm")
+# Bins of height; the layer with most area is looked for in three of them at a time.
+_BIN_MM = 0.5 * _LAYER_MM
+_CELL_MM = calibrated("plane_faces.cell_mm")
+_SCATTER = calibrated("plane_faces.scatter") ** 2
+# Most iterations of the robust plane, against a cycle, and the turn that ends them: 0.1 nm over 10 mm.
 _ROUNDS = 30
-_SCATTER = 2.25
 _STILL_RAD = 1e-8
+# Directions over the sphere in which faces are looked for: 8 degrees apart, less than the cone of a face.
 _DIRECTIONS = 600
+# Layers without a face of the area asked for after which the search ends: what is left are rounded edges.
 _FAILURES = 3
 # Rows of a table of 600 directions that fit the processor's cache.
 _PIECE = 200

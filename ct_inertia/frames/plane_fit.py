@@ -8,32 +8,42 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plane_faces import PlaneFace, fitted_plane
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
 
 Array = NDArray[np.float64]
 
+# Heights over the face in standard deviations of the blur: half the length of a column; where a material is
+# pure (beyond 3 the blur leaves 0.1 % of the other); the least distance of a column from another face; and
+# the distance from which the blur of another face is left out (0.02 %).
 _WINDOW = 5.5
 _PURE = 3.0
 _CLEAR = 1.0
 _NEAR = 3.5
+# Share of the material that the blur of other faces must leave in voxels that give its level; the mean of
+# what it leaves is divided out.
 _WHOLE = 0.995
+# Cells of the visible face, mm: wider than the triangles of its surface, so that no cell between is empty.
 _CELL_MM = 0.1
+# Most columns and most values of a level: thinned evenly above, for their noise is then no longer the largest
+# error, and time grows with them.
 _MOST_COLUMNS = 16000
 _LEVEL_VALUES = 8000
-_LEAST_COLUMNS = 60
+_LEAST_COLUMNS = calibrated("plane_fit.least_columns")
+# Shift of the face, in standard deviations of the blur, above which the step is repeated once, for it is
+# linear in the shift.
 _FAR = 0.2
-_MOST_MOVE_MM = 0.03
-_DIRT = 6.0
+_MOST_MOVE_MM = calibrated("plane_fit.most_move_mm")
+_DIRT = calibrated("plane_fit.dirt")
+# Rounds of the clipped mean of the darkest squares: a fixed count, for squares at its limits can alternate.
 _SETTLING = 5
-_SQUARE_MM, _BESIDE_NOISE = 0.15, 4.0
-# What grey levels off by 0.2 % of the contrast do at the usual blur.
-_LEVELS_MM = 1e-4
-# What bone at the end of columns does to the face, per share of the contrast that could be there unseen.
-_FOOT = 0.6
-# Neighbouring columns share noise and the edges' blur: found on boxes with known faces.
-_CORRELATED = 2.0
+_SQUARE_MM = calibrated("plane_fit.square_mm")
+_BESIDE_NOISE = calibrated("plane_fit.beside_noise")
+_LEVELS_MM = calibrated("plane_fit.levels_mm")
+_FOOT = calibrated("plane_fit.foot")
+_CORRELATED = calibrated("plane_fit.correlated")
 
 
 def fitted_to_grey(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ct_inertia.bodies import PlateFace
+from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plane_faces import PlaneFace
 from ct_inertia.frames.plane_fit import fitted_to_grey
 from ct_inertia.volume.volume import Volume
@@ -16,8 +17,8 @@ from stapeskit.warnings import Notice
 
 # Cosine and distance up to which the face beside the stapes is the same as that of the plate.
 _SAME_WAY, _SAME_PLACE_MM = 0.97, 0.4
-# What such faces were off by on simulated scans of bone sunk into the plate.
-_COVERED_MM, _COVERED_RAD = 0.08, 0.045
+_COVERED_MM = calibrated("plate_covered.height_mm")
+_COVERED_RAD = calibrated("plate_covered.tilt_rad")
 
 
 def covered_face(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_frame import PlateFrame, positive_sense
 from stapeskit.alignment.registration import fit_rigid
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")
-_AMBIGUOUS = 0.95
+_AMBIGUOUS = calibrated("plate_frame.ambiguous_edges")
 
 
 @dataclass(frozen=True)

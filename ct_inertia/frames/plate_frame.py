@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import PlateFace
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate import SurfaceLike
 from ct_inertia.frames.plane_faces import PlaneFace, large_faces
@@ -28,16 +29,23 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
-_LEAST_EDGE_MM = 0.5
-_STEEP = 0.2
+_LEAST_EDGE_MM = calibrated("plate_frame.least_edge_mm")
+_STEEP = calibrated("plate_frame.steep_side")
+# Cosine to the main face from which the border of the field of view (which may cut the plate at any angle)
+# is parallel to it and ends nothing.
 _BORDER_STEEP = 0.995
-_RIM_MM = 0.25
+_RIM_MM = calibrated("plate_frame.rim_mm")
+# Cosine from which two directions are taken for one: a side of the hull that a plane side covers already, and
+# scan x too near to the face's normal to be laid into it. Chosen by judgement: 26 degrees.
 _COVERED = 0.9
-_CURVED_1_MM = 0.15
-_AMBIGUOUS = 0.95
-_LIKE, _ROUNDING_MM = 0.93, 0.1
-_AGREEING_SD, _AGREEING_RAD = 3.0, 2e-3
-_UNKNOWN_TURN_RAD = 1.0
+_CURVED_1_MM = calibrated("plate_frame.curved_1_mm")
+_AMBIGUOUS = calibrated("plate_frame.ambiguous_edges")
+_LIKE = calibrated("plate_frame.like_side")
+_ROUNDING_MM = calibrated("plate_frame.rounding_mm")
+_AGREEING_SD = calibrated("plate_frame.agreeing_sd")
+_AGREEING_RAD = calibrated("plate_frame.agreeing_rad")
+_UNKNOWN_TURN_RAD = calibrated("plate_frame.unknown_turn_rad")
+# Step of the finite differences, mm and rad: the frame is smooth in it, and rounding stays below 1e-9.
 _STEP = 1e-6
 
 

@@ -20,7 +20,11 @@ from ct_inertia.volume.volume import Volume
 if TYPE_CHECKING:
     from ct_inertia.frames.plane_faces import PlaneFace
 
+# Distance beyond the outermost voxels, in voxels, from which a vertex belongs to the cap that closes the
+# surface and not to the plate: rounding of float32 vertices stays below.
 _BEYOND = 0.02
+# Standard deviation of the smoothing of the coarse view, in voxels: about the least that leaves no stairs of
+# voxels in the surface. Planes are fitted to the grey values themselves afterwards.
 _SMOOTH_VOXELS = 0.7
 
 
