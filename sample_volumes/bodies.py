@@ -58,7 +58,23 @@ def footplate_outline(stapes: Surface, gap_mm: float, top_mm: float = WINDOW_TOP
     -------
     ndarray, (192, 2)
         x and z, mm, at equal angles around the footplate centre.
+
+    Notes
+    -----
+    Kept for surfaces with the same bytes: one study asks four times, and many studies have one stapes.
     """
+    return _outline(surface_bytes(stapes), float(gap_mm), float(top_mm)).copy()
+
+
+def surface_bytes(surface: Surface) -> tuple[bytes, bytes]:
+    """Return the coordinates and faces of a surface as a key of what is computed from them."""
+    return surface.vertices_mm.tobytes(), surface.faces.astype(np.int64).tobytes()
+
+
+@functools.lru_cache(maxsize=32)
+def _outline(surface: tuple[bytes, bytes], gap_mm: float, top_mm: float) -> Array:
+    vertices = np.frombuffer(surface[0]).reshape(-1, 3)
+    stapes = Surface(vertices, np.frombuffer(surface[1], dtype=np.int64).reshape(-1, 3))
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     rim = _silhouette(stapes, top_mm)

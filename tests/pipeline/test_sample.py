@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import stapeskit as sk
 from pipeline.scan2kd import run_study
@@ -34,7 +35,11 @@ def test_stiffness_and_damping_agree_with_the_truth_within_their_covariance(samp
     sd = np.sqrt(np.diag(covariance))
     scaled = error / sd
     distance = scaled @ np.linalg.solve(covariance / np.outer(sd, sd), scaled)
-    assert distance < 26.2  # chi2 of 12 degrees of freedom at p = 0.01
+    assert chi2.sf(distance, 12) > 0.01
+    assert np.all(np.abs(scaled) < 3.5)
+    assert result.kd["stable"]
+    assert all(result.kd["passive"].values())
+    assert chi2.sf(result.kd["fit"]["chi2"], result.kd["fit"]["n_dof"]) > 1e-3
 
 
 def test_mass_matrix_agrees_with_the_exact_one_of_the_mesh(sample):
@@ -42,13 +47,31 @@ def test_mass_matrix_agrees_with_the_exact_one_of_the_mesh(sample):
     exact = np.array(truth["mass_matrix_si"])
     root = np.sqrt(np.diag(exact))
     found = np.array(result.mass["mass_matrix"]["matrix_si"])
+    shape_error = found * truth["density_kg_m3"] / result.mass["density_kg_m3"] - exact
+    assert np.max(np.abs(shape_error) / np.outer(root, root)) < 0.005
     assert np.max(np.abs(found - exact) / np.outer(root, root)) < 0.02
-    assert result.mass["volume_m3"] == pytest.approx(truth["volume_m3"], rel=0.003)
+    assert result.mass["volume_m3"] == pytest.approx(truth["volume_m3"], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frame", "most_mm", "most_deg"), [("scan_from_footplate", 0.01, 0.3), ("scan_from_plate", 0.003, 0.06)]
+)
+def test_frames_agree_with_the_truth(sample, frame, most_mm, most_deg):
+    result, truth = sample
+    error = np.linalg.inv(np.array(truth[frame])) @ np.array(result.mass["frames"][frame])
+    assert np.linalg.norm(error[:3, 3]) < most_mm
+    angle = np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+    assert angle < most_deg
 
 
 def test_a_simulated_study_says_so_at_the_top(sample):
     text = (sample[0].out / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED" in text.split("<section")[0]
+    assert 'src="http' not in text
+    assert 'href="http' not in text
+    assert all(
+        notice["code"] in text for part in (sample[0].mass, sample[0].kd) for notice in part["warnings"]
+    )
     assert {path.name for path in sample[0].files} >= {"labels.nrrd", "plate.ply", "stapes.ply"}
     assert "Segmentation" in text
 
@@ -66,7 +89,6 @@ def test_five_lines_in_memory_give_the_numbers_of_the_study(sample):
 
 def test_warnings_of_a_study_name_options_as_its_file_does(sample):
     result, _ = sample
-    written = [record["text"] for name in ("mass", "kd") for record in json.loads(
-        (result.out / f"{name}.json").read_text(encoding="utf-8"))["warnings"]]  # fmt: skip
+    written = [notice["text"] for part in (result.mass, result.kd) for notice in part["warnings"]]
     assert written
     assert not [text for text in written if re.search(r"(^|\s)--[a-z]", text)]
