@@ -26,6 +26,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 AUTO, LOAD = "auto", "load"
+# Level of the test of a load by motion outside the model: 1 of 1000 fits without a load takes it.
 _LEVEL = 0.999
 # Probability of a chi2 below which a fit without the load is a misfit.
 _IMPROBABLE = 1e-4

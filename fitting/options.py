@@ -36,6 +36,7 @@ INPLANE = {
     "load": "a known inertial load",
     "ignore": "left out",
 }
+# Enough to see a trend over frequency, with 40 of 200 lines each.
 USUAL_BANDS = 5
 FLUID = {
     "auto": "taken where the data call for it, with a warning",

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 Result = TypeVar("Result")
+# A tenth of the default.
 _TURN_S = 0.0005
 
 

@@ -16,6 +16,7 @@ from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
+# Matrices written with seven digits pass.
 _ROTATION_TOLERANCE = 1e-6
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 
+# Parameters of mallopt(3).
 _ARENAS, _MAP_ABOVE, _TRIM_ABOVE = -8, -3, -1
+# Blocks above 16 MB are given back to the system at once.
 _LARGE = 16 << 20
 # Given back only beyond this: pages that go and come with every small array cost more than they save.
 _SPARE = 32 << 20
+# Bytes reported where the system does not say.
 _UNKNOWN = 1 << 50
 
 

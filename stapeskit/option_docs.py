@@ -9,6 +9,7 @@ from stapeskit.option_values import toml
 from stapeskit.options import Option, OptionTable, declared
 from stapeskit.vocabulary import written
 
+# Letters a line of a study file.
 _WIDTH = 100
 _INTRODUCTION = """\
 # Options

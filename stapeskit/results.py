@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Kind = TypeVar("Kind")
+# A result printed in a console fits one screen of 80 columns.
 _MOST_ROWS = 24
 _WIDEST = 76
 

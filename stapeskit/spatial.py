@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 DOF_NAMES: tuple[str, ...] = ("x", "y", "z", "alpha", "beta", "gamma")
 DOF_UNITS: dict[str, str] = dict.fromkeys(DOF_NAMES[:3], "m") | dict.fromkeys(DOF_NAMES[3:], "rad")
 PARAMETER_NAMES: tuple[str, ...] = ("m", "mx", "my", "mz", "Jxx", "Jyy", "Jzz", "Jxy", "Jyz", "Jxz")
+# Order of the six entries of an inertia tensor.
 _TENSOR_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 

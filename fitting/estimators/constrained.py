@@ -29,7 +29,9 @@ from fitting.model.model import state_matrix
 from fitting.model.symmetric import entry_names, pairs, split
 
 Array = NDArray[np.float64]
+# Relative gap of primal and dual objective at which the optimum is certified: far below any sd.
 _GAP = 1e-10
+# The stability constraint is not convex: starts beside the convex optimum, of which the best is kept.
 _EXTRA_STARTS = 2
 # Rows of a piece of QR: at this size common BLAS libraries start no threads.
 _PIECE = 128

@@ -12,6 +12,7 @@ from fitting.native import compiled
 
 Array = NDArray[np.float64]
 DISTANCES, CORRECTED, MEASURED, EQUAL = range(4)
+# Largest number of degrees of freedom of the kernels (a body has six).
 _MOST = 6
 
 

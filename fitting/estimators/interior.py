@@ -17,10 +17,15 @@ from fitting.model.symmetric import basis, join, split
 Array = NDArray[np.float64]
 Objective = Callable[[Array], float]
 Expansion = Callable[[Array], tuple[float, Array, Array]]
+# Newton steps in all, and growth of the barrier once a point is central.
 _MOST_STEPS = 40
 _GROWTH = 20.0
+# Smallest eigenvalue, in scaled units, below which a constraint is reported as active.
 _ACTIVE = 1e-4
+# Share of a Newton step below which a line search has failed by rounding.
 _SHORTEST = 1e-10
+# Newton decrement at which a point is central enough to raise the barrier (Boyd and Vandenberghe 2004,
+# 11.3).
 _CENTRED = 1e-4
 # Ratio of Cholesky pivots at which a matrix counts as singular: solving with it would be rounding.
 _THINNEST = 1e-7

@@ -22,6 +22,7 @@ from fitting.estimators.interior import inside, pull_inside, shortest_distance
 from fitting.model.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
 
 Array = NDArray[np.float64]
+# A fit that needs more is reported as not converged.
 _MOST_ITERATIONS = 60
 
 

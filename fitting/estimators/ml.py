@@ -32,8 +32,12 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# A fit that needs more is reported as not converged.
 _MOST_ITERATIONS = 60
+# Degrees of freedom of the t distribution of --robust t4 (Lange, Little and Taylor 1989,
+# doi:10.2307/2290063).
 _STUDENT = 4.0
+# Scaled parameters (1 is usual) beyond which a fit runs away, and beyond which another start is tried too.
 _LARGEST = 1e4
 _WILD = 1e2
 

@@ -18,8 +18,11 @@ from fitting.model.symmetric import basis, split
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
+# A fit that needs more steps is reported as not converged.
 _MOST_STEPS = 60
+# Share of the way to the border of the cone that a step takes (Nocedal and Wright 2006, 14.2).
 _SHORTEN = 0.99
+# Relative residual of the dual at which it counts as fulfilled.
 _FEASIBLE = 1e-8
 
 

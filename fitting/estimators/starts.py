@@ -13,6 +13,7 @@ from fitting.estimators.problem import Problem
 from fitting.model.lines import Lines, cholesky, evaluate, forward, real_rows, regressor
 
 Array = NDArray[np.float64]
+# Softest directions of the data along which starts are placed.
 _DIRECTIONS = 3
 _FLUID_ROUNDS = 3  # of weighted least squares, each with the noise at the last estimate
 

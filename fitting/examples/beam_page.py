@@ -27,6 +27,7 @@ from stapeskit.own_files import OutputSet
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 
+# Error of the centre that the page shows.
 SHIFT_M = 100e-6
 MODEL_WORDS = {"massless": "cube alone (the paper's)", "condensed": "cube + M_tt, M_tb of the beam"}
 _HEADER = ("model", "estimator", "c1 (%)", "c2 (%)", "c3 (%)", "Eq. 9, c1 c2 c3 (%)", "chi2 per dof")

@@ -19,6 +19,7 @@ from stapeskit.faults import Fault
 from stapeskit.spatial import parameters_from_matrix
 
 Array = NDArray[np.float64]
+# Length of the springs to the ground, without effect: they have one direction each.
 _GROUND_M = 1e-3
 # In-plane over piston and rocking stiffness: changes the natural frequencies by less than 1e-3.
 _RIGID = 1e4

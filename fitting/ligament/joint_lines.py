@@ -19,6 +19,7 @@ from stapeskit.spatial import matrix_from_parameters
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Degrees of freedom of a rigid body.
 DOFS = 6
 # Eigenvalues of a correlation matrix below this are combinations without an error.
 _NO_ERROR = 1e-9

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fitting.calibrated import calibrated
 
 Array = NDArray[np.float64]
+# In metres; the prior is stated in mm.
 MILLIMETRE = 1e-3
 
 

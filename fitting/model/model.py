@@ -20,6 +20,7 @@ NORMALISATION = (
     "unit Euclidean norm of the state eigenvector (q, lambda q) in SI; phase such that the component of "
     "largest kinetic energy is real and positive"
 )
+# Of Newton from one pole of a fractional law; without an end the pole is reported as not found.
 _MOST_ITERATIONS = 200
 # Of the largest eigenvalue: a real part that rounding can bring about.
 _ROUNDING = 1e-12

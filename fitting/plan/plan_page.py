@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _PLANNED = "#0b6e99"
 _OTHERS = ("#c2571a", "#5d6b7a", "#3f8f5f", "#8a5aa8", "#b08a1e", "#a83f55", "#2f7f8f", "#6b6b2f")
+# Dashed line of the figure: a relative sd of 10 %, from which on an entry counts as weak (WEAK_ENTRY).
 _LIMIT = 0.1
 
 

@@ -26,6 +26,7 @@ from stapeskit.page.quantities import MASS
 from stapeskit.spatial import DOF_UNITS
 
 Array = NDArray[np.float64]
+# Runs drawn, and points up to which a figure is SVG: beyond it would be larger than its picture.
 _MOST_RUNS = 4
 _MOST_VECTOR_POINTS = 1000
 SOURCE_WORDS = {

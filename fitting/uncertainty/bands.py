@@ -29,7 +29,9 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Lines a band: 8 give 48 equations for 12 unknowns.
 _FEWEST_LINES = 8
+# Level of the test that one K and D hold over the band: 1 of 1000 right fits is called frequency dependent.
 _SIGNIFICANT = 1e-3
 # Below this it is not said that one pair of matrices holds.
 _DOUBTFUL = 0.05

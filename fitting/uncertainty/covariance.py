@@ -28,7 +28,9 @@ ComplexArray = NDArray[np.complex128]
 NOISE = "channel_noise"
 ATTENUATION = "attenuation"
 JOINED_FRAME = "footplate_frame"
+# Relative step of central differences: the third root of rounding, where both errors are smallest.
 _STEP = 1e-5
+# Rounds of the fixed point for the bias by noise in the regressor.
 _BIAS_ROUNDS = 6
 
 

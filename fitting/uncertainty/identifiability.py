@@ -14,6 +14,7 @@ from fitting.uncertainty.covariance import chi2, degrees, invert, known_and_spre
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Relative sd from which on an entry, or a combination of entries, is reported as weak; how many are named.
 WEAK_ENTRY = 0.10
 WEAK_COMBINATION = 0.25
 _NAMED = 3

@@ -21,7 +21,9 @@ from fitting.model.symmetric import pairs
 from fitting.uncertainty.covariance import degrees, invert, known_and_spread
 
 Array = NDArray[np.float64]
+# Chi2 of one degree of freedom at 95 %.
 QUANTILE_95 = 3.841458820694124
+# Of the search for one end of an interval, and of the refits on the way.
 _MOST_STEPS = 12
 _MOST_REFITS = 12
 # Farther than this many Fisher standard deviations from the estimate an end counts as infinite.

@@ -14,6 +14,8 @@ from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
+# Strength of a motion in the beams, relative to the strongest: below it is not estimated, below 1 %
+# reported.
 UNOBSERVABLE = 1e-5
 WEAK = 1e-2
 _AXES = ("long axis of the footplate", "piston axis", "short axis of the footplate")

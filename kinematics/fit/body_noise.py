@@ -15,9 +15,11 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Rounds of the restricted likelihood.
 _ROUNDS = 3
 # Readings whose median gives one noise factor: known to about 5 %.
 _MEDIAN_VALUES = 400
+# Least variance, as a share of the largest or absolutely: exact data have none.
 _FLOOR = 1e-12
 _LEAST = 1e-100
 

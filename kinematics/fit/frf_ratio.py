@@ -16,6 +16,7 @@ from stapeskit.warnings import Notice
 
 ComplexArray = NDArray[np.complex128]
 _LEAST_SNR: float = calibrated("frf_ratio.least_signal_to_noise")
+# Lines at a time: a few MB of covariances.
 _LINES = 2048
 # Up to here the second order in the noise of the reference is added: beyond, no order suffices.
 _MOST_SECOND = 1.0

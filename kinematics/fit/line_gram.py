@@ -14,11 +14,14 @@ from kinematics.fit.line_sums import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Normal equations: smallest eigenvalue over the largest without a solution; conditions solved by QR,
+# improved by one step, hopeless even then; largest ratio of weights that rounding allows.
 SINGULAR = 1e-9
 DOUBTFUL = 1e7
 REFINE = 1e2
 _HOPELESS = 1e15
 _EXACT = 1e6
+# Sizes from which on lines are solved together by their normal equations.
 _LINES = 1024
 _VALUES = 1_000_000
 

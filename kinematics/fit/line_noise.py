@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Lines = slice | NDArray[np.intp]
+# Values at a time: fits the second cache.
 _BLOCK = 40_000
+# Relative difference by which products of channel and line noise may round.
 _SAME = 1e-12
 
 

@@ -18,6 +18,7 @@ ComplexArray = NDArray[np.complex128]
 _PREFERENCE = ("y", "alpha", "gamma", "x", "z", "beta")
 _LEAST_LEAK: float = calibrated("neglected_motion.least_leak")
 _LEAST_BIAS: float = calibrated("neglected_motion.least_bias")
+# The effect is reported for a neglected motion of a fifth of the piston motion.
 _FIFTH = 0.2
 
 

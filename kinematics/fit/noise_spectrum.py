@@ -10,12 +10,16 @@ from kinematics.fit.rigid_fit import LineFit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Fewer lines show no course over frequency.
 _LEAST_LINES = 12
+# Lines and values looked at, for speed.
 _MOST_LINES, _MOST_VALUES = 2048, 400_000
+# Lines a motion, from which on the course of the noise is not absorbed by the motions.
 _DRIFTING = 8
 _LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
 _FREQUENT_SHARE = 0.6  # of lines in frequent patterns of missing channels: one projection a pattern pays
 _LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
+# Rounds of clipping and of reweighting; they end earlier once the course changes by less than 2 %.
 _ROUNDS = 5
 _PASSES = 6
 _SETTLED = 0.02

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Channels = slice | NDArray[np.bool_]
 _WHOLE = slice(None)
+# Values up to which whole arrays are kept instead of blocks: 16 MB.
 _SMALL = 1_000_000
 # Degrees of freedom pooled at each line: the factor is known to 1 / sqrt(2 * 400), 3.5 %.
 _POOLED_DOF = 400

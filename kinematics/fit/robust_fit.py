@@ -12,11 +12,16 @@ from kinematics.fit.line_sums import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# For complex residuals; loses 1.8 % of efficiency on Gaussian noise (by integration).
 HUBER_TUNING = 2.0
+# As --robust t4 of dof2kd.
 T_FREEDOM = 4.0
+# Relative change of the solution at the end, and of the first round.
 TOLERANCE = 1e-6
 _ROUGH = 1e-2
+# Limit of iterations.
 _MOST = 300
+# Values of the sample on which the noise level is found.
 _LOSS_VALUES = 400_000
 
 

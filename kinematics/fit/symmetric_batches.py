@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Keeps the root of a pivot of zero from dividing by zero.
 _TINY = 1e-300
 
 

@@ -26,6 +26,7 @@ from stapeskit.warnings import Notice, unique
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Channel = tuple[str, str, tuple[int, int, int]]
+# Positions written with four digits agree to this.
 _SAME_PLACE_MM = 1e-3
 
 

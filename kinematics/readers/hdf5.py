@@ -58,6 +58,7 @@ from stapeskit.faults import Fault, Place, collecting, raise_all
 
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
+# Groups in groups that are looked through for the data.
 _DEEPEST = 6
 
 

@@ -11,6 +11,7 @@ from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault
 
 _LINE = re.compile(r"\r\n|\n|\r")
+# Letters of a quoted text in a message.
 _MOST = 60
 
 

@@ -15,6 +15,7 @@ LENGTHS = {
     "in": 0.0254,
     "ft": 0.3048,
 }
+# m/s2, by definition (3rd CGPM, 1901).
 STANDARD_GRAVITY = 9.80665
 MOTIONS = ("m, mm, um, nm", "m/s, mm/s, um/s", "m/s2, mm/s2, g")
 _RATES = {"": 0, "s": 1, "s2": 2, "sec": 1, "sec2": 2}

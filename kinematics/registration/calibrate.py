@@ -20,10 +20,14 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Weights = Mapping[tuple[int, int], Array]
+# Limit of steps of Gauss and Newton.
 _ROUNDS = 12
+# Relative difference by which noise may miss a product of channel and line and still be taken as one.
 _SEPARABLE = 1e-6
+# Multiplications; with more, lines are thinned.
 _MOST_WORK = 4e10
 _INFORMED_SHARE: float = calibrated("calibration.informed_share")
+# Probability of a chi2 below which the priors and the data are reported as in conflict.
 _UNLIKELY = 1e-3
 
 

@@ -19,6 +19,7 @@ from stapeskit.spatial import dof_indices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Up to here derivatives of all parameters are kept by name, beyond as so many patterns from so many lines.
 _NAMED_BYTES = 2**27
 _PATTERNS = 40
 _SAMPLE_LINES = 200

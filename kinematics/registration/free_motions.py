@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stapeskit.frames import RigidTransform
 
 Array = NDArray[np.float64]
+# Sine of the angle below which points hardly resist a motion of the whole.
 OPEN = 0.05
 
 

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 _LEAST_MISFIT: float = calibrated("handedness.least_misfit")
 _CURED_SHARE: float = calibrated("handedness.cured_share")
 _CURED_SHARE_UNKNOWN_NOISE: float = calibrated("handedness.cured_share_unknown_noise")
+# Lines that are looked at: a mirror image shows at every line.
 _MOST_LINES = 60
 
 

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 _LEAST_SHARE_NEAR: float = calibrated("surface_fit.least_share_near")
 _APART_SD: float = calibrated("surface_fit.distinct_placements_sd")
 _LEAST_EVIDENCE: float = calibrated("surface_fit.least_evidence")
+# Points of the surface with which ambiguity is judged.
 _SAMPLES = 2_000
 _FACING_AWAY: float = calibrated("surface_fit.facing_away_cosine")
 _MOST_FACING_AWAY: float = calibrated("surface_fit.most_facing_away")

@@ -17,9 +17,11 @@ from stapeskit.spatial import point_rows
 Array = NDArray[np.float64]
 Guess = tuple[RigidTransform, Array]
 OUTLIER_SD: float = calibrated("surface_fit.outlier_sd")
+# Rounds in all, and rounds in which the width of the search narrows.
 _ROUNDS = 40
 _SETTLED = 8
 _HUBER_SD: float = calibrated("surface_fit.huber_sd")
+# Share of the size of the surface beyond which a distance counts no further.
 _FAR = 0.05
 _SURFACE_SD_EDGES: float = calibrated("surface_fit.surface_sd_edges")
 _MOST_SURFACE_SD_MM: float = calibrated("surface_fit.most_surface_sd_mm")

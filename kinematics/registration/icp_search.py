@@ -11,12 +11,16 @@ from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.paired_points import pose_rows
 
 Array = NDArray[np.float64]
+# Sizes of the search over all rotations: samples of the surface, points, samples and rotations of the start
+# (about 33 degrees apart), and stages (rounds, width, starts kept).
 _SAMPLES = 30_000
 _MOST_POINTS = 40
 _START_SAMPLES = 2_000
 _ROTATIONS = 400
 _STAGES = ((5, 0.3, 160), (8, 0.1, 40), (12, 0.03, 24))
+# Cosine of normal and beam below which a point lies on the side that the laser cannot see.
 _FACING = -0.2
+# Share of points with the smallest distances that counts: outliers must not decide the start.
 _TRIM = 0.85
 
 

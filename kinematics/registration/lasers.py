@@ -19,6 +19,7 @@ from stapeskit.faults import Fault, raise_all
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
+# Beams closer than this belong to one laser: heads of a 3D vibrometer stand farther apart.
 _ONE_LASER_DEG = 8.0
 # Directions are compared in pairs: more of them than this are gathered in cells of this width (rad) before.
 _MOST_PAIRED, _CELL = 1000, 0.04

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _ROUGHNESS_EDGES: float = calibrated("surface_fit.roughness_edges")
 _SAME_SIDE_COSINE: float = calibrated("surface_fit.same_side_cosine")
+# Cosine of neighbouring normals below which an edge is sharp.
 _EDGE = 0.7
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinematics.registration.surface_check import SurfaceCheck
 
 Array = NDArray[np.float64]
+# Step of central differences, rad and mm: the third root of rounding.
 _STEP = 1e-5
 
 

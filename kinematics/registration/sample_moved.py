@@ -25,11 +25,14 @@ from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Points that are needed to compare with a surface.
 LEAST = 3
 _MOST_DISTANCE_MM: float = calibrated("sample_moved.most_distance_mm")
+# Probability of a chi2 below which the sample is reported as moved, and above which the rest fits.
 _UNLIKELY = 1e-3
 _PLAUSIBLE = 1e-2
 _SURFACE_SD_EDGES: float = calibrated("sample_moved.surface_sd_edges")
+# Exact positions still have the rounding of the file.
 _LEAST_SD_MM = 1e-4
 _LEAST_MIRROR_MM: float = calibrated("sample_moved.least_mirror_mm")
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from stapeskit.records.measured_mass import MeasuredMass
 
 Array = NDArray[np.float64]
+# Numbers of labels.nrrd (contract of files).
 STAPES, PLATE, OTHER_BONE = 1, 2, 3
+# Around the points, in which a surface of labels is made; and its largest box.
 _MARGIN_MM = 1.0
 _MOST_VOXELS = 60_000_000
 # Bytes that a byte of deflate can become at most (1032), and what makes zlib expect the header of gzip.

@@ -19,6 +19,8 @@ from stapeskit.spatial import dof_indices, shifted_point_rows
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _WHOLE = slice(None)
+# Up to here derivatives are kept by name; beyond, as patterns from a sample of values that leave out less
+# than 1e-3 of their energy.
 _NAMED_BYTES = 2**26
 _SAMPLE = 2_000_000
 _LEFT_OUT = 1e-3

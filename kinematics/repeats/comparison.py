@@ -23,8 +23,10 @@ from kinematics.repeats.take_shapes import Shapes
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Share of good sets of repeats that may raise an alarm, over all tests together.
 ALARM = 0.05
 _NOTABLE_SCATTER: float = calibrated("repeats.notable_scatter")
+# Probability below which scatter beyond the stated noise is reported.
 _CERTAIN = 1e-3
 _SHIFT_SHARE: float = calibrated("repeats.shift_share")
 _LEAST_OUTLIER_GAIN: float = calibrated("repeats.least_outlier_gain")

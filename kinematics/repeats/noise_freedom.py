@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Lines between which noise is compared: a Hann window correlates neighbours.
 _APART = 2
+# Fewest lines and readings a line that show the scatter of a noise estimate.
 _LEAST_LINES = 16
 _LEAST_CELLS = 4
+# Above so many degrees of freedom a noise estimate counts as known.
 _MOST_FREEDOM = 200.0
 
 

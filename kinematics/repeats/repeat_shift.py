@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinematics.repeats.take_shapes import Shapes
 
 Array = NDArray[np.float64]
+# Fewer lines cannot separate a shift from noise.
 _LEAST_LINES = 8
 
 

@@ -16,8 +16,11 @@ from kinematics.measurement import BodyChannels
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _CLEAR_RATIO: float = calibrated("repeats.clear_ratio")
+# A shape needs three channels.
 _LEAST_CHANNELS = 3
+# Values at a time: 3 MB.
 _VALUES = 200_000
+# Lines over which the level of noise is smoothed.
 _STEADY = 31
 
 

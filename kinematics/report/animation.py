@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 Array = NDArray[np.float64]
+# Sizes of the picture, which keep the page small.
 _MOST_FACES = 2200
 _MOST_NUMBERS = 200_000
 _MOST_POINTS = 120

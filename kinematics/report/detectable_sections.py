@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 Array = NDArray[np.float64]
+# Rows of the table; a direction that is off by more than 60 degrees is written as such.
 _MOST_POINTS = 400
 _MOST_DEG = 60.0
 

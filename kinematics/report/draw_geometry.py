@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 Array = NDArray[np.float64]
+# Depth from which on a point counts as hidden, so that points on the surface are seen; width of the figure,
+# inches.
 _BEHIND_MM = 0.08
 _WIDTH = 11.4
 

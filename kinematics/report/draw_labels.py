@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]
+# More labels cover the picture; and offsets of a label that are tried, points.
 _MOST_LABELS = 48
 _OFFSETS = (
     (5, 4),

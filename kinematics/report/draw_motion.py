@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Phases drawn, largest drawn motion as a share of the picture, and triangles of the surface.
 PHASES = 8
 SHARE = 0.12
 _MOST_FACES = 5000

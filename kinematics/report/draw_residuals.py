@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 Array = NDArray[np.float64]
+# Columns of the picture, values at a time, and sizes in inches.
 COLUMNS = 700
 _PIECE = 500_000
 _WIDTH, _LEFT, _RIGHT, _BARE, _BELOW, _ABOVE, _GAP = 11.4, 1.8, 2.95, 1.0, 0.55, 0.35, 0.42

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+# Quantile of the normal distribution.
 TWO_SIDED_95 = 1.96
+# Beyond, a picture is smaller than SVG.
 _MOST_VERTICES = 25_000
 
 

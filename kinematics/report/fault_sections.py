@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
 
 Array = NDArray[np.float64]
+# Maps and rows of a page; the channels table holds all.
 _MOST_MAPS = 4
 _MOST_ROWS = 2000
 _STEPS = {

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from stapeskit.alignment.registration import Registration
 
 Array = NDArray[np.float64]
+# Channels up to which the figure is SVG.
 _LIGHT = 150
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from kinematics.points2dof import Points2Dof
 
+# Runs a figure, and figures a page.
 _RUNS_A_FIGURE = 4
 _MOST_FIGURES = 3
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
     from kinematics.repeats.comparison import RunRepeats
 
+# Rows of a page.
 _MOST_ROWS = 60
 _TESTS = {
     "gain_trend": "amplitude of all channels, drift over the repeats",

@@ -30,6 +30,7 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from markupsafe import Markup
 
+# Warnings of one code that are shown at once; the others unfold.
 _SHOWN_OF_A_CODE = 4
 _QUANTITIES = ("displacement", "velocity", "acceleration")
 

@@ -12,6 +12,7 @@ from kinematics.report import geometry_report
 from stapeskit.page.drawings import line_words
 from stapeskit.records.motion_files import standard_deviation
 
+# Rows of the summary, which fits one screen.
 _MOST_BODIES = 6
 _MOST_INPUTS = 4
 

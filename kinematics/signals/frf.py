@@ -38,10 +38,13 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
+# Segments: two give no variance of a variance.
 _FEWEST = 3
+# Averages whose noise estimate needs no neighbouring lines (sd known to 7 %).
 _STEADY = 100
 _FEW_AVERAGES: float = calibrated("frf.few_averages")
 _NOTABLE_BIAS_SD: float = calibrated("frf.notable_bias_sd")
+# Fewer channels cannot show noise that all share.
 _LEAST_TOGETHER = 3
 _SEGMENTED = tuple(name for name in FRF_ESTIMATORS if name != LOCAL)
 

@@ -15,8 +15,10 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Rounds of own and common noise in turn.
 _ROUNDS = 4
 _NOTABLE_EXCESS: float = calibrated("frf.notable_common_noise")
+# Lines from which on the level of common noise may slope.
 _TREND_FROM = 16
 
 

@@ -15,8 +15,11 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Samples by which a block may miss a whole number of periods.
 _WHOLE = 1e-3
+# Tried periods a block: more would need a clock better than 1e-3 of a sample.
 _MOST_PERIODS_A_BLOCK = 50
+# Degrees of freedom that neighbouring lines are gathered for: sd known to 9 %.
 _STEADY_DOF = 60
 
 

@@ -19,10 +19,13 @@ from stapeskit.faults import Fault, raise_all
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Noise is read off so many offset frequencies on each side, from this many bins on, within this share of
+# the frequency.
 OFFSETS = 32
 _GAP = 3
 _NEAR = 0.35
 _NOTABLE_CHANGE: float = calibrated("lock_in.notable_change")
+# Fewest cycles of a reading, and samples of a third of it in which a drift is looked for.
 _FEWEST_CYCLES = 4.0
 _LEAST_THIRD = 16
 _LEAST_BEND_RAD: float = calibrated("lock_in.least_bend_rad")

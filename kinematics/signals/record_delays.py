@@ -12,6 +12,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Share of the largest power above which a line carries the excitation, and how many such lines are needed.
 _EXCITED = 0.1
 _LEAST_LINES = 8
 _LEAST_DELAY_SAMPLES: float = calibrated("record_delays.least_samples")

@@ -10,17 +10,25 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+# Range of averages in which scatter of the stated sd is looked for: below no sd exists, above it is below 5
+# %.
 _LEAST_AVERAGES = 3.0
 _MOST_AVERAGES = 200.0
+# Fewest lines that show scatter.
 _LEAST_LINES = 32
 _LEAST_SCATTER: float = calibrated("few_averages.least_scatter")
 _MOST_SCATTER: float = calibrated("few_averages.most_scatter")
+# Probability below which one stated sd is an outlier, with this much allowed for rounding in the file.
 _APART = 1e-6
 _ROUNDING = 1.3
+# Lines to each side that give the local level.
 _NEAR = 8
+# Channels that show common scatter; median of chi2 with one degree of freedom.
 _LEAST_CHANNELS = 6
 _NOTABLE_COMMON: float = calibrated("few_averages.notable_common")
+# Median of chi2 with one degree of freedom.
 _MEDIAN = 0.455
+# Lines from which on the level may bend over frequency.
 _TREND_FROM = 100
 # Degrees of freedom of a rigid body, which the channels of a line spend.
 _MOTION = 6

@@ -13,9 +13,12 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+# Relative difference of equal frequencies (six written digits), largest difference of lines that are joined
+# as a share of their spacing, and relative to the frequency.
 SAME_LINE = 1e-6
 OF_SPACING = 0.01
 MOST = 1e-4
+# Share of lines that must agree for two grids to be one.
 _SHARE = 0.5
 
 

@@ -15,6 +15,7 @@ from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+# Rows that are listed; messages join them to ranges.
 _MOST = 1_000_000
 
 

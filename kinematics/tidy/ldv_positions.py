@@ -14,6 +14,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+# Rounding of written coordinates.
 _SAME_MM = 1e-6
 
 

@@ -29,7 +29,9 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+# Rows that are listed; messages join them to ranges.
 _MOST = 2000
+# Runs of rows a channel, from which on sorting is faster than going through runs.
 _FEW = 4
 
 

@@ -35,6 +35,7 @@ PRIMARY = (
     ("K11", "footplate_length_m"),
     ("K11", "gap_m"),
 )
+# The primary family: more planned laws would cost its power.
 MOST_PLANNED = 6
 # A law has four unknowns besides the mean of x: with five ears one degree of freedom more than none is left.
 LEAST_EARS = 5

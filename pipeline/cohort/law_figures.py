@@ -16,6 +16,7 @@ from pipeline.cohort.prediction import Predictor
 from stapeskit.page import page
 
 _BLUE, _GREY, _BAND = "#0b6e99", "#9aa5b1", "#d7e8f0"
+# Ears up to which ellipses are drawn, and columns of panels.
 _MOST_ELLIPSES = 200
 _COLUMNS = 3
 

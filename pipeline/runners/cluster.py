@@ -19,6 +19,7 @@ from pipeline.runners import Where
 from pipeline.runners.process import AGAIN, End, Task, run_task
 from stapeskit.faults import Fault
 
+# Patience with a scheduler that does not answer, and pause between two looks.
 _CONNECT_S = 10.0
 _POLL_S = 0.05
 _ROOMS = ("stapeskit", "ct_inertia", "kinematics", "fitting", "pipeline")

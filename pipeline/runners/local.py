@@ -9,6 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pipeline.runners import Where
 from pipeline.runners.process import End, Task, run_task
 
+# Pause between two looks: short beside a study, long beside a look.
 _POLL_S = 0.1
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 _PATIENCE_S = 20.0  # for the process to clean up after it was asked to leave
 _ASK_AGAIN_S = 3.0  # not sooner: a second signal would interrupt the cleaning up
+# Pause between two looks at the process.
 _POLL_S = 0.02
 _MEMORY_POLLS = 10  # memory is looked at once in so many polls
 # One thread each: sums then have one order, and the numbers do not depend on how many studies run at a time.

@@ -15,9 +15,13 @@ from stapeskit.faults import Fault, StapeskitError
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Probability of residuals below which fiducials are reported as inconsistent; 1 of 1000 right sets is.
 INCONSISTENT = 1e-3
+# Errors below 50 um are below the accuracy of marks and are not reported where no sd is stated.
 _NOTICEABLE_MM = 0.05
+# Twice the log likelihood by which explanations may differ and both be named: 20 to 1.
 _ALIKE = 6.0
+# Keeps the logarithm of exact data finite.
 _ROUNDING = 1e-24
 # How many times smaller another order must leave the sum of squares where no sd is stated.
 _FAR_BETTER = 100.0

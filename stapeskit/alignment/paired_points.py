@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stapeskit.frames import cross_matrix, rotation_from_vector
 
 Array = NDArray[np.float64]
+# Limit of rounds of reweighting.
 _ROUNDS = 50
 
 

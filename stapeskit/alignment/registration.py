@@ -21,6 +21,7 @@ from stapeskit.frames import RigidTransform, vector_from_rotation
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Points thinner than this share of their extent count as coplanar: their mirror image fits as well.
 _THIN = 0.02
 
 

@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _BONE = np.array([0.93, 0.89, 0.80])
 _LIGHT = np.array([-0.45, 0.55, 0.70])
+# Samples a pixel along each axis, and along the edge of a triangle.
 _FINER = 2
 _MOST_SAMPLES = 64
 

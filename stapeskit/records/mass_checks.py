@@ -23,8 +23,11 @@ from stapeskit.spatial import (
 
 Array = NDArray[np.float64]
 MADE_BY = "Make the file with ct2mass"
+# Relative differences by which redundant entries of a file may round: all entries; mass against volume
+# times density, which people type.
 _SAME = 1e-6
 _SAME_MASS = 1e-4
+# Rounding of variances, of correlations and of eigenvalues.
 _NEGATIVE = 1e-12
 _FLOOR = 1e-5
 _POSE_SCALE = np.array([1e-3] * 3 + [1.0] * 3)

@@ -26,6 +26,7 @@ from stapeskit.warnings import Notice, from_json
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.dof/1"
 _WANTED = "a whole HDF5 file of points2dof"
+# Rows written at a time.
 _ROWS = 2000
 
 

@@ -12,6 +12,7 @@ from stapeskit.faults import Fault, Place, StapeskitError
 
 _UTF16 = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
 _MARK = b"\xef\xbb\xbf"
+# Bytes in which the encoding is recognised; files above 8 MB are read in pieces.
 _HEAD = 1 << 16
 _LARGE = 8 << 20
 _BLANK = b" \t\r;,"

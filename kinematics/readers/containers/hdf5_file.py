@@ -14,8 +14,10 @@ from stapeskit.records.hdf5_guard import read_apart
 
 Result = TypeVar("Result")
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# Data above 64 MB must not be packed better than deflate can (1032 to one): else the sizes lie.
 _SMALL = 64 << 20
 _BEST_PACKING = 1100
+# Nesting of structs; vibrometer exports have two or three.
 _DEEPEST = 8
 _CLASSES = {"", "double", "single", "logical", "char", "cell", "struct"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)

@@ -16,13 +16,16 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from stapeskit.faults import Fault, raise_all
 
+# MAT-File Format (MathWorks), level 5: length of the header, data types and array classes.
 _HEADER = 128
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
 _TEXTS = {16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _DENSE = range(6, 16)
+# Nesting of cells and structs; exports have two or three.
 _DEEPEST = 12
+# Deflate packs 1032 to one at best: a larger ratio is a lying length.
 _BEST_PACKING = 1100
 
 

@@ -17,6 +17,7 @@ from kinematics.readers.containers.mat5 import read_mat5
 from stapeskit.faults import Fault
 
 Tree = dict[str, Any]
+# Bytes before the first element (MAT-File Format, level 5).
 _HEADER = 128
 
 

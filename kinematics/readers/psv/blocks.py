@@ -21,6 +21,7 @@ T = TypeVar("T")
 _SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 _FIELD = re.compile(r"^\s*([^\t:]{2,40}?)\s*:\s*(.*)$")
 _UNIT = re.compile(r"\[([^\]]*)\]")
+# Text exports are read whole; 1 GB of text holds 10^7 readings.
 _MAX_FILE = 1 << 30
 
 

@@ -26,6 +26,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
+# Positions written with four digits agree to this.
 _SAME_PLACE_MM = 1e-3
 
 

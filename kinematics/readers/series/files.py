@@ -29,7 +29,9 @@ from stapeskit.units import HIGHEST_HZ, LARGEST
 Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
+# Difference of sampling times, in samples, that counts as rounding of written times.
 _JITTER = 0.1
+# Shorter records hold no spectrum.
 _FEWEST = 16
 
 

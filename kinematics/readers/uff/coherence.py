@@ -14,6 +14,7 @@ from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Key = tuple[object, ...]
+# A coherence above 1 by more than rounding is none.
 _OVER = 1.05
 
 

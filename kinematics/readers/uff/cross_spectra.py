@@ -13,6 +13,7 @@ from kinematics.readers.uff.motion_functions import ORDERS
 from kinematics.readers.unit_labels import is_none, motion_unit, plain
 from stapeskit.faults import Fault
 
+# A coherence above 1 by more than rounding is none.
 _OVER = 1.05
 _RATE_POWER = re.compile(r"(?P<unit>\w*[a-z])2/s(?P<order>2|4)")
 _POWER = re.compile(r"\(?(?P<unit>.+?)\)?(?:2|\*\(?(?P=unit)\)?)")

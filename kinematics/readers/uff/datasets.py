@@ -15,6 +15,7 @@ _FIRST = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*|[bB][ \t]+\d[^\r\n]*)\r?\n")
 _LOOSE = re.compile(rb"[ \t]*-1[ \t]*\r?\n")
 _NUMBER = re.compile(rb"[ \t]*(\d{1,6})(b?)([^\r\n]*)\r?\n", re.IGNORECASE)
 _BINARY_TAIL = re.compile(rb"\r?\n? {4}-1[ \t]*(\r?\n|$)")
+# Records before the data of dataset 58 (SDRC universal file format, dataset 58).
 _HEADER_LINES = 11
 CUT = "It looks cut short: export or copy it again"
 

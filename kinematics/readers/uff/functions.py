@@ -14,6 +14,7 @@ from kinematics.readers.uff.datasets import CUT, Dataset, data_form
 from stapeskit.faults import Fault, collecting, raise_all
 
 Array = NDArray[np.float64]
+# Function types, number of header records and widths of record 6: SDRC universal file format, dataset 58.
 TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12
 KINDS = {
     0: "function of unknown type",
@@ -28,6 +29,7 @@ KINDS = {
     SPECTRUM: "spectrum",
     26: "multiple coherence",
 }
+# Records before the data, and widths of the cells of record 6 (dataset 58).
 _HEADER_LINES = 11
 _WIDTHS = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
 

@@ -18,7 +18,9 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 Node = tuple[Array, int, int, str]
+# Numbers of datasets (SDRC universal file format): nodes, units, coordinate systems.
 _NODES, _PRECISE_NODES, _UNITS, _SYSTEMS, _PRECISE_SYSTEMS = 15, 2411, 164, 18, 2420
+# A point farther away is a wrong unit or a damaged number.
 _FAR_M = 1e3
 _SHAPES = {0: "cartesian", 1: "cylindrical", 2: "spherical"}
 _REAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+|[+-]\d{3})?")

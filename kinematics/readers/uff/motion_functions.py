@@ -17,6 +17,7 @@ from stapeskit.faults import Fault
 
 ORDERS = {8: 0, 11: 1, 12: 2}
 REFERENCES = {13: "N", 9: "N", 15: "Pa", 8: "m", 11: "m/s", 12: "m/s2"}
+# Specific data type of the abscissa (dataset 58, record 8).
 _FREQUENCY = 18
 _TRANSLATIONS = "0 (scalar) or +-1, +-2, +-3 (translations)"
 

@@ -25,6 +25,7 @@ from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
+# Datasets of nodes, coordinate systems and units.
 _GEOMETRY = (15, 18, 164, 2411, 2420)
 
 

@@ -30,9 +30,11 @@ from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
+# Specific data type of the abscissa (dataset 58, record 8).
 _TIME = 17
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6}
 _SI = ("m", "m/s", "m/s2")
+# Channels that a message lists.
 _MOST_NAMED = 12
 
 

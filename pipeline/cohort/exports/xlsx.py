@@ -11,6 +11,7 @@ from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.exports.tables import sheets
 
 _NO_GUESSES = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+# Letters of the widest column.
 _WIDEST = 60
 
 
