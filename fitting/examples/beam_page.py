@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -19,11 +18,10 @@ from fitting.examples.beam_experiment import (
     fit_beam,
     measured,
 )
+from fitting.examples.page_command import write_page
 from fitting.examples.paper import TABLE_1_DEVIATION_PERCENT
 from fitting.report.figures import residual_figure, response_figure
 from fitting.report.responses import responses
-from stapeskit.faults import StapeskitError
-from stapeskit.own_files import OutputSet
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 
@@ -158,21 +156,7 @@ def _response_section(setup: Setup) -> Section:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the page to the path given; return the exit code."""
-    words = [word for word in arguments if word != "--force"]
-    good = len(words) == 1 or (len(words) == 2 and words[1].isdigit() and int(words[1]) > 0)
-    if not good:
-        sys.stderr.write("usage: python -m fitting.examples.beam_page OUT.html [repetitions] [--force]\n")
-        return 2
-    out = Path(words[0])
-    outputs = OutputSet("beam_page", out.parent, (out.name,), force="--force" in arguments)
-    try:
-        outputs.check()
-        with outputs.staged() as folder:
-            beam_page(int(words[1]) if len(words) == 2 else 20).write(folder / out.name)
-    except StapeskitError as fault:
-        sys.stderr.write(f"{fault}\n")
-        return 2
-    return 0
+    return write_page("beam_page", arguments, beam_page, 20)
 
 
 if __name__ == "__main__":

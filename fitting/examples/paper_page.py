@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from fitting.examples import paper
 from fitting.examples.beam import Beam, deviations_percent
+from fitting.examples.page_command import write_page
 from fitting.examples.paper_figures import shape_figure, simulated_figure
 from fitting.model.model import NORMALISATION, Modes, modes, passive
 from fitting.model.principal_axes import principal_axes
 from fitting.model.symmetric import entry_units
 from fitting.report.figures import principal_figure
-from stapeskit.faults import StapeskitError
-from stapeskit.own_files import OutputSet
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 
@@ -255,20 +253,7 @@ def _simulated() -> Section:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the page to the path given; return the exit code."""
-    words = [word for word in arguments if word != "--force"]
-    if len(words) != 1:
-        sys.stderr.write("usage: python -m fitting.examples.paper_page OUT.html [--force]\n")
-        return 2
-    out = Path(words[0])
-    outputs = OutputSet("paper_page", out.parent, (out.name,), force="--force" in arguments)
-    try:
-        outputs.check()
-        with outputs.staged() as folder:
-            paper_page().write(folder / out.name)
-    except StapeskitError as fault:
-        sys.stderr.write(f"{fault}\n")
-        return 2
-    return 0
+    return write_page("paper_page", arguments, lambda _: paper_page())
 
 
 if __name__ == "__main__":

@@ -9,25 +9,13 @@ import time
 import numpy as np
 import pytest
 
-from ct_inertia.cli import output_folder, parser, work
+from ct_inertia.cli import output_folder, parser
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.surface.surface import write_surface
 from stapeskit.faults import StapeskitError
 from tests.ct_inertia.shapes import stapes
+from tests.ct_inertia.test_ct2mass import mesh, run
 
-DENSITY = 1900.0
-
-
-def run(arguments):
-    """Run the command's work in this process and return its outcome."""
-    return work([str(word) for word in arguments])[1]
-
-
-@pytest.fixture(scope="module")
-def mesh(tmp_path_factory):
-    path = tmp_path_factory.mktemp("mesh") / "stapes.stl"
-    write_surface(path, stapes(0.06))
-    return path
+__all__ = ["mesh"]
 
 
 class TestFaults:

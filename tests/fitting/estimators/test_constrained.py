@@ -10,33 +10,13 @@ from fitting.estimators import constrained, pinv
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.interior import pull_inside, smallest_eigenvalues
 from fitting.estimators.stability import MARGIN, height, state_derivatives, wall
-from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.lines import (
     Lines,
-    Scale,
-    assemble,
 )
 from fitting.model.model import modes
-from fitting.model.observation import observe
 from fitting.model.symmetric import split
-from stapeskit.records.motion import RigidMotion
 from tests.fitting.cases import DOF, K, M, paper_motion
-
-OPTIONS = EstimatorOptions()
-
-
-def lines_of(motion: RigidMotion, mass: np.ndarray, dof: tuple[str, ...], law: DampingLaw = VISCOUS):
-    """Scaled equations, and the units of their parameters."""
-    observation = observe(motion, dof, with_load=False)
-    scale = Scale.of(observation, mass)
-    return assemble(observation, mass, scale, law), scale.parameter_units(law)
-
-
-def weak_lines(seed: int) -> Lines:
-    """Few lines below the resonances with as much noise as signal: the free optimum is often not passive."""
-    motion = paper_motion(0.6, seed, 24)
-    keep = motion.freq_hz < 3000.0
-    return lines_of(motion, M, DOF)[0].select(keep)
+from tests.fitting.estimators.test_estimators import OPTIONS, lines_of, weak_lines
 
 
 def test_constrained_finds_one_optimum_from_every_start() -> None:

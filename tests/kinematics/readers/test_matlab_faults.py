@@ -11,19 +11,9 @@ from scipy.io import savemat
 from kinematics.readers.containers.matlab_file import read_mat
 from kinematics.readers.matlab.spectra import read
 from stapeskit.faults import StapeskitError
-from tests.kinematics.readers.test_matlab import FREQ, LINES, POINTS, VALUE, XYZ, usd, v5
-from tests.kinematics.written_mat import write_v73
+from tests.kinematics.readers.test_matlab import FREQ, LINES, POINTS, VALUE, XYZ, file, usd
 
-
-@pytest.fixture(params=[v5, write_v73], ids=["v5", "v7.3"])
-def file(request, tmp_path):
-    """Return a function that writes variables and returns the path."""
-
-    def write(**variables):
-        request.param(tmp_path / "scan.mat", variables)
-        return tmp_path / "scan.mat"
-
-    return write
+__all__ = ["file"]
 
 
 def test_all_faults_of_the_variables_are_told_together(file):
