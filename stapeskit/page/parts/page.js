@@ -1,5 +1,6 @@
 "use strict";
-// Every table as CSV, every figure as a file by a click; the place in the side navigation; scrolling by keyboard.
+// Every table as CSV and LaTeX, every figure as a file by a click; the place in the side navigation; scrolling by
+// keyboard.
 (function () {
   const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
   const name = (node) => {
@@ -17,13 +18,28 @@
     made.addEventListener("click", act);
     return made;
   }
-  const quoted = (cell) => '"' + cell.innerText.trim().replace(/\s+/g, " ").replace(/"/g, '""') + '"';
+  const words = (cell) => cell.innerText.trim().replace(/\s+/g, " ");
+  // An apostrophe before what a spreadsheet would run as a formula (stapeskit/tables/text_cells.py has the same rule).
+  const harmless = (text) => (/^[=+\-@]/.test(text) && !/^[+-]?[\d.]/.test(text) ? "'" : "") + text;
+  const quoted = (cell) => '"' + harmless(words(cell)).replace(/"/g, '""') + '"';
+  const SIGNS = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$",
+    "×": "$\\times$", "°": "$^\\circ$", "µ": "$\\mu$", "μ": "$\\mu$", "√": "$\\surd$", "²": "$^2$", "³": "$^3$", "−": "$-$",
+    "α": "$\\alpha$", "β": "$\\beta$", "γ": "$\\gamma$", "ω": "$\\omega$", "ζ": "$\\zeta$", "σ": "$\\sigma$", "χ": "$\\chi$" };
+  const latex = (cell) => words(cell).replace(/[&%$#_{}\\~^±×°µμ√²³−αβγωζσχ]/g, (sign) => SIGNS[sign] || "\\" + sign);
+  function tabular(table) {
+    const rows = Array.from(table.rows), width = Math.max(...rows.map((row) => row.cells.length));
+    const lines = rows.map((row, place) => Array.from(row.cells, latex).join(" & ") + " \\\\" + (place === 0 ? "\n\\midrule" : ""));
+    return "% needs \\usepackage{booktabs}\n\\begin{tabular}{l" + "r".repeat(width - 1) + "}\n\\toprule\n" + lines.join("\n") + "\n\\bottomrule\n\\end{tabular}\n";
+  }
   all(".scroll").forEach((box, place) => {
     const table = box.querySelector("table");
     if (!table || table.rows.length < 3) return;
+    const file = name(box) + "_" + (place + 1);
     box.after(button("CSV", "save this table as CSV", () => {
       const text = Array.from(table.rows, (row) => Array.from(row.cells, quoted).join(",")).join("\r\n") + "\r\n";
-      save("data:text/csv;charset=utf-8," + encodeURIComponent("\ufeff" + text), name(box) + "_" + (place + 1) + ".csv");
+      save("data:text/csv;charset=utf-8," + encodeURIComponent("\ufeff" + text), file + ".csv");
+    }), button("LaTeX", "save this table for LaTeX", () => {
+      save("data:text/x-tex;charset=utf-8," + encodeURIComponent(tabular(table)), file + ".tex");
     }));
   });
   all(".scroll").forEach((box) => {
