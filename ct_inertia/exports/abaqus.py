@@ -17,6 +17,7 @@ UNITS = {
     "inertia": "tonne mm2",
     "coordinates": "footplate",
 }
+# The usual consistent units of these programs, mm, N, s and t: 1 kg in t, and 1 kg m2 in t mm2.
 _TONNE = 1e-3
 _TONNE_MM2 = 1e3
 CENTRE, ROTATION, FIRST_POINT = 900001, 900002, 900003

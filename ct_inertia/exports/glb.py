@@ -13,6 +13,7 @@ from ct_inertia.exports.body import ExportBody
 from ct_inertia.surface.surface import Surface
 
 UNITS = {"length": "m", "coordinates": "footplate"}
+# glTF 2.0: accessor.componentType (float, unsigned int) and bufferView.target (array, element array).
 _FLOAT, _UINT = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _COLOURS = {"stapes": [0.85, 0.78, 0.65, 1.0], "plate": [0.62, 0.72, 0.78, 0.45]}

@@ -38,6 +38,7 @@ _CONVENTION = {
     "footplate": "displacement of the footplate frame in its own axes, m and rad",
     "plate": "displacement of the plate frame in its own axes, m and rad",
 }
+# Points to which the footplate's outline is thinned, up to twice as many: less than 0.05 mm apart.
 _OUTLINE_POINTS = 160
 
 

@@ -33,10 +33,17 @@ from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Distance between the voxels of labels and scan, in voxels, up to which both have one grid: rounding of
+# origins in files stays below, half a voxel between conventions of origins does not.
 _SAME_GRID = 0.05
+# Voxels from which a label is a body. Chosen by judgement: stray strokes of a brush have fewer.
 _LEAST_VOXELS = 50
+# Standard deviation, in voxels, of the smoothing of a label for its surface. Chosen by judgement: it rounds
+# the stairs of voxels; volume and moments of the stapes are matched to those of its voxels afterwards.
 _SURFACE_BLUR = 0.8
+# Layers beyond the last of the labels where the scan is asked whether bone goes on: the first is its blur.
 _BEYOND = 2
+# Voxels of bone there, beside half of the cut, from which it goes on. Chosen by judgement against noise.
 _LEAST_END = 10
 
 

@@ -15,6 +15,7 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
+# Of labels without names and without options: as this package writes them.
 STAPES_NUMBER, PLATE_NUMBER = 1, 2
 # Names that programs give by themselves say nothing.
 _AUTOMATIC = re.compile(r"(segment|label|region|object|mask|class|material)?[\s_-]*\d*", re.IGNORECASE)

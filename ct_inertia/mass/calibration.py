@@ -18,6 +18,7 @@ from stapeskit.records.mass_record import parameter_transfer
 
 Array = NDArray[np.float64]
 
+# Largest grey value and density of a calibration: products and quotients of two stay exact enough in doubles.
 _LARGEST = 1e12
 _KEYS = ("points", "points_mg_ha_cm3", "kg_m3_at_zero", "kg_m3_per_mg_ha_cm3", "sd_kg_m3")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
 from ct_inertia.surface.moments import Moments
@@ -30,8 +31,9 @@ WORDS = {
     "calibration": "calibrated grey values",
     "density": "the density given",
 }
+# Difference of two masses in its standard deviation from which they disagree: 3 of 1000 normal values.
 _LIKELY_SDS = 3.0
-_UNSTATED = 0.05
+_UNSTATED = calibrated("masses.unstated_share")
 _NOT_STATED = {
     "density": "density_sd_not_given",
     "mass": "mass_sd_not_given",

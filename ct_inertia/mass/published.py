@@ -54,6 +54,7 @@ def _by_range(quantity: str, mean: float, low: float, high: float, n: int, refer
     return Published(quantity, mean, round((high - low) / _RANGE_OF[n], 3), n, reference)
 
 
+# Means, standard deviations or ranges, and numbers of stapedes, each with its reference.
 PUBLISHED = (
     Published("volume_mm3", 1.24, 0.29, 0, _IVANOVIC),
     _by_range("mass_mg", 3.02, 1.60, 5.45, 165, _DASS),

@@ -31,6 +31,7 @@ _TYPES = {
     0x00030004: "<i4",
     0x001A0004: "<f4",
 }
+# Most bytes of the processing log that are read: a damaged header may claim any length.
 _LONGEST_LOG = 1 << 20
 
 

@@ -15,6 +15,7 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
+# Most bytes of the text header: headers have some kilobytes, and a damaged file may have no end of it.
 _HEADER_BYTES = 1 << 20
 
 

@@ -13,8 +13,10 @@ from typing import BinaryIO
 from ct_inertia.readers.checks import header_fault
 
 _LONG = {b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"}
+# Undefined length and the tags of items and of the ends of items and sequences: DICOM PS3.5, 7.5.
 _UNDEFINED = 0xFFFFFFFF
 _ITEM, _ITEM_END, _SEQUENCE_END = (0xFFFE, 0xE000), (0xFFFE, 0xE00D), (0xFFFE, 0xE0DD)
+# Tags of the transfer syntax, the pixels and their size: DICOM PS3.6, 6 and 7.
 _TRANSFER_SYNTAX, _PIXELS = (0x0002, 0x0010), (0x7FE0, 0x0010)
 _NUMBERS = {
     (0x0028, 0x0002): "samples",
@@ -26,6 +28,7 @@ _NUMBERS = {
 _IMPLICIT, _BIG_ENDIAN = "1.2.840.10008.1.2", "1.2.840.10008.1.2.2"
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _NATIVE = (_IMPLICIT, _BIG_ENDIAN, "1.2.840.10008.1.2.1", "")
+# Deepest nesting of sequences: real files have below ten, and each level is a call of Python.
 _DEEPEST = 32
 
 

@@ -17,6 +17,7 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 
 _MAGIC = b"CTDATA-HEADER_V1"
+# Bytes a block of the header, and most blocks of it that are read: 128 kB hold the calibration.
 _BLOCK = 512
 _MOST_BLOCKS = 256
 

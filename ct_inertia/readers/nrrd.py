@@ -22,6 +22,7 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Most bytes of the text header, and of a line skipped before data: a damaged file may have no end of them.
 _HEADER_BYTES = 1 << 20
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),

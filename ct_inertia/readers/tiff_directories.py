@@ -19,6 +19,7 @@ _PACKINGS = {
     "DEFLATE": "deflate",
     "PACKBITS": "packbits",
 }
+# Most entries of a directory, which have some tens: a larger count is damage, and the chain ends there.
 _MOST_ENTRIES = 4096
 
 

@@ -20,6 +20,7 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     import tifffile
 
+# Least rows that are unpacked at a time: fewer cost more calls, more waste memory on parts of a plane.
 _ROWS = 64
 WHITE_IS_ZERO = "white_is_zero"
 

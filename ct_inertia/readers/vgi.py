@@ -19,6 +19,7 @@ from stapeskit.warnings import Notice
 
 _KINDS = {"unsigned integer": "u", "signed integer": "i", "integer": "i", "float": "f", "double": "f"}
 _STORED = {(kind, bits) for kind in "ui" for bits in ("8", "16", "32")} | {("f", "32"), ("f", "64")}
+# Most bytes of the text header, which has some kilobytes: a wrong file may be of any size.
 _HEADER_BYTES = 1 << 20
 Sections = dict[str, dict[str, str]]
 

@@ -20,6 +20,7 @@ from ct_inertia.readers.checks import amount, check_memory, header_fault, not_re
 from ct_inertia.readers.unpack import CODECS, unpack
 from stapeskit.faults import Fault
 
+# Most chunks of an array: 1024^3 voxels in chunks of 8^3 have 2 million; damaged shapes claim more.
 _MOST_FILES = 4e6
 # Along an axis: more than any scanner has, small enough that products stay whole numbers of 64 bits.
 _MOST_VOXELS = 1 << 20

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Pixels along an edge of a view: about 300 an inch where three views share the width of a page.
 _PIXELS = 720
+# Width of a view over that of what it shows: room for the names of the axes.
 _MARGIN = 1.22
 
 

@@ -8,19 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.graphs import in_hull
 from ct_inertia.volume.grids import boxes_and_sizes, labelled, majority, used_box
 from ct_inertia.volume.mask_statistics import every_nth
 
 Array = NDArray[np.float64]
 
-TYPICAL_MM3 = (0.8, 2.6)
-TYPICAL_MM = ((2.9, 4.4), (1.9, 3.3), (0.85, 1.9))
-POSSIBLE_MM3 = (0.3, 6.0)
-POSSIBLE_MM = (2.2, 5.8)
+TYPICAL_MM3 = calibrated("candidates.typical_mm3")
+TYPICAL_MM = calibrated("candidates.typical_mm")
+POSSIBLE_MM3 = calibrated("candidates.possible_mm3")
+POSSIBLE_MM = calibrated("candidates.possible_mm")
 # A stapes has next to no other bone within its hull; the bone around a window has the footplate there.
-MOST_SURROUNDED = 0.06
+MOST_SURROUNDED = calibrated("candidates.most_surrounded")
+# Volume below which a piece is not described: a fortieth of the least typical stapes, for time only.
 _LEAST_MM3 = 0.02
+# Most voxels of a piece for its convex hull, whose time grows with them.
 _HULL_POINTS = 4000
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.plate_region import PlateRegion
 from ct_inertia.segment.separate import flooded
 from ct_inertia.segment.sight import Sight
@@ -20,9 +21,10 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
+# Margin of the box around the stapes, the larger of both: room for its blur and for air beside that.
 _MARGIN_VOXELS = 16
 _MARGIN_MM = 0.25
-_DUST_VOXELS = 6
+_DUST_VOXELS = calibrated("cutting.dust_voxels")
 
 
 @dataclass(frozen=True)

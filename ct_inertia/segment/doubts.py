@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, Piece
 from stapeskit.faults import Fault
@@ -14,8 +15,9 @@ from stapeskit.warnings import Notice
 Array = NDArray[np.float64]
 
 # Volume and extents of a stapes that nobody would call unusual; see ``Piece.oddness``.
-USUAL = 0.05
-_RIVAL = 0.5
+USUAL = calibrated("doubts.usual")
+_RIVAL = calibrated("doubts.rival")
+# Bodies that a message lists.
 _SHOWN = 4
 
 

@@ -7,18 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
+
 Array = NDArray[np.float64]
 
+# Normals of the planes that are tried: on cones about the axis, 12 degrees apart, with 12 directions each,
+# then on finer ones about the best, which reach beyond half of that.
 _LEAN_DEG = (0.0, 12.0, 24.0, 36.0)
 _TURNS = 12
 _FINER_DEG = (0.0, 2.5, 5.0, 8.0)
-# How far from the end a neck is looked for, and how far from it the body must widen again.
-_FROM_END_MM = 1.6
-_WIDENS_WITHIN_MM = 0.5
-_LEAST_BEYOND_MM3 = 0.03
-_MOST_BEYOND = 0.4
-_NARROWER = 0.85
-_APART_MM = 0.15
+_FROM_END_MM = calibrated("necks.from_end_mm")
+_WIDENS_WITHIN_MM = calibrated("necks.widens_within_mm")
+_LEAST_BEYOND_MM3 = calibrated("necks.least_beyond_mm3")
+_MOST_BEYOND = calibrated("necks.most_beyond")
+_NARROWER = calibrated("necks.narrower")
+_APART_MM = calibrated("necks.apart_mm")
+# Most necks of an end, and most voxels of a body that areas are counted from: for time only.
 _MOST = 4
 MOST_POINTS = 60_000
 

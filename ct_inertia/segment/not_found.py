@@ -13,6 +13,7 @@ from ct_inertia.segment.sight import Sight, between_levels, readings, with_holes
 from ct_inertia.volume.coarse import CoarseScan, material_levels
 from stapeskit.faults import Fault
 
+# Bodies that a message lists.
 _SHOWN = 4
 
 

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
 from ct_inertia.segment.doubts import USUAL
 from ct_inertia.segment.necks import MOST_POINTS, necks
@@ -22,15 +23,18 @@ from ct_inertia.volume.working import Working, working_box
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_FINER_MM = 0.025
+_FINER_MM = calibrated("parting.finer_mm")
+# Margin of the box around the bones, the larger of both: room for their blur.
 _MARGIN_MM = 0.1
 _MARGIN_VOXELS = 3
+# Most voxels of that box, 240 MB of float32; a larger box gets a coarser grid.
 _MOST_VOXELS = 60_000_000
-_LEAST_PART_MM3 = 0.02
-_LEAST_UNITED_MM3 = 0.05
+_LEAST_PART_MM3 = calibrated("parting.least_part_mm3")
+_LEAST_UNITED_MM3 = calibrated("parting.least_united_mm3")
+# Largest parts that are put together by twos and threes: 56 trials.
 _MOST_UNITED = 7
-_WHOLE = 0.99
-_NECK_ODDNESS = 1.0
+_WHOLE = calibrated("parting.whole")
+_NECK_ODDNESS = calibrated("parting.neck_oddness")
 
 
 @dataclass(frozen=True)

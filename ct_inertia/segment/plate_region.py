@@ -8,15 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.sight import Sight
 from ct_inertia.volume.coarse import calmed
 from ct_inertia.volume.grids import dilated, eroded, gaussian, labelled
 
 Array = NDArray[np.float64]
-_LEAST_MM3 = 0.5
-_RIM_MM = 0.11
+_LEAST_MM3 = calibrated("plate_region.least_mm3")
+_RIM_MM = calibrated("plate_region.rim_mm")
+# Voxels of the plate's view, mm: about half of that rim, for a plate of millimetres needs no finer one.
 _GRID_MM = 0.0625
+# Voxels of pure plastic or air from which their mean is taken: its noise is 6 % of a voxel's.
 _LEAST_DEEP = 300
+# Voxels a layer up to which they are noise. Chosen by judgement: only the box of the search follows.
 _STRAY = 30
 # A plate covers the footplate and some of what stands beside it; the collar is this many coarse voxels wide.
 _COLLAR, _MOST_COVERED = 2, 0.7

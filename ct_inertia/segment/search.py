@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
 from ct_inertia.segment.doubts import USUAL, doubts, refuse_rivals
@@ -20,9 +21,11 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
-_ODD = 0.3
+_ODD = calibrated("search.odd")
+# Largest bodies that are parted: for time only.
 _MOST_WHOLES = 4
-_HALO_MM, _LEAST_BEYOND = 0.1, 0.05
+_HALO_MM = calibrated("search.halo_mm")
+_LEAST_BEYOND = calibrated("search.least_beyond")
 
 
 def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -> Sight:

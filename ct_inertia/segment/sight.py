@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, count_holes, surrounded
 from ct_inertia.segment.parting import Markers
@@ -17,9 +18,9 @@ from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-_ABOVE_PLASTIC = 0.35
-_THIN_WALL = 0.42
-_PLASTIC_MARGIN = 0.12
+_ABOVE_PLASTIC = calibrated("sight.above_plastic")
+_THIN_WALL = calibrated("sight.thin_wall")
+_PLASTIC_MARGIN = calibrated("sight.plastic_margin")
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ from stapeskit.spatial import matrix_from_parameters
 
 Array = NDArray[np.float64]
 
+# Steps of Taubin's smoothing, the defaults of MeshLab: pass band 1 / lambda + 1 / mu = 0.11.
 _LAMBDA, _MU = 0.5, -0.53
+# Least faces that are accepted. Chosen by judgement: far fewer than keep the shape of a stapes.
 _LEAST_FACES = 100
 
 

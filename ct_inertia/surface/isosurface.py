@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
@@ -12,7 +13,8 @@ from ct_inertia.volume.graphs import graph_pieces
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
-_TINY_SHARE = 1e-3
+_TINY_SHARE = calibrated("isosurface.least_cavity")
+# Value of the padding, below every level, so that the surface closes at the border.
 _OUTSIDE = -1.0
 
 

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
 _LEAST_SHARE, _MOST_SHARE = calibrated("isosurface.shares")
+# Most steps of Newton's method, which squares its error each time; the best one is kept.
 _ROUNDS = 6
 # Relative to the volume, to the extent of the body and to its second moments.
 _CLOSE = 2e-4

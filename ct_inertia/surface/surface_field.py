@@ -16,6 +16,8 @@ from ct_inertia.volume.graphs import graph_pieces, solver
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+# Twice the area of a triangle over the square of its longest edge (0.87 if equilateral) below which it is a
+# sliver, whose stiffness would grow without bound.
 _LEAST_SINE = 0.1
 
 

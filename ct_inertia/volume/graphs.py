@@ -11,6 +11,8 @@ from ct_inertia.native import checked, compiled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+# Residual at which conjugate gradients stop, relative to the right-hand side: near rounding, as
+# the direct solver is that stands in for them. Most steps: a guard, for steps without progress end it before.
 _ACCURACY = 1e-14
 _ROUNDS = 2000
 

@@ -19,6 +19,7 @@ Index = NDArray[np.int64]
 
 WORKING_MM: float = calibrated("working.largest_block_mm")
 PARTING_MM: float = calibrated("working.largest_block_in_situ_mm")
+# Layers of block means that a thread makes at a time: large enough that threads seldom wait for each other.
 _LAYERS = 16
 
 
