@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.cupping import LEAST_RMS, Cupping, deep_cupping_notice, find_cupping
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
@@ -16,16 +17,18 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
-_GOOD_BONE_SD = 1e-3
-_DEEPER = 4.2
-_LEAST_DEEP = 200
-_CELL_VOXELS = 6.0
-_LEAST_CELL, _LEAST_CELLS = 20, 12
-_SIGNIFICANT = 4.0
-_TILTED, _SLOPING = 1e-3, 8.0
-_UNEVEN = 0.01
+_GOOD_BONE_SD = calibrated("bone_level.good_sd")
+_DEEPER = calibrated("bone_level.deeper")
+_LEAST_DEEP = calibrated("bone_level.least_deep")
+_CELL_VOXELS = calibrated("bone_level.cell_voxels")
+_LEAST_CELL = calibrated("bone_level.least_cell")
+_LEAST_CELLS = calibrated("bone_level.least_cells")
+_SIGNIFICANT = calibrated("bone_level.significant")
+_TILTED = calibrated("bone_level.tilted")
+_SLOPING = calibrated("bone_level.sloping")
+_UNEVEN = calibrated("bone_level.uneven")
 # The rim of bone next to the surface is not seen: it may differ from the inside by as much as that varies.
-_HIDDEN = 0.5
+_HIDDEN = calibrated("bone_level.hidden")
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Depth below the surface, in standard deviations of the blur, from which bone is pure: 0.1 % of air is left.
 _DEPTH_SIGMAS = 3.0
+# Grid on which the grey value's slope is fitted, mm: fine enough for a straight line through a stapes.
 _COARSE_MM = 0.03
+# Pure voxels below which no slope is fitted. Chosen by judgement: a line through space has four unknowns.
 _LEAST_VOXELS = 200
+# Barycentric coordinates and weights of five points in a tetrahedron, exact to the third degree.
 _CUBATURE = (
     np.vstack([np.full(4, 0.25), np.full((4, 4), 1.0 / 6.0) + np.eye(4) / 3.0]),
     np.array([-0.8, 0.45, 0.45, 0.45, 0.45]),

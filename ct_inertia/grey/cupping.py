@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
+# Most voxels of the fit, thinned evenly above: for time only.
 _MOST = 60_000
-_SIGNIFICANT = 4.5
-LEAST_RMS, _LEAST_DEEP = 1e-3, 3e-3
+_SIGNIFICANT = calibrated("cupping.significant")
+LEAST_RMS = calibrated("cupping.least_rms")
+_LEAST_DEEP = calibrated("cupping.least_deep")
 
 
 @dataclass(frozen=True)

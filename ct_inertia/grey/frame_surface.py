@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.thin_walls import thin_wall_shift, vertex_normals
 from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
@@ -18,12 +19,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Largest blocks, mm: the scale of the normals in the definition of the frame (footplate_face).
 _GRID_MM = 0.05
+# Standard deviation of the smoothing where blocks would be single voxels, in voxels: about the least that
+# leaves no stairs. It counts as blur, as blocks do.
 _SMOOTH_VOXELS = 0.7
+# Shares nearer than this to 0 and 1 are held at its quantile (2.05 standard deviations of the blur): beyond,
+# noise is larger than what is left of the edge.
 _LEAST_SHARE = 0.02
-_CHORDS = 0.2
+_CHORDS = calibrated("frame_surface.chords")
 # Standard deviation of the shift at thin walls, as a share of it; a mean shift below this needs none.
-_WALL_SD, _THIN_WALLS_MM = 0.3, 3e-4
+_WALL_SD = calibrated("frame_surface.wall_sd")
+_THIN_WALLS_MM = calibrated("frame_surface.thin_walls_mm")
 
 
 class FrameSurface(NamedTuple):

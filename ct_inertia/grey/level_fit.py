@@ -7,21 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled, shape_of
 from ct_inertia.volume.grids import gaussian
 
 Array = NDArray[np.float64]
 
+# Samples of a voxel along each axis, and the range of grey values (share of the contrast) over which a sample
+# changes from outside to inside: about what changes across its own width.
 _FINE = 2
+_SOFT = 0.25
+# Rounds of the fit, with and without the contrast, and the change of the contrast below which it ends before:
+# the least standard deviation that is stated for it.
 _ROUNDS, _SHAPE_ROUNDS = 14, 6
 _SETTLED = 1e-4
-_INNER = 0.8
+_INNER = calibrated("level_fit.inner")
+# Part of what differs near the surface that a round moves it by: damped while the contrast moves, too.
 _SHAPE_STEP, _LONE_STEP = 0.7, 1.0
-_LOW, _HIGH = 0.15, 0.85
+_LOW = calibrated("level_fit.lowest_level")
+_HIGH = calibrated("level_fit.highest_level")
+# Voxels of padding: one for the neighbours of the rim, the others for the blur to fall off.
 _PAD = 4
+# Voxels a piece: 27 values each, 3 MB.
 _PIECE = 30_000
-_SOFT = 0.25
-_CALM_PER_NOISE, _MOST_CALM = 8.0, 1.2
+_CALM_PER_NOISE = calibrated("level_fit.smoothing_per_noise")
+_MOST_CALM = calibrated("level_fit.most_smoothing")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,10 @@ from ct_inertia.native import compiled
 from ct_inertia.surface.moments import Moments
 
 Array = NDArray[np.float64]
+# Voxels a piece: ten values each, 4 MB.
 _PIECE = 50_000
+# About how many voxels covariances are summed over, thinned evenly: a sum of so many is off by 0.3 % of the
+# scatter of its terms.
 _ENOUGH = 100_000
 
 

@@ -40,11 +40,16 @@ class FaceFit:
     covariance: Array
 
 
+# Planes that are tried through edge points: a face with 5 % of them is missed once in 2000 times.
 _TRIALS = 150
+# Most edge points: for time only.
 _MOST = 6000
-_LEAST = 300
+_LEAST = calibrated("plate_face.least_points")
+# Reweighted steps of the fit: a fixed count.
 _ROUNDS = 12
+# Distance from the face, in standard deviations of its blur, beyond which both materials are pure (0.02 %).
 _WIDTHS = 3.5
+# Voxels of the stapes behind the face below which nothing is displaced: noise. Chosen by judgement.
 _LEAST_SUNK = 20
 # Edge points agree with a plane within this many voxels.
 _AGREED_VOXELS = 0.7
@@ -53,9 +58,13 @@ _FLAT, _ALIKE, _NEAR_VOXELS = calibrated("plate_face.least_flatness"), 0.9, 4.0
 # Of the normal matrix in units of its diagonal: beyond it half of the digits of a double are lost.
 _MOST_CONDITION = 1e8
 # A plane through edge points alone: its height in their scatter, its tilt in radians.
-_EDGE_PLANE, _EDGE_TILT = 0.15, 2e-3
+_EDGE_PLANE = calibrated("plate_face.edge_plane_sd")
+_EDGE_TILT = calibrated("plate_face.edge_tilt_sd")
+# Distance from bone, in standard deviations of the blur, from which voxels are free of it (0.1 %).
 _CLEAR_WIDTHS = 3.0
-_KNOWN_BLUR, _KNOWN_AIR, _KNOWN = 0.05, 0.001, 0.03
+_KNOWN_BLUR = calibrated("plate_face.blur_sd")
+_KNOWN_AIR = calibrated("plate_face.air_sd")
+_KNOWN = calibrated("plate_face.plastic_sd")
 _DISPLACED_ROUNDS = (False, False, False, True, True)
 
 

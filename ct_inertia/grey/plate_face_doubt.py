@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.grey.plate_face import FaceFit
 from ct_inertia.segment.cutting import Cut
@@ -13,9 +14,10 @@ from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
 
 Array = NDArray[np.float64]
+# Distance from the face, in standard deviations of its blur, from which it changes no grey value (0.02 %).
 _WIDTHS = 3.5
-_DISPLACED_SD = 0.05
-_LEAST_DOUBT = 0.02
+_DISPLACED_SD = calibrated("plate_face_doubt.displaced_sd")
+_LEAST_DOUBT = calibrated("plate_face_doubt.least_doubt")
 
 
 def face_covariance(

@@ -7,18 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.native import compiled, shape_of
 from ct_inertia.volume.grids import interpolated
 from ct_inertia.volume.mask_statistics import places_between
 from ct_inertia.volume.normal import normal_quantile
 
 Array = NDArray[np.float64]
+# Reach of the Gaussian gradient in its standard deviations: 0.03 % of its weight is cut off.
 _REACH_WIDTHS = 3.6
+# Most edge voxels that are measured: for time only.
 _MOST = 4_000
-_LEAST = 60
-_FLAT = 0.1
+_LEAST = calibrated("psf.least_edges")
+_FLAT = calibrated("psf.flat")
+# Distance along an edge, in its own widths, at which its curvature is read.
 _BESIDE = 2.5
-_BENT_SD = 0.3
+_BENT_SD = calibrated("psf.bent_sd")
 # Rounds of the fit of widths, medians from which on an edge departs, and edges that must face each axis.
 _WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
 

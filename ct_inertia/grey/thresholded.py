@@ -14,7 +14,9 @@ from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Most grey values of a scan that somebody has thresholded: a few materials, where a scan has hundreds.
 _FEW_VALUES = 4
+# Voxels a piece, after each of which the search can end.
 _PIECE = 1_000_000
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.cutting import Cut
@@ -17,7 +18,7 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
-_LEAST_VOXELS = 12
+_LEAST_VOXELS = calibrated("voids.least_voxels")
 # Voids are looked at from this distance to bone on, in widths of the blur.
 _CLEAR_OF_BLUR = 1.5
 # Filled: so much of the contrast more than blur leaves, of which half is in doubt, and so many standard
