@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.coat import Coat, CoatImage, coat_image, with_coat_sd
 from ct_inertia.grey.cupping import cupping_notice
@@ -35,18 +36,20 @@ Array = NDArray[np.float64]
 
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2
-_DEFAULT_SIGMA_VOXELS = 1.0
-_FITTED_BLUR_SD, _MOST_BLUR_SD = 0.03, 0.1
+_DEFAULT_SIGMA_VOXELS = calibrated("measure.default_sigma_voxels")
+_FITTED_BLUR_SD = calibrated("measure.fitted_blur_sd")
+_MOST_BLUR_SD = calibrated("measure.most_blur_sd")
+# Edge voxels of the first look at the blur, from which only the reach of what is measured follows.
 _FEW_EDGES = 800
-_TAIL_SD = 0.15
-_GOOD_INSIDE = 1e-3
-_WELL_SEEN = 0.2
-_WEAK = 4e-3
-_SAME_BLUR = 0.15
-_OTHER_BLUR = 0.01
-# What is not known of a plate without a fitted face, in that of other soft things.
-_PLATE_DOUBT = 2.0
-_LONG_VOXELS, _UNEVEN_BLUR = 1.2, 1.1
+_TAIL_SD = calibrated("measure.tail_sd")
+_GOOD_INSIDE = calibrated("measure.good_inside")
+_WELL_SEEN = calibrated("measure.well_seen")
+_WEAK = calibrated("measure.weak_level")
+_SAME_BLUR = calibrated("measure.same_blur")
+_OTHER_BLUR = calibrated("measure.other_blur")
+_PLATE_DOUBT = calibrated("measure.plate_doubt")
+_LONG_VOXELS = calibrated("measure.long_voxels")
+_UNEVEN_BLUR = calibrated("measure.uneven_blur")
 
 
 @dataclass(frozen=True)

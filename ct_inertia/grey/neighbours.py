@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.cutting import Cut
@@ -26,17 +27,16 @@ Array = NDArray[np.float64]
 _THIN_LAYER_MM = 5e-4
 # Where they are nearer, planes up to this far apart are modelled: they share less than 0.005 of a width.
 _CLOSE_SIGMAS = 5.0
-_BRIDGE_SD_MM = 0.04
-_NECK_SD_MM = 0.06
+_BRIDGE_SD_MM = calibrated("neighbours.bridge_sd_mm")
+_NECK_SD_MM = calibrated("neighbours.neck_sd_mm")
 # Contrasts of other bone, as shares of the stapes'; nearer to 1 than the last of these it counts as
 # the same bone, for the tails that it adds are known no better.
 _NEIGHBOURS, _SAME_BONE = (0.3, 2.0), 0.05
+# Voxels of pure other bone from which their median tells its contrast. Chosen by judgement.
 _LEAST_DEEP = 12
-# Share of the way from the middle level to that of bone from which on a border counts as solid bone.
-_SOLID = 0.8
-_LEAST_CUT_MM2 = 0.003
-# Above this share of the volume the place of a cut is worth a warning of its own.
-_WEAK_SHARE = 3e-3
+_SOLID = calibrated("neighbours.solid")
+_LEAST_CUT_MM2 = calibrated("neighbours.least_cut_mm2")
+_WEAK_SHARE = calibrated("neighbours.weak_share")
 
 
 @dataclass(frozen=True)

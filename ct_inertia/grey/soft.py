@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import blurred, body_share
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import neighbour_share
@@ -22,27 +23,26 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
-# Of the collar around the stapes: where blur leaves less bone than this it is looked at.
-_MOST_BONE = 0.12
-# In cells of this width and of so many voxels at least.
-_CELL_MM, _LEAST_CELL = 0.2, 12
-# A cell is soft from this share of the contrast on, and so many standard deviations of noise.
-_LEAST_SHARE, _STANDS_OUT = 0.03, 5.0
-# There is something soft when so much of the collar and so many cells are.
-_LEAST_PART, _LEAST_CELLS = 0.001, 3
+_MOST_BONE = calibrated("soft.most_bone")
+_CELL_MM = calibrated("soft.cell_mm")
+_LEAST_CELL = calibrated("soft.least_cell")
+_LEAST_SHARE = calibrated("soft.least_share")
+_STANDS_OUT = calibrated("soft.stands_out")
+_LEAST_PART = calibrated("soft.least_part")
+_LEAST_CELLS = calibrated("soft.least_cells")
 # Voxels that are looked at, evenly spread: they bound the time.
 _MOST_LOOKED_AT = 150_000
-# Width of the window over which the medium is even, in widths of the blur, and rounds of the alternation.
-_WINDOW_SIGMAS, _ROUNDS = 2.0, 5
-# The densest medium that can be told from bone, and the share of bone up to which a voxel tells the medium.
-_MOST_SOFT, _CLEAR = 0.85, 0.4
-# How wrong what was taken off may be, as a share of itself (standard deviation): for the mass, for the frame,
-# and where the plate is part of it, which it is from the last of these shares on.
-_SD, _FRAME_SD, _PLATE_SD, _TOUCHED = 0.15, 0.3, 0.5, 0.02
-# What blur adds to a cell is known but for this share.
-_MODEL_DOUBT = 0.5
-# Share of the volume from which on a notice is worth reading.
-_TOLD = 5e-4
+_WINDOW_SIGMAS = calibrated("soft.window_sigmas")
+# Rounds in which body and medium are fitted in turn: a fixed count.
+_ROUNDS = 5
+_MOST_SOFT = calibrated("soft.densest")
+_CLEAR = calibrated("soft.clear_of_bone")
+_SD = calibrated("soft.sd")
+_FRAME_SD = calibrated("soft.frame_sd")
+_PLATE_SD = calibrated("soft.plate_sd")
+_TOUCHED = calibrated("soft.touched")
+_MODEL_DOUBT = calibrated("soft.model_doubt")
+_TOLD = calibrated("soft.reported_share")
 
 
 @dataclass(frozen=True)

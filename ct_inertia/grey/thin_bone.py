@@ -7,20 +7,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone, bone_of
 from ct_inertia.grey.level_fit import BodyFit, blurred
 from ct_inertia.grey.levels import Air, Surroundings
 
 Array = NDArray[np.float64]
 
-# Blurred shares of bone from which on voxels are fitted, and their plain mean is compared.
-_NEARLY, _MORE_NEARLY = 0.9, 0.95
-# Fewer voxels than this tell no level.
-_LEAST = 500
-# Share of the difference between both that counts as uncertainty.
-_TREND_SD = 0.6
-# What the model of blur leaves in thin clean bone of 34 to 40 um voxels looks like cupping of up to 0.0017.
-_LEAST_CUPPING = 2e-3
+_NEARLY = calibrated("thin_bone.fitted_share")
+_MORE_NEARLY = calibrated("thin_bone.compared_share")
+_LEAST = calibrated("thin_bone.least_voxels")
+_TREND_SD = calibrated("thin_bone.trend_sd")
+_LEAST_CUPPING = calibrated("thin_bone.least_cupping")
 
 
 def thin_bone(

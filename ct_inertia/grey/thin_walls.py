@@ -14,8 +14,12 @@ Array = NDArray[np.float64]
 _THICK = 5.0
 # Walls thinner than this stay below the half level.
 _THINNEST = 1.4
+# Step along the normal in widths of the blur: the share is linear enough between two for a crossing.
 _STEP = 0.25
+# Rings of neighbours that the shift is averaged over: single normals are noisy. Chosen by judgement.
 _SMOOTHING = 4
+# Least grey value, as a share of bone, at the edge of a wall that is not shifted further: nearer to the half
+# level the shift is without bound.
 _LEAST_PLATEAU = 0.55
 
 

@@ -21,13 +21,11 @@ Array = NDArray[np.float64]
 _LEAST_VOXELS = calibrated("voids.least_voxels")
 # Voids are looked at from this distance to bone on, in widths of the blur.
 _CLEAR_OF_BLUR = 1.5
-# Filled: so much of the contrast more than blur leaves, of which half is in doubt, and so many standard
-# deviations of noise.
-_LEAST_SHARE, _BLUR_DOUBT, _SIGNIFICANT = 0.03, 0.5, 5.0
-# Tissue and fluid attenuate up to a third of bone: standard deviation of an even distribution up to that.
-_FILLING_SD = 0.1
-# Share of the volume from which an unknown filling is reported.
-_REPORTED = 5e-4
+_LEAST_SHARE = calibrated("voids.least_share")
+_BLUR_DOUBT = calibrated("voids.blur_doubt")
+_SIGNIFICANT = calibrated("voids.significant")
+_FILLING_SD = calibrated("voids.filling_sd")
+_REPORTED = calibrated("voids.reported_share")
 
 
 @dataclass(frozen=True)

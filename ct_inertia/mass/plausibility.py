@@ -19,9 +19,12 @@ HEIGHT_MM = (2.4, 5.0)
 FOOTPLATE_LENGTH_MM = (1.8, 4.0)
 FOOTPLATE_WIDTH_MM = (0.7, 2.2)
 VOLUME_MM3 = (0.3, 6.0)
+# Longest extent that a mesh of a stapes in mm can have; another one is in the unit of length that brings it
+# nearest to a usual one.
 _MESH_MM = (1.0, 12.0)
 _TYPICAL_MM = 3.5
 _UNITS = {"metres": 1e3, "centimetres": 10.0, "inches": 25.4, "micrometres": 1e-3, "nanometres": 1e-6}
+# Volume of a body of a mesh, as a share of the largest, below which it is a speck of rounding.
 _LEAST_BODY = 1e-6
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.candidates import Piece, describe
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import boxes_and_sizes, dilated, gaussian, labelled, used_box, watershed
@@ -16,13 +17,14 @@ Array = NDArray[np.float64]
 
 # From a gap without bridges to bridges so wide that they meet half way round.
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
-_LEAST_DEPTH_VOXELS = 1.2
-_LEAST_MARKER_MM3 = 0.004
-# Half the width of the widest gap that counts as narrow, seen at the middle level.
-_HALF_GAP_MM = 0.065
-# A gap so narrow that blur fills it beyond the middle level still shows as a valley below this one.
-_VALLEY = 0.75
-_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS = 0.035, 1.6
+_LEAST_DEPTH_VOXELS = calibrated("separate.least_depth_voxels")
+_LEAST_MARKER_MM3 = calibrated("separate.least_marker_mm3")
+_HALF_GAP_MM = calibrated("separate.half_gap_mm")
+_VALLEY = calibrated("separate.valley")
+_HALF_VALLEY_MM = calibrated("separate.half_valley_mm")
+_HALF_VALLEY_VOXELS = calibrated("separate.half_valley_voxels")
+# Standard deviations of the smoothing against noise, in voxels, of the valleys and of the watershed's relief.
+# Chosen by judgement: less than the blur of a scan, so that narrow gaps stay.
 _CALM_VOXELS = 0.6
 _SMOOTH_VOXELS = 0.7
 
