@@ -9,20 +9,12 @@ from ct_inertia.mass.budget import mass_sd_missing
 from pipeline.verdict import BELIEVE, CHECK, DO_NOT_USE, Verdict
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus, printed
-from stapeskit.page.quantities import (
-    DAMPING,
-    MASS,
-    ROTATION_DAMPING,
-    ROTATION_STIFFNESS,
-    STIFFNESS,
-    ShownUnit,
-)
+from stapeskit.page.quantities import MASS, ShownUnit, diagonal_unit, time_unit
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
 Card = tuple[str, list[tuple[str, ...]]]
-_UNITS = {"K": (STIFFNESS, ROTATION_STIFFNESS), "D": (DAMPING, ROTATION_DAMPING)}
 _KEYS = {"K": "stiffness", "D": "damping"}
 _SENTENCES = {
     BELIEVE: "No warning calls for a check. The uncertainties hold what is known to go wrong.",
@@ -41,11 +33,6 @@ _TEMPLATE = """<div class="verdict {{ css }}" id="verdict">
 {% endfor %}</table></div>{% endfor %}</div>"""
 
 
-def unit_of(letter: str, dof: str) -> ShownUnit:
-    """Return the unit in which a diagonal entry of K or D is shown."""
-    return _UNITS[letter][dof not in "xyz"]
-
-
 def key_results(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the numbers that a reader looks for first, each with its standard deviation."""
     return [(name, text) for _, rows in cards(mass, kd) for name, text, *_ in rows]
@@ -59,6 +46,7 @@ def cards(
     made: list[Card] = [
         ("Mass", [_row("mass", MASS, mass["mass_kg"], sd, None if truth is None else truth.get("mass_kg"))])
     ]
+    exponent = kd["model"]["damping_exponent"]
     for letter, title in (("K", "Stiffness"), ("D", "Damping")):
         key = _KEYS[letter]
         rows: list[tuple[str, ...]] = []
@@ -66,7 +54,7 @@ def cards(
         for place, dof in enumerate(kd["dof"]):
             value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
             known = None if true is None else true[place][place]
-            rows.append(_row(f"{letter}({dof})", unit_of(letter, dof), value, spread, known))
+            rows.append(_row(f"{letter}({dof})", diagonal_unit(letter, dof, exponent), value, spread, known))
         made.append((title, rows))
     rows = []
     for place, mode in enumerate(kd["modes"]):
@@ -123,13 +111,15 @@ def si_table(mass: Mapping[str, Any], kd: Mapping[str, Any]) -> Markup:
     sd = mass["mass_matrix"]["standard_deviation_si"][1][1]
     shown = "" if mass_sd_missing(mass) else f"{sd:.2g}"
     rows: list[Sequence[object]] = [("m", f"{mass['mass_kg']:.6g}", shown, "kg")]
+    seconds = time_unit(kd["model"]["damping_exponent"])
     for letter, key in _KEYS.items():
         for i, first in enumerate(kd["dof"]):
             for j, second in enumerate(kd["dof"][i:], i):
                 name = f"{letter}({first})" if i == j else f"{letter}({first}, {second})"
                 value, spread = (kd[f"{key}{end}"][i][j] for end in ("_si", "_sd_si"))
                 turns = (first not in "xyz") + (second not in "xyz")
-                unit = ("N/m", "N", "N m")[turns] if letter == "K" else ("N s/m", "N s", "N m s")[turns]
+                time = seconds if letter == "D" else ""
+                unit = (f"N{time}/m", f"N{time}", f"N m{time}")[turns]
                 rows.append((name, f"{value:.6g}", "" if spread is None else f"{spread:.2g}", unit))
     return page.folded("In SI units, every entry", page.table(("", "value", "sd", "unit"), rows))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.ct2mass import MassMeasurement
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, LENGTH, MASS, VOLUME, ShownUnit
 
 
 def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
@@ -17,29 +17,30 @@ def measured_rows(result: MassMeasurement) -> list[tuple[str, str]]:
     deviation = matrix.standard_deviation
     pose = np.sqrt(np.diag(footplate.covariance))
 
+    centre_m = matrix.parameters[1:4] / matrix.parameters[0]
     stated = result.options.mass_known_by in matrix.contributions
 
-    def entry(row: int, column: int, factor: float, unit: str) -> str:
-        value, sd = matrix.matrix[row, column] * factor, deviation[row, column] * factor
-        return f"{value:.4f} ± {sd:.4f} {unit}" if stated else f"{value:.4f} {unit}"
+    def entry(row: int, column: int, unit: ShownUnit) -> str:
+        value, sd = float(matrix.matrix[row, column]), float(deviation[row, column])
+        return unit.with_sd(value, sd) if stated else unit.text(value, ".5g")
 
     rows: list[tuple[str, str]] = [
-        ("volume", f"{body.volume_m3 * 1e9:.4f} mm3 at {body.density_kg_m3:.0f} kg/m3"),
-        ("mass", entry(0, 0, MASS.per_si, MASS.symbol)),
-        ("centre of mass (footplate)", _vector(matrix.parameters[1:4] / matrix.parameters[0] * 1e3, "mm")),
-        ("M(alpha, alpha)", entry(3, 3, 1e12, "e-12 kg m2")),
-        ("M(gamma, gamma)", entry(5, 5, 1e12, "e-12 kg m2")),
-        ("M(y, alpha)", entry(1, 3, 1e12, "e-12 kg m")),
-        ("M(y, gamma)", entry(1, 5, 1e12, "e-12 kg m")),
+        ("volume", f"{VOLUME.text(body.volume_m3, '.4f')} at {body.density_kg_m3:.0f} kg/m³"),
+        ("mass", entry(0, 0, MASS)),
+        ("centre of mass (footplate)", _vector(LENGTH.of(centre_m), LENGTH.symbol)),
+        ("M(alpha, alpha)", entry(3, 3, INERTIA)),
+        ("M(gamma, gamma)", entry(5, 5, INERTIA)),
+        ("M(y, alpha)", entry(1, 3, FIRST_MOMENT)),
+        ("M(y, gamma)", entry(1, 5, FIRST_MOMENT)),
         *([] if stated else [("sd of mass and M", _without(result))]),
         (
             "footplate",
-            f"{footplate.length_mm:.2f} x {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
+            f"{footplate.length_mm:.2f} × {footplate.width_mm:.2f} mm; height {footplate.height_mm:.2f} mm",
         ),
         ("footplate centre (scan)", _vector(footplate.scan_from_footplate.translation_mm, "mm")),
         (
             "frame sd",
-            f"{1e6 * np.max(pose[:3]):.1f} um, {np.degrees(np.max(pose[3:])):.2f} degrees; "
+            f"{1e6 * np.max(pose[:3]):.1f} µm, {np.degrees(np.max(pose[3:])):.2f}°; "
             f"x by {footplate.anterior_from}",
         ),
     ]
@@ -72,7 +73,7 @@ def summary_rows(result: MassMeasurement, content: Mapping[str, Any]) -> list[tu
             (
                 f"by {way['by']} instead",
                 f"{MASS.of(way['mass_kg']):.4f} {MASS.symbol} ({way['mass_change_percent']:+.2f} %) at "
-                f"{way['density_kg_m3']:.0f} kg/m3; centre {shift:.1f} um off; M within {worst:.2f} %",
+                f"{way['density_kg_m3']:.0f} kg/m³; centre {shift:.1f} µm off; M within {worst:.2f} %",
             )
         )
     for step in content.get("display_mesh", {}).get("steps", []):
@@ -81,7 +82,7 @@ def summary_rows(result: MassMeasurement, content: Mapping[str, Any]) -> list[tu
             (
                 f"display: {step['step']} {step['asked']}",
                 f"{step['faces']} faces; would change the mass by {step['mass_change_percent']:+.3f} %, "
-                f"its centre by {shift:.2f} um, M by {step['mass_matrix_change_percent']:.3f} %",
+                f"its centre by {shift:.2f} µm, M by {step['mass_matrix_change_percent']:.3f} %",
             )
         )
     return rows

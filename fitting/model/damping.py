@@ -11,6 +11,7 @@ from fitting.errors import FittingError
 from fitting.model.laws import LAWS, law_of
 from fitting.model.laws.law import Law
 from stapeskit.faults import Fault
+from stapeskit.page.quantities import time_unit
 
 ComplexArray = NDArray[np.complex128]
 
@@ -86,7 +87,7 @@ class DampingLaw:
     def unit(self, stiffness_unit: str) -> str:
         """Return the unit of an entry of D from that of the same entry of K."""
         numerator, slash, denominator = stiffness_unit.partition("/")
-        return numerator + self.law.time_unit(self.exponent) + slash + denominator
+        return numerator + time_unit(self.exponent) + slash + denominator
 
 
 VISCOUS = DampingLaw()

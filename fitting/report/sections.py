@@ -22,7 +22,7 @@ from fitting.uncertainty.covariance import ATTENUATION, NOISE
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
-from stapeskit.page.quantities import MASS
+from stapeskit.page.quantities import MASS, diagonal_unit
 from stapeskit.spatial import DOF_UNITS
 
 Array = NDArray[np.float64]
@@ -82,21 +82,17 @@ def kd_page(fit: KDFit, provenance: Mapping[str, Any], outline_mm: Array | None 
 def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     """Return the table that a command prints."""
     stiffness_sd, damping_sd = fit.standard_deviation
-    units = entry_units(fit.dof)
     rows = []
     for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
-        parts = []
         for place, name in enumerate(fit.dof):
-            unit = units[place][place] if letter == "K" else fit.law.unit(units[place][place])
-            parts.append(f"{name} {plus_minus(values[place, place], sds[place, place])} {unit}")
-        rows.append((f"{letter} diagonal", ", ".join(parts)))
-    listed = [
-        f"{plus_minus(mode.frequency_hz, sd)} Hz (zeta {plus_minus(mode.damping_ratio, ratio)})"
-        for mode, sd, ratio in zip(
-            fit.modes.pairs, fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd, strict=True
-        )
-    ]
-    rows.append(("modes, damped", ", ".join(listed) if listed else "none oscillates"))
+            unit = diagonal_unit(letter, name, fit.law.exponent)
+            rows.append((f"{letter}({name})", unit.with_sd(values[place, place], sds[place, place])))
+    deviations = (fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd)
+    for number, (mode, sd, ratio) in enumerate(zip(fit.modes.pairs, *deviations, strict=True), 1):
+        damping = plus_minus(mode.damping_ratio, ratio)
+        rows.append((f"mode {number}", f"{plus_minus(mode.frequency_hz, sd)} Hz, damping ratio {damping}"))
+    if not fit.modes.pairs:
+        rows.append(("modes", "none oscillates"))
     axes = principal_axes_json(fit)
     if axes is not None:
         rows.append(

@@ -67,3 +67,34 @@ DAMPING = ShownUnit("mN s/m", 1e3)
 ROTATION_DAMPING = ShownUnit("µN mm s/rad", 1e9)
 FIRST_MOMENT = ShownUnit("mg mm", 1e9)
 INERTIA = ShownUnit("mg mm²", 1e12)
+
+
+def time_unit(exponent: float) -> str:
+    """Return the power of time in the unit of D as text: viscous damping has 1, hysteretic 0."""
+    return {0.0: "", 1.0: " s"}.get(exponent, f" s^{exponent:.3g}")
+
+
+def diagonal_unit(letter: str, dof: str, exponent: float = 1.0) -> ShownUnit:
+    """Return the unit in which a diagonal entry of K or D is shown.
+
+    Parameters
+    ----------
+    letter : {"K", "D"}
+    dof : str
+        Degree of freedom: ``x``, ``y``, ``z``, or a rotation.
+    exponent : float
+        Power of time in the unit of D, of the damping law.
+
+    Examples
+    --------
+    >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]
+    ['N/m', 'µN mm s/rad', 'N s^0.5/m']
+    """
+    turns = dof not in "xyz"
+    if letter == "D" and exponent == 1.0:
+        return ROTATION_DAMPING if turns else DAMPING
+    unit = ROTATION_STIFFNESS if turns else STIFFNESS
+    if letter == "K":
+        return unit
+    numerator, slash, denominator = unit.symbol.partition("/")
+    return ShownUnit(numerator + time_unit(exponent) + slash + denominator, unit.per_si)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stapeskit.page import quantities
-from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
+from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, diagonal_unit
 
 
 def test_examples():
@@ -25,3 +25,15 @@ def test_factors_and_back(unit, si, shown):
 
 def test_a_value_without_a_standard_deviation_says_so():
     assert MASS.with_sd(2e-6, None) == "2 ± unknown mg"
+
+
+@pytest.mark.parametrize(
+    ("letter", "dof", "exponent", "symbol", "shown"),
+    [("K", "y", 1.0, "N/m", 2.0), ("K", "alpha", 1.0, "N mm/rad", 2e3), ("D", "y", 1.0, "mN s/m", 2e3),
+     ("D", "gamma", 1.0, "µN mm s/rad", 2e9), ("D", "y", 0.0, "N/m", 2.0), ("D", "x", 0.6, "N s^0.6/m", 2.0),
+     ("D", "beta", 0.0, "N mm/rad", 2e3)],
+)  # fmt: skip
+def test_diagonal_entries_are_shown_in_the_unit_of_their_damping_law(letter, dof, exponent, symbol, shown):
+    unit = diagonal_unit(letter, dof, exponent)
+    assert unit.symbol == symbol
+    assert unit.of(2.0) == pytest.approx(shown)

@@ -10,7 +10,6 @@ LAW = Law(
     factor=lambda omega, exponent: (1j * omega) ** exponent,
     continued=lambda eigenvalue, exponent: complex(eigenvalue**exponent),
     formula=lambda exponent: f"K + (i w)^{exponent:.4g} D",
-    time_unit=lambda exponent: f" s^{exponent:.3g}",
     exponent=1.0,
     search=(0.05, 1.6),
     slope=lambda omega, exponent: np.log(1j * omega) * (1j * omega) ** exponent,

@@ -10,6 +10,5 @@ LAW = Law(
     factor=lambda omega, _: np.full(omega.shape, 1j),
     continued=lambda _, __: 1j,
     formula=lambda _: "K + i D",
-    time_unit=lambda _: "",
     exponent=0.0,
 )

@@ -25,8 +25,6 @@ class Law:
         s of a complex eigenvalue in the upper half plane (in place of i w) and exponent.
     formula : callable
         The dynamic stiffness as text, of the exponent.
-    time_unit : callable
-        What the unit of D has after the unit of K, of the exponent, e.g. ``" s"``.
     exponent : float
         Fixed value, or the initial value of an estimated one.
     search : (float, float), optional
@@ -40,7 +38,6 @@ class Law:
     factor: Callable[[Array, float], ComplexArray]
     continued: Callable[[complex, float], complex]
     formula: Callable[[float], str]
-    time_unit: Callable[[float], str]
     exponent: float
     search: tuple[float, float] | None = None
     slope: Callable[[Array, float], ComplexArray] | None = None

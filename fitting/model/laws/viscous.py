@@ -8,7 +8,6 @@ LAW = Law(
     factor=lambda omega, _: 1j * omega,
     continued=lambda eigenvalue, _: eigenvalue,
     formula=lambda _: "K + i w D",
-    time_unit=lambda _: " s",
     exponent=1.0,
     polynomial=True,
 )
