@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.causes.explain import explained
 from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.each_body import MOST_CHANNELS
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.rigid_fit import LineFit
-from kinematics.measurement import Measurement
+from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.lasers import Lasers
 from stapeskit.warnings import Notice
 
@@ -83,6 +84,8 @@ def searched_fits(
         run, body = key[0], screens[key[1]].body
         fits[key], known[key], said = with_noise(placed, run, body, beams[key[1]], robust)
         notices += said
+        if len(body.points) > MOST_CHANNELS:
+            notices.append(_unsearched(body))
         diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
     exchanged = told_across(placed, searched, diagnoses, known)
@@ -92,6 +95,14 @@ def searched_fits(
             other = explained(placed, key[0], body, searched[key], known[key], diagnoses[key])
             diagnoses[key] = other[0] if other else diagnoses[key]
     return SearchedFits(placed, tuple(screens), fits, known, diagnoses | exchanged, notices)
+
+
+def _unsearched(body: BodyChannels) -> Notice:
+    text = (
+        f"{body.body}: its {len(body.points)} channels were not searched for faults; the search takes up to "
+        f"{MOST_CHANNELS} channels a body. Fit every tenth point, say, and see whether any is at fault."
+    )
+    return Notice("faults_not_searched", text)
 
 
 def with_lasers(

@@ -24,7 +24,7 @@ from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
 from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
 from stapeskit.faults import StapeskitError, worded
-from stapeskit.own_files import OutputSet
+from stapeskit.own_files import OutputSet, unfinished
 from stapeskit.provenance import Hashes
 from stapeskit.warnings import unique
 
@@ -63,7 +63,8 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
         work = Workspace(out, fresh, hashes)
         with progress.step("study file and vibrometer table"):
             check_inputs(study, work)
-        usable: Mapping[str, StageRecord] = {} if force else old
+        # files of an earlier run that was killed among them may be of two runs: none is reused
+        usable: Mapping[str, StageRecord] = {} if force or unfinished(out) else old
         runs: list[StageRun] = []
         told: dict[str, Told] = {}
         for stage in STAGES:

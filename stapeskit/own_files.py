@@ -272,12 +272,16 @@ def check_whole(path: Path) -> None:
         The command that wrote it was killed between two files, or is placing them at this moment.
     """
     path = Path(path)
-    for record in _records_of(path.parent):
-        if path.name in record["unfinished"]:
-            command = record["command"]
-            got = f"a part of it: {command} was ended while it replaced its outputs in {path.parent}"
-            fault = Fault("a set of outputs", "whole", got, path.name, f"Run {command} again")
-            raise StapeskitError(fault)
+    command = unfinished(path.parent).get(path.name)
+    if command is not None:
+        got = f"a part of it: {command} was ended while it replaced its outputs in {path.parent}"
+        fault = Fault("a set of outputs", "whole", got, path.name, f"Run {command} again")
+        raise StapeskitError(fault)
+
+
+def unfinished(folder: Path) -> dict[str, str]:
+    """Return the files of sets that are not all in place, each with the command that wrote it."""
+    return {str(name): record["command"] for record in _records_of(folder) for name in record["unfinished"]}
 
 
 def _records_of(folder: Path) -> Iterator[dict[str, Any]]:

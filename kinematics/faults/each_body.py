@@ -11,6 +11,9 @@ from kinematics.fit.reference_noise import holds_record_noise
 from kinematics.fit.rigid_fit import LineFit, refitted
 from kinematics.measurement import BodyChannels, Measurement
 
+# The search holds several matrices of channel x channel, 128 MB each at this number.
+MOST_CHANNELS = 4000
+
 
 def diagnosed(
     placed: Measurement, body: BodyChannels, fit: LineFit, known: bool, without: list[int] | None = None
@@ -27,9 +30,13 @@ def diagnosed(
         The noise is stated.
     without : list of int, optional
         Channels whose fault is known already.
+
+    Notes
+    -----
+    Nothing is searched with fewer than two lines, without noise, or with more than `MOST_CHANNELS` channels.
     """
     lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
-    if lines < 2 or fit.is_rounding():
+    if lines < 2 or fit.is_rounding() or len(body.points) > MOST_CHANNELS:
         return nothing_found(fit.beams, fit.sd)
     whole = fit
     if len(fit.beams.dof) < 6:

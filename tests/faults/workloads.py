@@ -148,10 +148,12 @@ def _run(workload: Workload, folder: Path, second: bool, before: Callable[[], ob
     os.dup2(os.open(os.devnull, os.O_RDWR), 1)
     sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
     sys.argv = [workload.module.partition(".")[0], *workload.line(second)]
+    os.closerange(3, 256)  # of the harness
+    main = import_module(workload.module).main
     if before is not None:
         before()
     try:
-        import_module(workload.module).main()
+        main()
     except SystemExit as left:
         with suppress(OSError):
             sys.stderr.flush()

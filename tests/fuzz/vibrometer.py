@@ -219,7 +219,8 @@ def _change_data(rng: random.Random, file: Any, name: str) -> int:
     import h5py
 
     old = file[name]
-    values = old[()] if getattr(old, "shape", None) is not None else None
+    few = getattr(old, "shape", None) is not None and old.size is not None and old.size < MEGABYTE
+    values = np.asarray(old[()]) if few else None
     kept = dict(old.attrs) if values is not None else {}
     del file[name]
     numeric = values is not None and values.dtype.kind in "fciu"

@@ -184,6 +184,15 @@ def test_force_makes_everything_anew(ear, monkeypatch):
     assert called == ["scan", "motion", "fit"]
 
 
+def test_files_among_which_a_run_was_killed_are_made_anew(ear):
+    study, out = ear
+    path = out / ".stapeskit" / "scan2kd-report.html.json"
+    record = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**record, "unfinished": ["mass.json", "kd.json"]}), encoding="utf-8")
+    assert not any(reused(run_study(study, out)).values())
+    assert "unfinished" not in json.loads(path.read_text(encoding="utf-8"))
+
+
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, StapeskitError])
 @pytest.mark.parametrize("where", [0, 2])
 def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, where):

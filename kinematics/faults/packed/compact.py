@@ -175,6 +175,11 @@ class Compact:
         made = self.a[:, None] * held
         return made if self.mixing is None else np.asarray(self.mixing.whiten @ made)
 
+    def white_transposed(self, held: NDArray[Any]) -> NDArray[Any]:
+        """Apply the transpose of `white` to values (channel, n)."""
+        made = held if self.mixing is None else np.asarray(self.mixing.whiten.T @ held)
+        return self.a[:, None] * made
+
     @property
     def live(self) -> list[int]:
         """Channels in use."""
@@ -302,7 +307,7 @@ def _packed(source: Source, data: Compact, first: bool = False) -> Compact:
     edges = _segments(source)
     share = max(1, min(_REST, _HELD // max(count, 1)) // (len(edges) - 1))
     span, upper = np.linalg.qr(data.white(basis))
-    back = np.linalg.pinv(upper, rcond=1e-9) @ data.white(np.eye(count)).T.dot(span).T
+    back = np.linalg.pinv(upper, rcond=1e-9) @ data.white_transposed(span).T
     packed, rest, mixed = [], [], []
     seen, variance = np.zeros(count), np.zeros(count)
     common = fit.noise.common()
