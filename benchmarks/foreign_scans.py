@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, laplace
+from scipy.ndimage import gaussian_filter, laplace, shift
 
 from benchmarks import foreign_shapes as shapes
 
@@ -23,8 +23,9 @@ _CELL = 4
 class Scene:
     """What a scan shows. Lengths in mm, voxel in um, blur in voxels, levels and noise in contrasts air-bone.
 
-    ``motion`` blurs along x, voxels; ``fringe`` subtracts so much of the Laplacian. ``window`` are the
-    contrasts of the lowest and the highest grey value, ``steps`` their number.
+    ``motion`` blurs along x, voxels; ``jump`` moves the sample by so many voxels half way; ``fringe``
+    subtracts so much of the Laplacian. ``window`` are the contrasts of the lowest and the highest grey value,
+    ``steps`` their number.
     """
 
     voxel_um: float = 25.0
@@ -45,6 +46,7 @@ class Scene:
     void: float = 0.0
     rings: float = 0.0
     motion: float = 0.0
+    jump: float = 0.0
     fringe: float = 0.0
     cropped_mm: float | None = None
 
@@ -82,6 +84,8 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
     grey = gaussian_filter(_filled(anatomy, scene, grid, own), scene.blur, truncate=5.0)
     if scene.motion:
         grey = gaussian_filter(grey, (0.0, 0.0, scene.motion))
+    if scene.jump:
+        grey = _jumped(grey, scene.jump, rng)
     if scene.fringe:
         grey -= np.float32(scene.fringe) * laplace(grey)
     if scene.rings:
@@ -254,6 +258,14 @@ def _pool(p: tuple[Grey, Grey, Grey]) -> Grey:
     """Return the field of fluid under the footplate, with a meniscus."""
     level = np.float32(0.12) + np.float32(0.1) * (p[0] / 1.5) ** 2 + np.float32(0.15) * (p[2] / 0.7) ** 2
     return np.asarray(p[1] - level)
+
+
+def _jumped(grey: Grey, length: float, rng: np.random.Generator) -> Grey:
+    """Return the mean of two images, moved apart along a drawn direction."""
+    step = rng.normal(0.0, 1.0, 3)
+    step *= 0.5 * length / np.linalg.norm(step)
+    both = [shift(grey, sign * step, order=3, mode="nearest") for sign in (-1.0, 1.0)]
+    return np.asarray(0.5 * (both[0] + both[1]), dtype=np.float32)
 
 
 def _rings(shape: tuple[int, ...], height: float, rng: np.random.Generator) -> Grey:

@@ -50,7 +50,7 @@ class Row:
 
 
 _THIN_OR_OPEN = ("thin", "hollow", "perforated", "flat thin", "filled", "single")
-_SOFT, _VOID = ("soft_surroundings",), ("soft_surroundings", "void_filling_unknown")
+_SOFT, _VOID = ("soft_surroundings",), ("void_filled", "void_filling_unknown")
 _LOW, _HIGH = ("air_clipped",), ("bone_clipped",)
 
 
@@ -105,7 +105,10 @@ ROWS = (
     Row("dry voids", lambda _: {}, ("hollow",)),
     Row("rings", lambda _: {"rings": 0.02}, codes=("ring_artefacts",)),
     Row("motion along x", lambda _: {"motion": 1.6}, codes=("blur_uneven",)),
+    Row("weak motion along x", lambda r: {"motion": r.uniform(0.4, 1.2)}, codes=("blur_uneven",)),
+    Row("a jump half way", lambda r: {"jump": r.uniform(1.0, 3.0)}, codes=("blur_uneven",)),
     Row("phase fringes", lambda _: {"fringe": 0.6}, codes=("phase_fringes",)),
+    Row("weak phase fringes", lambda r: {"fringe": r.uniform(0.1, 0.5)}, codes=("phase_fringes",)),
     Row("large (1.3 x)", lambda _: {}, size=1.3),
     Row("large in its window", lambda _: {"gap_mm": 0.12}, size=1.3),
     Row("small (0.85 x), plate", lambda r: {"plate": r.uniform(0.2, 0.45)}, size=0.85),

@@ -12,35 +12,29 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.coat import Coat, CoatImage, coat_image, with_coat_sd
 from ct_inertia.grey.cupping import cupping_notice
-from ct_inertia.grey.level_fit import BodyFit, blurred, body_share, fit_bodies, spread
-from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
+from ct_inertia.grey.level_fit import BodyFit, fit_bodies, spread
+from ct_inertia.grey.levels import Air, Guess, Surroundings
 from ct_inertia.grey.neighbours import Parted, away_from_others, cut_through_bone, part_from_neighbours
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
 from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plate_share
 from ct_inertia.grey.plate_face_doubt import face_covariance, face_doubt
-from ct_inertia.grey.psf import edge_sigma, edge_widths
+from ct_inertia.grey.preparation import blur_of, prepare
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.grey.soft import by_soft, soft_notices, taken_off, without_soft
-from ct_inertia.grey.stored_levels import as_before_storing, stored_levels
 from ct_inertia.grey.thin_bone import thin_bone
-from ct_inertia.grey.voids import by_unseen_voids, closed_voids, void_notices
+from ct_inertia.grey.voids import by_filling, closed_voids, void_notices, without_filling
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
-from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.mask_statistics import gathered
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 
-# The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
-_TAIL_SIGMAS = 4.2
-_DEFAULT_SIGMA_VOXELS = calibrated("measure.default_sigma_voxels")
+_REST_SD = calibrated("edges.rest_of_overshoot_sd")
 _FITTED_BLUR_SD = calibrated("measure.fitted_blur_sd")
 _MOST_BLUR_SD = calibrated("measure.most_blur_sd")
-# Edge voxels of the first look at the blur, from which only the reach of what is measured follows.
-_FEW_EDGES = 800
 _TAIL_SD = calibrated("measure.tail_sd")
 _GOOD_INSIDE = calibrated("measure.good_inside")
 _WELL_SEEN = calibrated("measure.well_seen")
@@ -48,8 +42,6 @@ _WEAK = calibrated("measure.weak_level")
 _SAME_BLUR = calibrated("measure.same_blur")
 _OTHER_BLUR = calibrated("measure.other_blur")
 _PLATE_DOUBT = calibrated("measure.plate_doubt")
-_LONG_VOXELS = calibrated("measure.long_voxels")
-_UNEVEN_BLUR = calibrated("measure.uneven_blur")
 
 
 @dataclass(frozen=True)
@@ -107,31 +99,15 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     """
     spacing = volume.spacing_mm
     rim = spread(spread(cut.stapes))
-    cut = _evenly_blurred(cut, rim, guess, spacing)
-    sigma, _, _ = _blur(cut, rim, (guess.air, guess.bone), spacing, 0.0, _FEW_EDGES)
-    reach = _TAIL_SIGMAS * sigma + float(spacing.max())
-    single = None if cut.working is None else cut.working.single
-    around = Surroundings(cut.grey, cut.stapes, cut.others | cut.plate, spacing, single)
-    distance = capped_distance(cut.stapes, spacing, 2.0 * reach)
-    shell = air_shell(around, distance, reach)
-    air = measure_air(around, shell, guess.air)
-    stored = stored_levels(around, air, shell, sigma)
-    if stored is not None:
-        air = stored.air_known(air)
-        for _ in range(2):
-            now = as_before_storing(cut.grey, around, distance <= reach, stored, sigma)
-            sigma, _, _ = _blur(
-                replace(cut, grey=now), rim, (air.level, stored.bone.level), spacing, air.noise
-            )
-        cut = replace(cut, grey=now)
-        around = replace(around, grey=cut.grey)
-    elif air.clipped:
-        cut = replace(cut, grey=_unclipped(cut, around, distance <= reach, air, guess.bone, sigma))
-        around = replace(around, grey=cut.grey)
+    ready = prepare(cut, guess, spacing)
+    cut, around, air, stored = ready.cut, ready.around, ready.air, ready.stored
+    sigma, distance, reach = ready.sigma_mm, ready.distance_mm, ready.reach_mm
     bone, fit = _bone(around, air, sigma, distance, reach)
+    rest = _REST_SD * ready.overshoot * (bone.level - air.level)
+    bone = replace(bone, sd=float(np.hypot(bone.sd, rest)))
     if stored is not None:
         bone = replace(bone, sd=stored.bone_sd(bone.sd), notices=(*bone.notices, *stored.notices()))
-    blur = _blur(cut, rim, (air.level, bone.level), spacing, air.noise)
+    blur = blur_of(cut, rim, (air.level, bone.level), spacing, air.noise)
     if fit is not None:
         off = 0.5 * abs(blur[0] - fit.sigma_mm)
         sd = max(_FITTED_BLUR_SD * fit.sigma_mm, min(off, _MOST_BLUR_SD * fit.sigma_mm))
@@ -151,15 +127,17 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     soft = None
     # A plate whose face could not be fitted is taken off like it, and less is known of that.
     touched = fitted is None and bool(np.any(cut.plate & (distance <= reach)))
-    voids = closed_voids(cut, distance, spacing, (air, bone.level), blur[0])
-    if touched or (voids is not None and voids.filled):
+    voids = closed_voids(cut, spacing, (air, bone.level), blur[:2])
+    if voids is not None and voids.filled:
+        cut = replace(cut, grey=without_filling(cut, voids, bone.level - air.level))
+    if touched:
         soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
     elif bone.seen > _WELL_SEEN:
         known = (air, bone.level, guess.between)
         soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
         # Edges in something soft are less high and looked blurred otherwise: once more without it.
-        clear = _blur(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
+        clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
         if fit is None and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
             blur = clear
             soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
@@ -174,7 +152,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         moments = partial_volume_moments(share, volume.scan_from_index)
         sloped = by_slope(share, bone, volume, moments)
         moments = with_contribution(moments, "inhomogeneity", np.outer(sloped, sloped))
-    notices = bone.notices
+    notices = (*ready.notices, *bone.notices)
     if bone.cupping is not None:
         step = by_cupping(share, bone.cupping, volume, cut, moments)
         moments = with_contribution(moments, "cupping", np.outer(step, step))
@@ -192,8 +170,8 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
         moments = with_contribution(moments, "surroundings", covariance)
         notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
-    if voids is not None and not voids.seen:
-        moments = with_contribution(moments, "voids", by_unseen_voids(voids, cut, volume, moments))
+    if voids is not None and voids.sd > 0.0:
+        moments = with_contribution(moments, "voids", by_filling(voids, cut, volume, moments))
         notices = (*notices, *void_notices(voids, volume, moments))
     doubt = None if soft is None else soft.doubt * np.float32(_PLATE_DOUBT if touched else 1.0)
     coat_share = None
@@ -222,30 +200,6 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         None if doubt is None else np.where(parted.own, doubt, np.float32(0.0)),
         coat_share,
     )
-
-
-def _evenly_blurred(cut: Cut, rim: NDArray[np.bool_], guess: Guess, spacing_mm: Array) -> Cut:
-    """Blur grey values of long voxels along the sharper axes, so that one width holds for all directions."""
-    if spacing_mm.max() < _LONG_VOXELS * spacing_mm.min():
-        return cut
-    widths = edge_widths(cut.grey, rim, guess.air, guess.bone, spacing_mm)
-    if widths is None or widths.max() < _UNEVEN_BLUR * widths.min():
-        return cut
-    more = np.sqrt(widths.max() ** 2 - widths**2) / spacing_mm
-    return replace(cut, grey=gaussian(cut.grey, more[::-1]))
-
-
-def _unclipped(
-    cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
-) -> NDArray[np.float32]:
-    """Take off what clipping added: first by the surroundings of each voxel, then by the body this shows."""
-    first = unclipped(cut.grey, own, air)
-    contrast = np.float32(bone - air.level)
-    share = gaussian((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
-    known = own & ~spread(spread(around.foreign))
-    body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
-    expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
-    return np.where(known, unclipped(cut.grey, own, air, expected), first)
 
 
 def _by_tails(parted: Parted, cut: Cut, volume: Volume, moments: Moments) -> Array:
@@ -369,23 +323,6 @@ def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.
     if parted.foreign is not None:
         share -= parted.foreign
     return np.where(parted.own, share, np.float32(0.0))
-
-
-def _blur(
-    cut: Cut,
-    rim: NDArray[np.bool_],
-    levels: tuple[float, float],
-    spacing_mm: Array,
-    noise: float,
-    most: int | None = None,
-) -> tuple[float, float, str]:
-    air, bone = levels
-    more = {} if most is None else {"most": most}
-    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air), **more)
-    if found is None:
-        sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
-        return sigma, 0.5 * sigma, "assumed: one voxel"
-    return found[0], found[1], "edges of the stapes"
 
 
 def _air_notices(air: Air, bone: Bone) -> list[Notice]:

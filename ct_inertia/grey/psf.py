@@ -84,51 +84,81 @@ def edge_sigma(
     return sigma, sd * float(np.median(edges.every_mm)) / sigma
 
 
-def edge_widths(
-    grey: NDArray[np.float32],
-    near_edge: NDArray[np.bool_],
-    air: float,
-    bone: float,
-    spacing_mm: Array,
-    noise: float = 0.0,
-) -> Array | None:
-    """Estimate the point spread's standard deviations along x, y, z of the voxels, (3,), mm.
-
-    None where there are too few clean edges in all directions. Parameters as for ``edge_sigma``.
-
-    Notes
-    -----
-    Across a face of normal n an ellipsoidal Gaussian has the variance sum n_k^2 s_k^2: least squares over all
-    clean edges, those that depart most left out in turn.
-    """
-    edges = _clean_edges(grey, near_edge, (air, bone), spacing_mm, noise, 0, _MOST)
-    if edges is None:
-        return None
-    design, seen = edges.inward**2, edges.total_mm**2 - edges.smoothing_mm**2
-    good = np.ones(len(seen), dtype=bool)
-    for _ in range(_WIDTH_ROUNDS):
-        if np.any(design[good].sum(axis=0) < _LEAST_FACING):
-            return None
-        variances = np.linalg.lstsq(design[good], seen[good], rcond=None)[0]
-        left = np.abs(seen - design @ variances)
-        good = left < _DEPARTING * float(np.median(left))
-    least = (0.3 * edges.smoothing_mm) ** 2
-    return np.sqrt(np.maximum(variances, least))[::-1].copy()
-
-
 @dataclass(frozen=True)
 class _Edges:
-    """Clean edges of bone in air: their width with the smoothing (n,), inward normals z, y, x (n, 3).
+    """Clean edges of bone in air: their width with the smoothing (n,).
 
     ``bent`` (n,) is their curvature, ``every_mm`` the widths of all edges, ``smoothing_mm`` the width of the
     Gaussian that grey values were smoothed by.
     """
 
     total_mm: Array
-    inward: Array
     bent: Array
     every_mm: Array
     smoothing_mm: float
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Voxels near the middle of an edge, clean or not.
+
+    Attributes
+    ----------
+    places_mm : ndarray, (n, 3)
+        Along z, y, x from the first voxel of the box.
+    inward : ndarray, (n, 3)
+        Unit normals z, y, x.
+    total_mm : ndarray, (n,)
+        Width of the edge, smoothing included.
+    quantile : ndarray, (n,)
+        Distance of the voxel from the surface, inwards, in these widths.
+    spacing_mm : ndarray, (3,)
+        Along z, y, x.
+    smoothing_mm : float
+        Width of the Gaussian that grey values were smoothed by.
+    """
+
+    places_mm: Array
+    inward: Array
+    total_mm: Array
+    quantile: Array
+    spacing_mm: Array
+    smoothing_mm: float
+
+
+def candidate_edges(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float,
+    seed: int,
+    most: int,
+) -> Candidates | None:
+    """Measure width and normal at voxels of middle grey value; None where there are too few.
+
+    Parameters as for ``edge_sigma``.
+    """
+    spacing = np.asarray(spacing_mm)[::-1]
+    width = float(spacing.mean())
+    reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
+    index = _middling(grey, near_edge, levels, reach)
+    if len(index) < _LEAST:
+        return None
+    if len(index) > most:
+        index = index[np.random.default_rng(seed).choice(len(index), most, replace=False)]
+    w, gradient, spread = _smooth_gradient(grey, index, levels, spacing, width, reach)
+    size = np.linalg.norm(gradient, axis=1)
+    # Noise lengthens every gradient: its share of the square is known for white noise.
+    size = np.sqrt(np.maximum(size**2 - noise**2 * spread, 1e-12))
+    good = (np.abs(w - 0.5) < 0.25) & (size > 0.05 / width)
+    w, size, gradient, index = w[good], size[good], gradient[good], index[good]
+    if len(w) < _LEAST:
+        return None
+    z = normal_quantile(w)
+    total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
+    inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
+    return Candidates(index * spacing, inward, total, z, spacing, width)
 
 
 def _clean_edges(
@@ -141,27 +171,12 @@ def _clean_edges(
     most: int,
 ) -> _Edges | None:
     air, bone = levels
-    spacing = np.asarray(spacing_mm)[::-1]
-    width = float(spacing.mean())
-    reach = np.ceil(_REACH_WIDTHS * width / spacing).astype(int)
-    index = _middling(grey, near_edge, (air, bone), reach)
-    if len(index) < _LEAST:
+    edges = candidate_edges(grey, near_edge, levels, spacing_mm, noise, seed, most)
+    if edges is None:
         return None
-    if len(index) > most:
-        index = index[np.random.default_rng(seed).choice(len(index), most, replace=False)]
-    w, gradient, spread = _smooth_gradient(grey, index, (air, bone), spacing, width, reach)
-    size = np.linalg.norm(gradient, axis=1)
-    # Noise lengthens every gradient: its share of the square is known for white noise.
-    size = np.sqrt(np.maximum(size**2 - noise**2 * spread, 1e-12))
-    good = (np.abs(w - 0.5) < 0.25) & (size > 0.05 / width)
-    w, size, gradient, index = w[good], size[good], gradient[good], index[good]
-    if len(w) < _LEAST:
-        return None
-    z = normal_quantile(w)
-    total = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / size
+    total, inward, spacing = edges.total_mm, edges.inward, edges.spacing_mm
     middle = float(np.median(total))
-    inward = gradient / np.linalg.norm(gradient, axis=1)[:, None]
-    foot = index * spacing - z[:, None] * middle * inward
+    foot = edges.places_mm - edges.quantile[:, None] * middle * inward
 
     def share_at(points: Array) -> Array:
         return np.asarray((interpolated(grey, points / spacing) - air) / (bone - air))
@@ -174,13 +189,13 @@ def _clean_edges(
     if np.count_nonzero(clean) < _LEAST:
         return None
     bent = np.zeros(len(foot))
-    for tangent in _tangents(inward):
+    for tangent in tangents(inward):
         beside = [share_at(foot + sign * _BESIDE * middle * tangent) for sign in (-1.0, 1.0)]
         bent = np.maximum(bent, np.abs(0.5 * (beside[0] + beside[1]) - 0.5))
     flat = clean & (bent < max(_FLAT, 1.2 * noise))
     if np.count_nonzero(flat) >= 2 * _LEAST:
         clean = flat
-    return _Edges(total[clean], inward[clean], bent[clean], total, width)
+    return _Edges(total[clean], bent[clean], total, edges.smoothing_mm)
 
 
 def _middling(
@@ -247,7 +262,7 @@ def _smoothed(
     return np.stack([every[:, 0, 0, 0], every[:, 1, 0, 0], every[:, 0, 1, 0], every[:, 0, 0, 1]], axis=1)
 
 
-def _tangents(normal: Array) -> tuple[Array, Array]:
+def tangents(normal: Array) -> tuple[Array, Array]:
     """Return two unit vectors (n, 3) across each normal (n, 3) and each other."""
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     first = np.cross(normal, axis)

@@ -8,23 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.level_fit import blurred, fit_bodies, spread
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.partial_volume import sensitivity
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
-from ct_inertia.volume.grids import dilated, gaussian, labelled, used_box
+from ct_inertia.volume.grids import dilated, labelled, used_box
 from ct_inertia.volume.volume import Volume
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+Grey = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 _LEAST_VOXELS = calibrated("voids.least_voxels")
-# Voids are looked at from this distance to bone on, in widths of the blur.
-_CLEAR_OF_BLUR = 1.5
-_LEAST_SHARE = calibrated("voids.least_share")
-_BLUR_DOUBT = calibrated("voids.blur_doubt")
-_SIGNIFICANT = calibrated("voids.significant")
+# Trial levels of the filling beside air, up to the densest tissue, and the step around the best.
+_TRIALS, _STEP = (0.08, 0.16, 0.24, 0.32, 0.4, 0.48), 0.04
+_MODEL_SD = calibrated("voids.filling_model_sd")
+_LEAST_FILLING = calibrated("voids.least_filling")
 _FILLING_SD = calibrated("voids.filling_sd")
+_SIGNIFICANT = calibrated("voids.significant")
 _REPORTED = calibrated("voids.reported_share")
 
 
@@ -34,35 +37,73 @@ class Voids:
 
     Attributes
     ----------
-    mask : ndarray of bool, [z, y, x]
-    seen : bool
-        They are wide enough to show what fills them.
-    filled : bool
-        Something brighter than air fills them.
+    image : ndarray of float32, [z, y, x]
+        Share of a voxel's blurred value that is void.
+    level : float
+        Grey value of the filling above air, as a share of bone above air; 0 for air.
+    sd : float
+        Its standard deviation; 0 where air is certain.
     """
 
-    mask: NDArray[np.bool_]
-    seen: bool
-    filled: bool
+    image: Grey
+    level: float
+    sd: float
+
+    @property
+    def filled(self) -> bool:
+        """Something brighter than air fills them."""
+        return self.level > 0.0
 
 
 def closed_voids(
-    cut: Cut, distance_mm: NDArray[np.float32], spacing_mm: Array, levels: tuple[Air, float], sigma_mm: float
+    cut: Cut,
+    spacing_mm: Array,
+    levels: tuple[Air, float],
+    blur_mm: tuple[float, float],
 ) -> Voids | None:
-    """Find the voids that the stapes encloses, and what the grey values far from their walls show.
+    """Find the voids that the stapes encloses, and the level of what fills them; None without voids.
 
     Parameters
     ----------
     cut : Cut
-    distance_mm : ndarray of float32, [z, y, x]
-        From the stapes.
     spacing_mm : ndarray, (3,)
     levels : (Air, bone)
-    sigma_mm : float
-        Standard deviation of the point spread.
+    blur_mm : (float, float)
+        Standard deviation of the point spread, and its own.
+
+    Notes
+    -----
+    A void of the level f in bone has the image m + f (1 - m), m the blurred share of bone. For trial levels
+    the walls are fitted to (w - f) / (1 - f); the level that leaves least is taken, and its standard
+    deviation comes from noise, from the width of the blur, and from trials.
     """
     air, bone = levels
-    labels, count = labelled(~cut.stapes)
+    mask = _closed(cut.stapes)
+    if mask is None:
+        return None
+    around = 1 + int(np.ceil(4.0 * blur_mm[0] / float(spacing_mm.min())))
+    box = used_box(dilated(mask, around))
+    if box is None:
+        return None
+    part, image = mask[box], np.zeros(mask.shape, dtype=np.float32)
+    noise = air.noise / (bone - air.level)
+    share = (cut.grey[box] - np.float32(air.level)) / np.float32(bone - air.level)
+    scene = _Scene(share, part, spacing_mm, noise, air.correlation)
+    level, random, by_blur = scene.level(*blur_mm)
+    bone_seen = float(scene.model(level, blur_mm[0])[0][part].mean())
+    model = _MODEL_SD * bone_seen / (1.0 - bone_seen)
+    sd = float(np.sqrt(random**2 + by_blur**2 + model**2))
+    if level < _SIGNIFICANT * sd:
+        # Air for certain where tissue of the least level is excluded; else air is assumed.
+        certain = level + _SIGNIFICANT * sd < _LEAST_FILLING
+        level, sd = 0.0, 0.0 if certain else float(np.hypot(level, sd))
+    image[box] = scene.model(level, blur_mm[0])[1]
+    return Voids(image, level, sd)
+
+
+def _closed(stapes: Mask) -> Mask | None:
+    """Return the voxels that a body encloses, small pieces left out; None where there are none."""
+    labels, count = labelled(~stapes)
     if count < 2:
         return None
     sizes = np.bincount(labels.ravel())
@@ -71,37 +112,91 @@ def closed_voids(
             sizes[np.unique(np.take(labels, end, axis))] = 0
     sizes[0] = 0
     mask = (sizes > _LEAST_VOXELS)[labels]
-    around = 1 + int(np.ceil(4.0 * sigma_mm / float(spacing_mm.min())))
-    box = used_box(dilated(mask, around)) if np.any(mask) else None
-    if box is None:
-        return None
-    blurred = gaussian(cut.stapes[box].astype(np.float32), sigma_mm / spacing_mm[::-1])
-    clear = mask[box] & (distance_mm[box] > np.float32(_CLEAR_OF_BLUR * sigma_mm))
-    grey, expected = cut.grey[box][clear], float(blurred[clear].mean()) if np.any(clear) else 0.0
-    if grey.size < _LEAST_VOXELS:
-        return Voids(mask, False, False)
-    rest = (float(grey.mean()) - air.level) / (bone - air.level) - expected
-    noise = air.noise / (bone - air.level) * np.sqrt(air.correlation / grey.size)
-    filled = rest > max(_LEAST_SHARE + _BLUR_DOUBT * expected, _SIGNIFICANT * noise)
-    return Voids(mask, True, bool(filled))
+    return mask if np.any(mask) else None
 
 
-def by_unseen_voids(voids: Voids, cut: Cut, volume: Volume, moments: Moments) -> Array:
-    """Return the covariance (10, 10) of what may fill voids too narrow to show it, common to all of them."""
-    index = np.argwhere(voids.mask)
+class _Scene:
+    """Shares of bone [z, y, x] around voids, and how well a level of the filling explains them."""
+
+    def __init__(self, share: Grey, voids: Mask, spacing_mm: Array, noise: float, correlation: float) -> None:
+        self.share, self.spacing_mm = share, spacing_mm
+        self.noise, self.correlation = noise, correlation
+        self.compared = spread(voids)
+        self.near = spread(self.compared)
+
+    def model(self, level: float, sigma_mm: float) -> tuple[Grey, Grey]:
+        """Return the blurred shares of bone and of the voids, walls fitted for a level of the filling."""
+        bare = np.where(self.near, (self.share - level) / np.float32(1.0 - level), self.share)
+        every = np.ones(bare.shape, dtype=bool)
+        fit = fit_bodies(
+            bare.astype(np.float32), every, self.spacing_mm, 1.0, sigma_mm, self.noise, fit_contrast=False
+        )
+        spacing = self.spacing_mm[::-1]
+        inside = np.where(self.compared, 1 - fit.body, np.float32(0.0))
+        return blurred(fit.body, sigma_mm, spacing), blurred(inside, sigma_mm, spacing)
+
+    def misfit(self, level: float, sigma_mm: float) -> float:
+        """Return the sum of squares that a level leaves in the voids and at their walls."""
+        bone, voids = self.model(level, sigma_mm)
+        rest = (self.share - bone - np.float32(level) * voids)[self.compared]
+        return float(np.sum(rest.astype(float) ** 2))
+
+    def level(self, sigma_mm: float, sigma_sd_mm: float) -> tuple[float, float, float]:
+        """Return the level that leaves least, and its standard deviations from noise and from the blur."""
+        known = {0.0: self.misfit(0.0, sigma_mm)}
+        start = 0.0
+        for trial in _TRIALS:
+            known[trial] = self.misfit(trial, sigma_mm)
+            if known[trial] > known[start]:
+                break
+            start = trial
+        trials = [round(max(start, _STEP) + step, 9) for step in (-_STEP, 0.0, _STEP)]
+        misfit = [known[t] if t in known else self.misfit(t, sigma_mm) for t in trials]
+        best, second = _vertex(trials, misfit)
+        wider = [self.misfit(t, sigma_mm + sigma_sd_mm) for t in trials]
+        each = max(min(misfit) / np.count_nonzero(self.compared), self.noise**2)
+        random = _FILLING_SD if second <= 0.0 else float(np.sqrt(each * self.correlation / second))
+        return best, random, _vertex(trials, wider)[0] - best
+
+
+def _vertex(x: list[float], y: list[float]) -> tuple[float, float]:
+    """Return where a parabola through three points is least, and its second coefficient."""
+    second, first, _ = np.polyfit(x, y, 2)
+    if second <= 0.0:
+        return x[int(np.argmin(y))], float(second)
+    return float(np.clip(-0.5 * first / second, x[0] - _STEP, x[2] + _STEP)), float(second)
+
+
+def without_filling(cut: Cut, voids: Voids, contrast: float) -> Grey:
+    """Return grey values [z, y, x] with air in the voids."""
+    return cut.grey - np.float32(contrast * voids.level) * voids.image
+
+
+def by_filling(voids: Voids, cut: Cut, volume: Volume, moments: Moments) -> Array:
+    """Return the covariance (10, 10) of the level of the filling, common to all voids."""
+    index = np.argwhere(voids.image > 0.0)
     away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    step = sensitivity(away, moments.volume_mm3, 0.0).sum(axis=0) * volume.voxel_mm3 * _FILLING_SD
+    amount = voids.image[tuple(index.T)].astype(float) * volume.voxel_mm3 * voids.sd
+    step = amount @ sensitivity(away, moments.volume_mm3, 0.0)
     return np.outer(step, step)
 
 
 def void_notices(voids: Voids, volume: Volume, moments: Moments) -> list[Notice]:
-    """Report voids whose filling the scan cannot show."""
-    share = float(np.count_nonzero(voids.mask)) * volume.voxel_mm3 / moments.volume_mm3
-    if voids.seen or share * _FILLING_SD < _REPORTED:
+    """Report voids that are filled, and voids whose filling the scan does not show."""
+    share = float(voids.image.sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
+    if voids.filled:
+        text = (
+            f"Closed voids inside the stapes ({100.0 * share:.1f} % of its volume) are filled with something "
+            f"{100.0 * voids.level:.0f} +- {100.0 * voids.sd:.0f} % as bright as bone (fluid or marrow). It "
+            f"was subtracted, and the budget holds {100.0 * share * voids.sd:.2f} % for it (voids). Its mass "
+            f"is left out: dry the sample, or add it as a point mass."
+        )
+        return [Notice("void_filled", text)]
+    if share * voids.sd < _REPORTED:
         return []
     text = (
-        f"Closed voids inside the stapes ({100.0 * share:.1f} % of its volume) are narrower than the blur of "
+        f"Closed voids inside the stapes ({100.0 * share:.1f} % of its volume) are as narrow as the blur of "
         f"the scan: whether air or fluid fills them is not visible. Air is assumed, and the budget holds "
-        f"{100.0 * share * _FILLING_SD:.2f} % for it (voids). Scan with smaller voxels, or dry the sample."
+        f"{100.0 * share * voids.sd:.2f} % for it (voids). Scan with smaller voxels, or dry the sample."
     )
     return [Notice("void_filling_unknown", text)]

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Bodies
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_surface import PlateSurface, surface_with_planes
-from ct_inertia.grey.artefacts import artefact_notices
 from ct_inertia.grey.border import border_notices
 from ct_inertia.grey.coat import Coat, bare_bone_notice
 from ct_inertia.grey.frame_surface import doubted_surface, frame_surface, height_noise_of
 from ct_inertia.grey.levels import Guess
 from ct_inertia.grey.measure import Measured, measure
 from ct_inertia.grey.partial_volume import with_voxel_size
+from ct_inertia.grey.rings import ring_notices
 from ct_inertia.grey.thresholded import is_thresholded, with_threshold
 from ct_inertia.labelling.label_box import label_box
 from ct_inertia.segment.cutting import Cut, cut_out
@@ -122,11 +122,10 @@ def _assembled(
     coarse = frame_surface(measured.share, cut.scan_from_box(grid), measured.sigma_mm)
     notices = [*volume.notices, *sight.notices, *cut.notices, *measured.notices]
     notices += border_notices(volume, cut)
-    found = artefact_notices(cut, measured.levels, measured.sigma_mm, grid.spacing_mm)
-    if any(notice.code == "phase_fringes" for notice in found):
+    notices += ring_notices(cut, measured.levels, measured.sigma_mm, grid.spacing_mm)
+    if any(notice.code == "phase_fringes" for notice in notices):
         # Bright edges of bone look like cupping.
         notices = [notice for notice in notices if notice.code != "bone_cupping"]
-    notices += found
     if coat is None:
         notices.append(bare_bone_notice(coarse.surface, moments.volume_mm3))
     stapes, level = mesh.result()

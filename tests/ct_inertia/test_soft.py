@@ -5,9 +5,9 @@ import pytest
 
 from ct_inertia.frames.plane_faces import PlaneFace
 from ct_inertia.frames.plate_covered import covered_face
+from ct_inertia.grey.edge_shape import edge_shape
 from ct_inertia.grey.level_fit import BodyFit
 from ct_inertia.grey.levels import Air, Surroundings
-from ct_inertia.grey.psf import edge_widths
 from ct_inertia.grey.thin_bone import thin_bone
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.volume.volume import Volume
@@ -74,8 +74,10 @@ def test_a_blur_that_is_longer_along_long_voxels_is_seen_and_evened_out():
     towards = away / np.linalg.norm(away, axis=0)
     width = np.sqrt(np.einsum("kzyx,k->zyx", towards**2, sigma**2))
     grey = (1000.0 / (1.0 + np.exp(1.702 * ball / width))).astype(np.float32)
-    found = edge_widths(grey, np.abs(ball) < 0.1, 0.0, 1000.0, spacing)
-    assert found == pytest.approx(sigma, rel=0.08)
+    nothing = np.zeros(grey.shape, dtype=bool)
+    found = edge_shape(grey, np.abs(ball) < 0.1, nothing, (0.0, 1000.0), spacing)
+    assert found.uneven
+    assert found.widths_mm == pytest.approx(sigma, rel=0.08)
     placed, volume = scan(tuple(spacing), plate=False, bone=False)
     bodies = find_bodies(volume)
     second = placed.scan_from_footplate.rotation

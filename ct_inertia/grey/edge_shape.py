@@ -1,0 +1,281 @@
+"""Test on edges of bone whether the point spread is an isotropic Gaussian: their widths and their shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.level_fit import spread
+from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
+from ct_inertia.volume.grids import interpolated
+from ct_inertia.volume.normal import normal_cdf
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+
+# Edges that are looked at, and the least that must be clean.
+_MOST, _LEAST = 12_000, 120
+# Edges that must face every direction for widths to be compared, and flat ones for bent ones to be left out.
+_LEAST_FACING, _FLAT_FACING = 30.0, 300.0
+# Rounds of the fit of widths, and medians of the residual from which on an edge is an outlier.
+_ROUNDS, _OUTLIER = 6, 3.0
+# Neighbouring edges share noise and curvature: they count together within cells of this many widths.
+_CELL_WIDTHS = 6.0
+# Places across an edge, in widths, where the shape is compared; further in, the far side of a wall begins.
+_PLACES = np.arange(-4.4, 1.41, 0.4)
+# Departures are significant beyond this many standard deviations: normal ones exceed it in 3e-5 of scans.
+_SIGNIFICANT = 4.0
+_WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
+_SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
+# Trials of the sharpening, as a share of the apparent variance of the point spread.
+_TRIALS = np.arange(0.05, 1.51, 0.05)
+
+
+@dataclass(frozen=True)
+class EdgeShape:
+    """What the edges show of the point spread.
+
+    Attributes
+    ----------
+    covariance_mm2 : ndarray, (3, 3)
+        Of the point spread, along x, y, z.
+    uneven : bool
+        Its principal widths differ significantly.
+    sharpening_mm2 : float
+        f of the operator 1 - f Laplacian that explains air darker and bone brighter next to the surface; 0
+        where they are not significant.
+    overshoot : float
+        Largest departure from a blurred step outside the surface, as a share of the contrast.
+    """
+
+    covariance_mm2: Array
+    uneven: bool
+    sharpening_mm2: float
+    overshoot: float
+
+    @property
+    def widths_mm(self) -> Array:
+        """Return the standard deviations along x, y, z, (3,)."""
+        return np.sqrt(np.diag(self.covariance_mm2))
+
+
+def uneven_notice(shape: EdgeShape) -> Notice:
+    """Name the direction of the widest blur."""
+    widths, axes = np.linalg.eigh(shape.covariance_mm2)
+    along = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
+    listed = ", ".join(f"{v:.2f}" for v in along)
+    text = (
+        f"The scan is blurred unevenly: {1e3 * np.sqrt(widths[-1]):.0f} um along ({listed}) in x, y, z of "
+        f"the voxels, {1e3 * np.sqrt(widths[0]):.0f} um across. The sample moved or settled during the scan, "
+        f"or the reconstruction (centre of rotation, interpolation) smears that direction. The other "
+        f"directions were blurred as much before measuring. Check the reconstruction; fix the sample."
+    )
+    return Notice("blur_uneven", text)
+
+
+def fringe_notice(overshoot: float, sharpening_mm2: float) -> Notice:
+    """Name overshoot at edges, a share of the contrast, and what was done about it."""
+    text = (
+        f"Air right at the bone is darker, and bone brighter, than blur explains, by {100.0 * overshoot:.1f} "
+        f"% of the contrast of bone and air: phase contrast (fringes at edges), or a sharpening filter of "
+        f"the reconstruction. It was undone before measuring (phase retrieval with a length of "
+        f"{1e3 * np.sqrt(sharpening_mm2):.0f} um), and the budget holds what may remain (levels). "
+        f"Reconstruct with phase retrieval or without sharpening."
+    )
+    return Notice("phase_fringes", text)
+
+
+def edge_shape(
+    grey: NDArray[np.float32],
+    near_edge: NDArray[np.bool_],
+    foreign: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float = 0.0,
+) -> EdgeShape | None:
+    """Measure the covariance of the point spread, and whether edges overshoot; None with too few edges.
+
+    Parameters
+    ----------
+    grey : ndarray of float32, [z, y, x]
+    near_edge : ndarray of bool, [z, y, x]
+        Where to look.
+    foreign : ndarray of bool, [z, y, x]
+        Other bodies, from which edges must be clear.
+    levels : (air, bone)
+    spacing_mm : ndarray, (3,)
+    noise : float
+        Standard deviation of a voxel, as a share of bone minus air.
+
+    Notes
+    -----
+    Across a face of normal n a Gaussian of covariance C has the variance n C n: weighted least squares over
+    clean edges, whose reach is that of their own direction. Standard deviations are those between cells.
+    Along the normal a Gaussian leaves Phi(t); a fourth cumulant k adds -k / 24 He3(t) phi(t) (Edgeworth).
+    1 - f Laplacian, which propagation adds to the image of one material (Paganin et al. 2002,
+    doi:10.1046/j.1365-2818.2002.01010.x) and sharpening filters add by design, leaves
+    Phi(u) + f / B^2 u phi(u), u = t / B.
+    """
+    air, bone = levels
+    edges = candidate_edges(grey, near_edge, levels, spacing_mm, noise, 0, _MOST)
+    if edges is None:
+        return None
+
+    def share_at(points_mm: Array) -> Array:
+        return np.asarray((interpolated(grey, points_mm / edges.spacing_mm) - air) / (bone - air))
+
+    blocked = spread(spread(foreign))
+    clean = np.ones(len(edges.total_mm), dtype=bool)
+    for _ in range(2):
+        fitted = _fit_covariance(edges, clean)
+        if fitted is None:
+            return None
+        width = np.sqrt(np.maximum(_squares(edges.inward) @ fitted.values, (1.04 * edges.smoothing_mm) ** 2))
+        foot = edges.places_mm - (edges.quantile * width)[:, None] * edges.inward
+
+        def across(t: float, foot: Array = foot, width: Array = width) -> Array:
+            return foot + (t * width)[:, None] * edges.inward
+
+        slack = max(0.15, 2.5 * noise)
+        clean = np.abs(share_at(across(-2.6))) < slack
+        for t in (2.6, 3.6):
+            clean &= np.abs(share_at(across(t)) - 1.0) < slack
+        for t in (-2.0, -4.4):
+            index = np.rint(across(t) / edges.spacing_mm).astype(np.int64)
+            index = np.clip(index, 0, np.array(grey.shape) - 1)
+            clean &= ~blocked[tuple(index.T)]
+        bent = np.zeros(len(foot))
+        for tangent in tangents(edges.inward):
+            beside = [share_at(foot + sign * 2.5 * width[:, None] * tangent) for sign in (-1.0, 1.0)]
+            bent = np.maximum(bent, np.abs(0.5 * (beside[0] + beside[1]) - 0.5))
+        flat = clean & (bent < max(0.1, 1.2 * noise))
+        clean = flat if _facing(edges.inward[flat]) >= _FLAT_FACING else clean
+        if np.count_nonzero(clean) < _LEAST:
+            return None
+    fitted = _fit_covariance(edges, clean)
+    if fitted is None:
+        return None
+    covariance = fitted.matrix() - edges.smoothing_mm**2 * np.eye(3)
+    least = (0.3 * edges.smoothing_mm) ** 2
+    size, axes = np.linalg.eigh(covariance)
+    covariance = (axes * np.maximum(size, least)) @ axes.T
+    sigma = np.sqrt(np.maximum(width**2 - edges.smoothing_mm**2, least))[clean]
+    cells = _cells(foot[clean], _CELL_WIDTHS * float(np.median(width)))
+    offsets = (_PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
+    values = np.stack([share_at(foot[clean] + step) for step in offsets], axis=1)
+    strength, overshoot = _sharpening(values, cells)
+    return EdgeShape(
+        np.ascontiguousarray(covariance[::-1, ::-1]),
+        _facing(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
+        strength * float(np.median(sigma)) ** 2,
+        overshoot,
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Variances along z, y, x and covariances zy, zx, yx (6,) with their covariance (6, 6)."""
+
+    values: Array
+    covariance: Array
+
+    def matrix(self) -> Array:
+        a, b, c, d, e, f = self.values
+        return np.array([[a, d, e], [d, b, f], [e, f, c]])
+
+    def uneven(self, smoothing_mm: float) -> bool:
+        """Return whether the largest and the smallest principal variance differ significantly."""
+        size, axes = np.linalg.eigh(self.matrix() - smoothing_mm**2 * np.eye(3))
+        step = (_squares(axes[:, 2:].T) - _squares(axes[:, :1].T))[0]
+        model = _WIDTH_MODEL_SD * float(np.mean(size))
+        sd = float(np.sqrt(max(step @ self.covariance @ step, 0.0) + model**2))
+        return bool(size[2] - size[0] > _SIGNIFICANT * sd)
+
+
+def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
+    design, seen = _squares(edges.inward[used]), edges.total_mm[used] ** 2
+    good = np.ones(len(seen), dtype=bool)
+    for _ in range(_ROUNDS):
+        normal = design[good].T @ design[good]
+        if np.linalg.cond(normal) > 1e6:
+            return None
+        values = np.linalg.solve(normal, design[good].T @ seen[good])
+        left = seen - design @ values
+        good = np.abs(left) < _OUTLIER * float(np.median(np.abs(left)))
+    cells = _cells(edges.places_mm[used][good], _CELL_WIDTHS * float(np.median(edges.total_mm)))
+    scores = _sums(design[good] * left[good][:, None], cells)
+    inverse = np.linalg.inv(normal)
+    covariance = np.asarray(inverse @ (scores.T @ scores) @ inverse, dtype=np.float64)
+    return _Fit(np.asarray(values, dtype=np.float64), covariance)
+
+
+def _facing(normals: Array) -> float:
+    """Return the number of edges that face the direction which fewest of normals (n, 3) face."""
+    return float(np.linalg.eigvalsh(normals.T @ normals)[0])
+
+
+def _squares(normals: Array) -> Array:
+    """Return the factors (n, 6) of zz, yy, xx, zy, zx, yx in n C n."""
+    z, y, x = normals.T
+    return np.column_stack([z * z, y * y, x * x, 2.0 * z * y, 2.0 * z * x, 2.0 * y * x])
+
+
+def _cells(points_mm: Array, size_mm: float) -> NDArray[np.int64]:
+    """Return the number (n,) of the cubic cell of each point (n, 3)."""
+    cell = np.floor((points_mm - points_mm.min(axis=0)) / size_mm).astype(np.int64)
+    width = cell.max(axis=0) + 1
+    return np.asarray((cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2])
+
+
+def _sums(rows: Array, cells: NDArray[np.int64]) -> Array:
+    """Return the sums (m, k) of rows (n, k) over each cell."""
+    number = np.unique(cells, return_inverse=True)[1]
+    return np.stack([np.bincount(number, column) for column in rows.T], axis=1)
+
+
+def _bell(t: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi))
+
+
+def _fit_edge(profile: Array, strength: float) -> tuple[Array, Array, float]:
+    """Fit shift and width of an edge of given sharpening to a profile; return them, the model, the misfit."""
+    shift, width = 0.0, np.sqrt(1.0 + 2.0 * strength)
+
+    def model(shift: float, width: float) -> Array:
+        u = (_PLACES - shift) / width
+        return normal_cdf(u) + strength / width**2 * u * _bell(u)
+
+    for _ in range(8):
+        now = model(shift, width)
+        design = np.column_stack([model(shift + 1e-4, width) - now, model(shift, width + 1e-4) - now]) / 1e-4
+        step = np.linalg.lstsq(design, profile - now, rcond=None)[0]
+        shift, width = shift + float(step[0]), float(np.clip(width + step[1], 0.3, 4.0))
+    now = model(shift, width)
+    return np.array([shift, width]), now, float(np.sum((profile - now) ** 2))
+
+
+def _sharpening(values: Array, cells: NDArray[np.int64]) -> tuple[float, float]:
+    """Return f over the apparent variance, 0 where not significant, and the overshoot in air.
+
+    ``values`` (n, places) are shares across each edge.
+    """
+    profile = values.mean(axis=0)
+    (shift, width), smooth, _ = _fit_edge(profile, 0.0)
+    u = (_PLACES - shift) / width
+    bell = _bell(u)
+    design = np.column_stack([-bell, -u * bell, -(u**3 - 3.0 * u) * bell])
+    inverse = np.linalg.inv(design.T @ design) @ design.T
+    cumulant = float(inverse[2] @ (profile - smooth))
+    scores = _sums((values - profile) @ inverse.T, cells)[:, 2] / len(values)
+    sd = float(np.hypot(np.sqrt(np.sum(scores**2)), _SHAPE_MODEL_SD))
+    overshoot = float(np.max(-profile[_PLACES < -0.5]))
+    if cumulant > -_SIGNIFICANT * sd or overshoot <= 0.0:
+        return 0.0, 0.0
+    misfit = [_fit_edge(profile, trial)[2] for trial in _TRIALS]
+    best = int(np.clip(np.argmin(misfit), 1, len(_TRIALS) - 2))
+    second, first, _ = np.polyfit(_TRIALS[best - 1 : best + 2], misfit[best - 1 : best + 2], 2)
+    strength = float(np.clip(-0.5 * first / second if second > 0.0 else _TRIALS[best], 0.0, _TRIALS[-1]))
+    return strength, overshoot

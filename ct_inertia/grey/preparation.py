@@ -1,0 +1,184 @@
+"""Prepare the box around the stapes: measure the air, undo storing, make the point spread a Gaussian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
+from ct_inertia.grey.level_fit import blurred, body_share, spread
+from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
+from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
+from ct_inertia.grey.psf import edge_sigma
+from ct_inertia.grey.stored_levels import Stored, as_before_storing, stored_levels
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.grids import gaussian
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+
+# The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
+_TAIL_SIGMAS = 4.2
+_DEFAULT_SIGMA_VOXELS = 1.0
+_FEW_EDGES = 800
+# Voxels longer than this are blurred unevenly by their shape: no reason for a warning.
+_LONG_VOXELS = 1.2
+# The first retrieval of a sharp scan underestimates its length.
+_RETRIEVALS = 3
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The box around the stapes, ready for measuring.
+
+    Attributes
+    ----------
+    cut : Cut
+        Grey values corrected for storing and for the shape of the point spread.
+    around : Surroundings
+        The same grey values with masks.
+    air : Air
+    stored : Stored or None
+        What storing did.
+    overshoot : float
+        How far air at the bone was darker than air, as a share of the contrast, before that was corrected.
+    sigma_mm, reach_mm : float
+        A first width of the point spread, and how far blur reaches.
+    distance_mm : ndarray of float32, [z, y, x]
+        From the stapes, up to twice the reach.
+    notices : tuple of Notice
+    """
+
+    cut: Cut
+    around: Surroundings
+    air: Air
+    stored: Stored | None
+    overshoot: float
+    sigma_mm: float
+    reach_mm: float
+    distance_mm: NDArray[np.float32]
+    notices: tuple[Notice, ...]
+
+
+def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
+    """Measure the air near the stapes, and correct grey values for storing and for the point spread's shape.
+
+    Parameters
+    ----------
+    cut : Cut
+    guess : Guess
+    spacing_mm : ndarray, (3,)
+    """
+    rim = spread(spread(cut.stapes))
+    first = _located(cut, rim, (guess.air, guess.bone), spacing_mm, guess.air)
+    cut, air, sigma = first.cut, first.air, first.sigma_mm
+    own = first.distance_mm <= first.reach_mm
+    stored = stored_levels(first.around, air, first.shell, sigma)
+    bone = guess.bone if stored is None else stored.bone.level
+    if stored is not None:
+        air = stored.air_known(air)
+        for _ in range(2):
+            now = as_before_storing(cut.grey, first.around, own, stored, sigma)
+            sigma = blur_of(replace(cut, grey=now), rim, (air.level, bone), spacing_mm, air.noise)[0]
+        cut = replace(cut, grey=now)
+    elif air.clipped:
+        cut = replace(cut, grey=_unclipped(cut, first.around, own, air, bone, sigma))
+    around = replace(first.around, grey=cut.grey)
+    foreign = cut.others | cut.plate
+    noise = air.noise / (bone - air.level)
+    shapes, grey = [], cut.grey
+    # In fluid there is no air to compare with.
+    for _ in range(0 if cut.immersed else _RETRIEVALS):
+        shape = edge_shape(grey, rim, foreign, (air.level, bone), spacing_mm, noise)
+        if shape is None:
+            break
+        shapes.append(shape)
+        if not shape.sharpening_mm2:
+            break
+        grey = retrieve_phase(grey, shape.sharpening_mm2, spacing_mm)
+    sharp = [shape for shape in shapes if shape.sharpening_mm2]
+    uneven = shapes[-1] if shapes and shapes[-1].uneven else None
+    if uneven is not None:
+        grey = equalise_blur(grey, uneven.covariance_mm2, spacing_mm)
+    if grey is cut.grey:
+        return Prepared(cut, around, air, stored, 0.0, sigma, first.reach_mm, first.distance_mm, ())
+    again = _located(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
+    air = replace(again.air, clipped=air.clipped, sd=max(air.sd, again.air.sd))
+    long = spacing_mm.max() > _LONG_VOXELS * spacing_mm.min()
+    notices = [] if uneven is None or long else [uneven_notice(uneven)]
+    if sharp:
+        notices.append(fringe_notice(sharp[0].overshoot, sum(shape.sharpening_mm2 for shape in sharp)))
+    return Prepared(
+        cut=again.cut,
+        around=again.around,
+        air=air,
+        stored=stored,
+        overshoot=sharp[0].overshoot if sharp else 0.0,
+        sigma_mm=again.sigma_mm,
+        reach_mm=again.reach_mm,
+        distance_mm=again.distance_mm,
+        notices=tuple(notices),
+    )
+
+
+@dataclass(frozen=True)
+class _Located:
+    cut: Cut
+    around: Surroundings
+    air: Air
+    shell: NDArray[np.bool_]
+    sigma_mm: float
+    reach_mm: float
+    distance_mm: NDArray[np.float32]
+
+
+def _located(
+    cut: Cut,
+    rim: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    air: float,
+    seen: bool = True,
+) -> _Located:
+    """Measure the air beyond the reach of blur; ``seen``: single voxels of the scan show clipping."""
+    sigma = blur_of(cut, rim, levels, spacing_mm, 0.0, _FEW_EDGES)[0]
+    reach = _TAIL_SIGMAS * sigma + float(spacing_mm.max())
+    single = cut.working.single if seen and cut.working is not None else None
+    around = Surroundings(cut.grey, cut.stapes, cut.others | cut.plate, spacing_mm, single)
+    distance = capped_distance(cut.stapes, spacing_mm, 2.0 * reach)
+    shell = air_shell(around, distance, reach)
+    return _Located(cut, around, measure_air(around, shell, air), shell, sigma, reach, distance)
+
+
+def blur_of(
+    cut: Cut,
+    rim: NDArray[np.bool_],
+    levels: tuple[float, float],
+    spacing_mm: Array,
+    noise: float,
+    most: int | None = None,
+) -> tuple[float, float, str]:
+    """Return the width of the point spread, its standard deviation (mm), and where they come from."""
+    air, bone = levels
+    more = {} if most is None else {"most": most}
+    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air), **more)
+    if found is None:
+        sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
+        return sigma, 0.5 * sigma, "assumed: one voxel"
+    return found[0], found[1], "edges of the stapes"
+
+
+def _unclipped(
+    cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
+) -> NDArray[np.float32]:
+    """Subtract what clipping added: first by the surroundings of each voxel, then by the body this shows."""
+    first = unclipped(cut.grey, own, air)
+    contrast = np.float32(bone - air.level)
+    share = gaussian((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)
+    known = own & ~spread(spread(around.foreign))
+    body = body_share(share, np.full(share.shape, 0.5, dtype=np.float32), known)
+    expected = np.float32(air.level) + contrast * blurred(body, sigma_mm, around.spacing_mm[::-1])
+    return np.where(known, unclipped(cut.grey, own, air, expected), first)

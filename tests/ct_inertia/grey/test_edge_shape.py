@@ -1,0 +1,76 @@
+"""Edges show covariance and overshoot of the point spread; isotropic Gaussian blur passes the test."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, laplace
+from scipy.spatial.transform import Rotation
+
+from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
+from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
+
+H = 0.025
+SHAPE = (56, 60, 64)
+
+
+def ball(radius=16.0, seed=0):
+    """Shares of voxels that a ball fills, its centre off the grid."""
+    rng = np.random.default_rng(seed)
+    middle = np.array(SHAPE) / 2 + rng.uniform(-0.5, 0.5, 3)
+    away = np.linalg.norm(np.indices(SHAPE) - middle[:, None, None, None], axis=0)
+    return np.clip(radius + 0.5 - away, 0.0, 1.0).astype(np.float32)
+
+
+def blurred(share, covariance_voxels2):
+    """Blur by a Gaussian of a covariance along x, y, z."""
+    k = np.stack(np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in SHAPE), indexing="ij"))[::-1]
+    power = np.einsum("izyx,ij,jzyx->zyx", k, covariance_voxels2, k)
+    return np.fft.ifftn(np.fft.fftn(share) * np.exp(-0.5 * power)).real.astype(np.float32)
+
+
+def measured(grey, noise=0.02, seed=1):
+    rng = np.random.default_rng(seed)
+    grey = (grey + noise * rng.standard_normal(SHAPE)).astype(np.float32)
+    nothing = np.zeros(SHAPE, dtype=bool)
+    return edge_shape(grey, np.ones(SHAPE, dtype=bool), nothing, (0.0, 1.0), np.full(3, H), noise)
+
+
+def test_isotropic_blur_is_called_neither_uneven_nor_sharp():
+    for seed in range(6):
+        blur = 0.9 + 0.14 * seed
+        found = measured(gaussian_filter(ball(14.0 + seed % 3, seed), blur), 0.01 + 0.008 * seed, seed)
+        assert not found.uneven
+        assert found.sharpening_mm2 == 0.0
+        assert found.covariance_mm2 == pytest.approx(
+            (blur**2 + 1 / 12) * H**2 * np.eye(3), abs=0.15 * blur**2 * H**2
+        )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_covariance_of_oblique_blur_is_measured_and_made_even(seed):
+    turn = Rotation.random(random_state=seed).as_matrix()
+    covariance = turn @ np.diag([1.1**2, 1.2**2, 2.0**2]) @ turn.T
+    grey = blurred(ball(seed=seed), covariance)
+    found = measured(grey)
+    assert found.uneven
+    assert found.covariance_mm2 == pytest.approx((covariance + np.eye(3) / 12) * H**2, abs=0.3 * H**2)
+    assert uneven_notice(found).code == "blur_uneven"
+    even = measured(equalise_blur(grey, found.covariance_mm2, np.full(3, H)))
+    assert not even.uneven
+    assert even.covariance_mm2 == pytest.approx(4.1 * H**2 * np.eye(3), abs=0.5 * H**2)
+
+
+@pytest.mark.parametrize("strength", [0.4, 0.8])
+def test_the_length_of_fringes_is_measured_and_undone(strength):
+    plain = gaussian_filter(ball(), 1.4)
+    sharp = plain - np.float32(strength) * laplace(plain)
+    found = measured(sharp)
+    assert found.sharpening_mm2 == pytest.approx(strength * H**2, rel=0.25)
+    assert found.overshoot > 0.0
+    assert fringe_notice(found.overshoot, found.sharpening_mm2).code == "phase_fringes"
+    again = retrieve_phase(sharp, found.sharpening_mm2, np.full(3, H))
+    assert measured(again).sharpening_mm2 < 0.2 * strength * H**2
+    assert np.abs(again - plain).max() < 0.35 * np.abs(sharp - plain).max()
+
+
+def test_too_few_edges_give_no_answer():
+    assert measured(np.zeros(SHAPE, dtype=np.float32)) is None
