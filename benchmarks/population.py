@@ -99,7 +99,7 @@ ROWS = (
         lambda r: {"incus_mm": r.uniform(0.08, 0.12), "cropped_mm": r.uniform(0.04, 0.15)},
         codes=("touches_border",),
     ),
-    Row("mucosa of 35 um", lambda _: {"coat": 0.15}, codes=(*_SOFT, "bare_bone_assumed")),
+    Row("mucosa of 35 um", lambda _: {"coat": 0.15}, codes=(*_SOFT, "coat_suspected", "bare_bone_assumed")),
     Row("mucosa, stated", lambda _: {"coat": 0.15}, options={"coat_um": "35+-6", "coat_grey": "0.15+-0.03"}),
     Row("fluid in voids", lambda r: {"void": r.uniform(0.15, 0.35)}, ("hollow",), codes=_VOID),
     Row("dry voids", lambda _: {}, ("hollow",)),

@@ -45,6 +45,9 @@ class Coat:
     grey_sd: float
 
 
+USUAL = Coat(USUAL_MM, 0.0, USUAL_GREY, 0.0)
+
+
 @dataclass(frozen=True)
 class CoatImage:
     """The blurred image of a coat, as shares of the contrast of bone and air.
@@ -146,13 +149,31 @@ def with_coat_sd(
     return with_contribution(moments, "coat", covariance)
 
 
+def with_suspected_coat(
+    image: CoatImage, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments
+) -> tuple[Moments, Notice]:
+    """Add a coat that edges suggest to the budget, as large as a usual one, and name it."""
+    index = np.argwhere(own & (image.share > 0.0))
+    away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
+    amount = image.share[tuple(index.T)].astype(float) * volume.voxel_mm3
+    step = amount @ sensitivity(away, moments.volume_mm3, 0.0)
+    share = float(step[0]) / moments.volume_mm3
+    text = (
+        f"Edges of the bone fade out more slowly than blur explains: a thin soft coat (mucosa), or bone that "
+        f"is less dense at its surface. A usual coat ({1e3 * USUAL_MM:.0f} um, {100.0 * USUAL_GREY:.0f} % of "
+        f"the contrast) would add {100.0 * share:.1f} % to volume and mass; nothing was subtracted, and the "
+        f"budget holds that much (coat). State it with {named('coat')} THICKNESS+-SD (um), or clean the bone."
+    )
+    return with_contribution(moments, "coat", np.outer(step, step)), Notice("coat_suspected", text)
+
+
 def bare_bone_notice(surface: Surface, volume_mm3: float) -> Notice:
     """Report that bare bone is assumed, and what a usual coat on that surface would add."""
     share = USUAL_GREY * USUAL_MM * surface.area_mm2 / volume_mm3
     text = (
         f"Bare bone is assumed, and the budget holds nothing for a soft coat: mucosa of "
         f"{1e3 * USUAL_MM:.0f} um with {100.0 * USUAL_GREY:.0f} % of the contrast of bone would add "
-        f"{100.0 * share:.1f} % to volume and mass, and is too thin to be told from the blur of the scan. "
+        f"{100.0 * share:.1f} % to volume and mass, and is hard to distinguish from the blur of the scan. "
         f"State it with {named('coat')} THICKNESS+-SD (um), or {named('coat')} 0 for cleaned bone."
     )
     return Notice(BARE, text)

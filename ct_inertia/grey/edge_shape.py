@@ -49,12 +49,15 @@ class EdgeShape:
         where they are not significant.
     overshoot : float
         Largest departure from a blurred step outside the surface, as a share of the contrast.
+    softened : bool
+        Edges have longer tails than a Gaussian: something soft on the bone, or bone less dense there.
     """
 
     covariance_mm2: Array
     uneven: bool
     sharpening_mm2: float
     overshoot: float
+    softened: bool = False
 
     @property
     def widths_mm(self) -> Array:
@@ -166,12 +169,13 @@ def edge_shape(
     cells = _cells(foot[clean], _CELL_WIDTHS * float(np.median(width)))
     offsets = (_PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
     values = np.stack([share_at(foot[clean] + step) for step in offsets], axis=1)
-    strength, overshoot = _sharpening(values, cells)
+    strength, overshoot, softened = _departure(values, cells)
     return EdgeShape(
         np.ascontiguousarray(covariance[::-1, ::-1]),
         _facing(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
         strength * float(np.median(sigma)) ** 2,
         overshoot,
+        softened,
     )
 
 
@@ -257,8 +261,8 @@ def _fit_edge(profile: Array, strength: float) -> tuple[Array, Array, float]:
     return np.array([shift, width]), now, float(np.sum((profile - now) ** 2))
 
 
-def _sharpening(values: Array, cells: NDArray[np.int64]) -> tuple[float, float]:
-    """Return f over the apparent variance, 0 where not significant, and the overshoot in air.
+def _departure(values: Array, cells: NDArray[np.int64]) -> tuple[float, float, bool]:
+    """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long.
 
     ``values`` (n, places) are shares across each edge.
     """
@@ -273,9 +277,9 @@ def _sharpening(values: Array, cells: NDArray[np.int64]) -> tuple[float, float]:
     sd = float(np.hypot(np.sqrt(np.sum(scores**2)), _SHAPE_MODEL_SD))
     overshoot = float(np.max(-profile[_PLACES < -0.5]))
     if cumulant > -_SIGNIFICANT * sd or overshoot <= 0.0:
-        return 0.0, 0.0
+        return 0.0, 0.0, cumulant > _SIGNIFICANT * sd
     misfit = [_fit_edge(profile, trial)[2] for trial in _TRIALS]
     best = int(np.clip(np.argmin(misfit), 1, len(_TRIALS) - 2))
     second, first, _ = np.polyfit(_TRIALS[best - 1 : best + 2], misfit[best - 1 : best + 2], 2)
     strength = float(np.clip(-0.5 * first / second if second > 0.0 else _TRIALS[best], 0.0, _TRIALS[-1]))
-    return strength, overshoot
+    return strength, overshoot, False

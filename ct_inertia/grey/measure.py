@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
-from ct_inertia.grey.coat import Coat, CoatImage, coat_image, with_coat_sd
+from ct_inertia.grey.coat import (
+    USUAL,
+    Coat,
+    CoatImage,
+    coat_image,
+    with_coat_sd,
+    with_suspected_coat,
+)
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, fit_bodies, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings
@@ -122,6 +129,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     if coat is not None and coat.thickness_mm > 0.0:
         coated = coat_image(cut, coat, distance < 1.99 * reach, spacing, (air.level, bone.level), blur[0])
         cut = replace(cut, grey=cut.grey - np.float32(bone.level - air.level) * coated.share)
+    suspected: CoatImage | None = None
+    if coat is None and ready.softened:
+        near = distance < 1.99 * reach
+        suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])
     away = away_from_others(cut, distance, reach, spacing, blur[0])
     # Where blur fills thin walls, they look like something soft: only well seen bone tells the two apart.
     soft = None
@@ -179,6 +190,10 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         moments = with_coat_sd(coated, parted.own, cut, volume, moments)
         doubt = coated.doubt if doubt is None else doubt + coated.doubt
         coat_share = float(coated.share[parted.own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
+    if suspected is not None:
+        moments, notice = with_suspected_coat(suspected, parted.own, cut, volume, moments)
+        notices = (*notices, notice)
+        doubt = suspected.share if doubt is None else doubt + suspected.share
     if fitted is not None:
         near, contrast = distance <= reach, bone.level - air.level
         covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)

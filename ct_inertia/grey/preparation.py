@@ -49,6 +49,8 @@ class Prepared:
         A first width of the point spread, and how far blur reaches.
     distance_mm : ndarray of float32, [z, y, x]
         From the stapes, up to twice the reach.
+    softened : bool
+        Edges of the bone have longer tails than blur explains.
     notices : tuple of Notice
     """
 
@@ -60,6 +62,7 @@ class Prepared:
     sigma_mm: float
     reach_mm: float
     distance_mm: NDArray[np.float32]
+    softened: bool
     notices: tuple[Notice, ...]
 
 
@@ -103,8 +106,10 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     uneven = shapes[-1] if shapes and shapes[-1].uneven else None
     if uneven is not None:
         grey = equalise_blur(grey, uneven.covariance_mm2, spacing_mm)
+    softened = bool(shapes) and shapes[-1].softened
     if grey is cut.grey:
-        return Prepared(cut, around, air, stored, 0.0, sigma, first.reach_mm, first.distance_mm, ())
+        reach, distance = first.reach_mm, first.distance_mm
+        return Prepared(cut, around, air, stored, 0.0, sigma, reach, distance, softened, ())
     again = _located(replace(cut, grey=grey), rim, (air.level, bone), spacing_mm, air.level, seen=False)
     air = replace(again.air, clipped=air.clipped, sd=max(air.sd, again.air.sd))
     long = spacing_mm.max() > _LONG_VOXELS * spacing_mm.min()
@@ -120,6 +125,7 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
         sigma_mm=again.sigma_mm,
         reach_mm=again.reach_mm,
         distance_mm=again.distance_mm,
+        softened=softened,
         notices=tuple(notices),
     )
 

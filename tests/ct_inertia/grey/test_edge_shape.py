@@ -72,5 +72,12 @@ def test_the_length_of_fringes_is_measured_and_undone(strength):
     assert np.abs(again - plain).max() < 0.35 * np.abs(sharp - plain).max()
 
 
+def test_a_thin_soft_coat_makes_longer_tails_and_is_suspected():
+    grey = gaussian_filter(ball(16.0) + np.float32(0.15) * (ball(17.5) - ball(16.0)), 1.2)
+    found = measured(grey, 0.01)
+    assert found.softened
+    assert found.sharpening_mm2 == 0.0
+
+
 def test_too_few_edges_give_no_answer():
     assert measured(np.zeros(SHAPE, dtype=np.float32)) is None
