@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 # Rings are named from this size on (share of the contrast of bone and air), and when they stand out of noise
 # so many times.
 _LEAST_RING = calibrated("artefacts.least_ring")
-_STANDS_OUT = 6.0
+_STANDS_OUT = calibrated("artefacts.stands_out")
 _LEAST_COLUMNS, _LEAST_IN_COLUMN = 400, 6
 # The tail of blur is below 0.3 % from here on, in widths.
 _TAIL = 2.75
