@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.level_fit import blurred, body_share, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings, air_shell, measure_air, unclipped
@@ -22,10 +23,10 @@ Array = NDArray[np.float64]
 
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2
-_DEFAULT_SIGMA_VOXELS = 1.0
+_DEFAULT_SIGMA_VOXELS = calibrated("preparation.default_sigma_voxels")
+# Edge voxels of the first look at the blur, from which only the reach of what is measured follows.
 _FEW_EDGES = 800
-# Voxels longer than this are blurred unevenly by their shape: no reason for a warning.
-_LONG_VOXELS = 1.2
+_LONG_VOXELS = calibrated("preparation.long_voxels")
 # The first retrieval of a sharp scan underestimates its length.
 _RETRIEVALS = 3
 
