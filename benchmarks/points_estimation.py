@@ -27,7 +27,7 @@ from kinematics.fit.rigid_fit import LineFit, fit_lines  # noqa: E402
 from kinematics.measurement import BodyChannels  # noqa: E402
 from kinematics.registration.placement import Placement  # noqa: E402
 from kinematics.registration.shared_errors import pose_derivatives, position_errors  # noqa: E402
-from kinematics.tidy.few_averages import steadied  # noqa: E402
+from kinematics.tidy.few_averages import steady_noise  # noqa: E402
 from stapeskit.frames import RigidTransform  # noqa: E402
 from stapeskit.records.motion import RigidMotion  # noqa: E402
 from stapeskit.records.motion_files import line_covariance  # noqa: E402
@@ -148,7 +148,7 @@ def known_noise(lines: int) -> Iterator[Row]:
 
 
 def averaged(lines: int, count: int, seed: int = 20) -> Iterator[Row]:
-    """Noise known from ``count`` averages of each value alone, and steadied over neighbouring lines."""
+    """Noise known from ``count`` averages of each value alone, and smoothed over neighbouring lines."""
     data = made(seed, lines, spread=0.5)
     rng = np.random.default_rng([seed, count])
     course = np.exp(0.5 * np.sin(np.linspace(0.0, 8.0, lines)))
@@ -157,8 +157,8 @@ def averaged(lines: int, count: int, seed: int = 20) -> Iterator[Row]:
     freedom = 2 * (count - 1)
     stated = data.sd * np.sqrt(rng.chisquare(freedom, data.sd.shape) / freedom)
     yield judged(f"sd from {count} averages, as they are", fit_lines(data.beams, value, stated), data)
-    steady, _ = steadied(stated, count, "body", from_coherence=False)
-    yield judged(f"sd from {count} averages, steadied", fit_lines(data.beams, value, steady), data)
+    steady, _ = steady_noise(stated, count, "body", from_coherence=False)
+    yield judged(f"sd from {count} averages, smoothed", fit_lines(data.beams, value, steady), data)
 
 
 def with_outliers(lines: int, kind: str, share: float, seed: int = 30) -> Row:

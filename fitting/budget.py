@@ -1,4 +1,4 @@
-"""The budget of a result: which source of error brings how much, for entries, modes and principal axes."""
+"""The error budget of a result: the part of each source, for entries, modes and principal axes."""
 
 from __future__ import annotations
 

@@ -56,19 +56,19 @@ def check_chain(
     given = None if used is None else _given(used, record, mass_file)
     if used is None or given is None:
         return travelling
-    made = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
+    origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
     got = f"{name} with the content {given}"
     if not force:
         raise FittingError(
             Fault(
                 "{mass}",
-                f"the file whose frames {motion_name} was computed with, {made}",
+                f"the file whose frames {motion_name} was computed with, {origin}",
                 got,
                 "" if mass_file is None else str(mass_file),
                 f"Give that file, run points2dof again with {name}, or use the given one by {{force}}",
             )
         )
-    text = f"{motion_name} was computed with the frames of {made}, not with {got} ({named('force')})."
+    text = f"{motion_name} was computed with the frames of {origin}, not with {got} ({named('force')})."
     return [Notice("other_mass_file", text), *travelling]
 
 
@@ -85,5 +85,5 @@ def _given(used: dict[str, Any], record: MassRecord, mass_file: Path | None) -> 
 def _used(motion: RigidMotion) -> dict[str, Any] | None:
     """Return the record of the mass.json in the provenance of a motion; None where there is none."""
     inputs = motion.provenance.get("inputs")
-    found = inputs.get("mass") if isinstance(inputs, dict) else None
-    return found if isinstance(found, dict) and found.get("hash") else None
+    record = inputs.get("mass") if isinstance(inputs, dict) else None
+    return record if isinstance(record, dict) and record.get("hash") else None

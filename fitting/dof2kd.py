@@ -100,7 +100,7 @@ def dof2kd(
 def plan2kd(
     path: Path, out: Path, *, force: bool = False, config: Path | None = None
 ) -> tuple[Expectation, dict[str, Any], tuple[Path, Path]]:
-    """Read a plan, tell what it can reach and write ``out`` (plan.json) and the page of the same name.
+    """Read a plan, compute its expected uncertainty, write ``out`` (plan.json) and the page of the same name.
 
     Parameters
     ----------

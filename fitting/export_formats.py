@@ -27,5 +27,5 @@ def file_name(stem: str, name: str) -> str:
 
 def exported(fit: Any, name: str) -> bytes:
     """Return the content of an export of a fit (fitting.kd_fit.KDFit)."""
-    found: bytes = import_module(f"fitting.exports.{name}").content(fit)
-    return found
+    text: bytes = import_module(f"fitting.exports.{name}").content(fit)
+    return text

@@ -229,7 +229,7 @@ def _result(
         stiffness, damping = ligament.stiffness, ligament.damping
     budget = budget_of(problem, lines, best)
     check_result(stiffness, damping, budget.covariance, budget.noise)
-    found = modes(problem.vibrating_mass, stiffness, damping, problem.law)
+    mode_list = modes(problem.vibrating_mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)
     fit = KDFit(
         options,
@@ -244,7 +244,7 @@ def _result(
         budget.noise,
         budget,
         derived,
-        found,
+        mode_list,
         best.chi2,
         best.n_dof,
         choice,

@@ -74,8 +74,8 @@ def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapp
     def objective(exponent: float) -> float:
         return _at(problem, DampingLaw(name, float(exponent)), lower, upper).estimate.objective
 
-    found = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
-    best = _at(problem, DampingLaw(name, float(found.x)), lower, upper)
+    optimum = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
+    best = _at(problem, DampingLaw(name, float(optimum.x)), lower, upper)
     return replace(best, exponent_sd=_exponent_sd(best))
 
 
@@ -142,10 +142,10 @@ def with_ligament(
 
     def extend(lines: JointLines) -> tuple[Term, ...]:
         setting = Setting(lines, lines.omega * problem.scale.omega, problem.inertia.matrix)
-        made = [term_of(name, setting) for name in names]
+        terms = [term_of(name, setting) for name in names]
         more = sizes or {}
         return tuple(
-            replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in made
+            replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in terms
         )
 
     ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, needed, begun)
@@ -164,12 +164,12 @@ def with_ligament(
 
 
 def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
-    made = problem.with_law(law)
-    options = replace(made.options, lower=_bounds(made, lower, -np.inf), upper=_bounds(made, upper, np.inf))
-    made = replace(made, options=options)
-    estimate = made.solve()
-    level = chi2(estimate.parameters, made.lines())
-    fit = LawFit(law, made, estimate, level, 0.0)
+    same = problem.with_law(law)
+    options = replace(same.options, lower=_bounds(same, lower, -np.inf), upper=_bounds(same, upper, np.inf))
+    same = replace(same, options=options)
+    estimate = same.solve()
+    level = chi2(estimate.parameters, same.lines())
+    fit = LawFit(law, same, estimate, level, 0.0)
     return replace(fit, bic=_bic(fit, 1.0))
 
 

@@ -69,8 +69,8 @@ def kd_of(
 
 def footplate_outline(record: MassRecord | None) -> Array | None:
     """Return the footplate's outline in footplate axes (points, 2 or 3), mm, when mass.json holds one."""
-    found = {} if record is None else record.raw.get("found") or {}
-    raw = found.get("footplate_outline_in_footplate_mm")
+    findings = {} if record is None else record.raw.get("found") or {}
+    raw = findings.get("footplate_outline_in_footplate_mm")
     if raw is None:
         return None
     outline = np.asarray(raw, dtype=float)

@@ -88,13 +88,13 @@ def monte_carlo(fit: KDFit, refits: int, seed: int = 0) -> MonteCarlo:
         change = change + np.einsum("lij,lj->li", root, draw[0] + 1j * draw[1])
         given = mass_change if np.any(mass_change) else None
         lines = centre.lines(change, given)
-        found = _solve(centre, lines, fit.estimate.parameters) * problem.units
-        if not np.all(np.isfinite(found)):
+        estimate = _solve(centre, lines, fit.estimate.parameters) * problem.units
+        if not np.all(np.isfinite(estimate)):
             failed += 1
             continue
-        estimates.append(found)
+        estimates.append(estimate)
         mass = problem.vibrating_mass + np.einsum("a,aij->ij", mass_change, by_mass)
-        pairs = modes(mass, *split(found, problem.n), problem.law).pairs
+        pairs = modes(mass, *split(estimate, problem.n), problem.law).pairs
         same = len(pairs) == len(fit.modes.pairs)
         frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
     return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
@@ -107,13 +107,13 @@ def _joint_monte_carlo(fit: KDFit, repetitions: Repetitions, refits: int, rng: G
     estimates, frequencies, failed = [], [], 0
     for _ in range(refits):
         try:
-            found, mass_change = repetitions.draw(rng)
+            estimate, mass_change = repetitions.draw(rng)
         except np.linalg.LinAlgError:
             failed += 1
             continue
-        estimates.append(found)
+        estimates.append(estimate)
         mass = problem.vibrating_mass + mass_change[np.ix_(places, places)]
-        pairs = modes(mass, *split(found, problem.n), problem.law).pairs
+        pairs = modes(mass, *split(estimate, problem.n), problem.law).pairs
         same = len(pairs) == len(fit.modes.pairs)
         frequencies.append([mode.frequency_hz for mode in pairs] if same else [np.nan] * len(fit.modes.pairs))
     return MonteCarlo(entry_names(problem.n), np.array(estimates), np.array(frequencies), failed)
@@ -177,33 +177,33 @@ def _common(problem: Problem) -> tuple[Draw, DrawMotion]:
     return draw_mass, draw_motion
 
 
-def monte_carlo_json(fit: KDFit, found: MonteCarlo) -> dict[str, Any]:
+def monte_carlo_json(fit: KDFit, scatter: MonteCarlo) -> dict[str, Any]:
     """Return the scatter as JSON-able data, SI."""
-    good = found.frequencies_hz[np.all(np.isfinite(found.frequencies_hz), axis=1)]
+    good = scatter.frequencies_hz[np.all(np.isfinite(scatter.frequencies_hz), axis=1)]
     return {
-        "refits": len(found.estimates),
-        "failed": found.failed,
-        "sd_si": dict(zip(found.names, found.standard_deviation.tolist(), strict=True)),
+        "refits": len(scatter.estimates),
+        "failed": scatter.failed,
+        "sd_si": dict(zip(scatter.names, scatter.standard_deviation.tolist(), strict=True)),
         "sd_over_linear_propagation": dict(
-            zip(found.names, (found.standard_deviation / _stated(fit)).tolist(), strict=True)
+            zip(scatter.names, (scatter.standard_deviation / _stated(fit)).tolist(), strict=True)
         ),
-        "intervals_95_si": dict(zip(found.names, found.intervals.tolist(), strict=True)),
+        "intervals_95_si": dict(zip(scatter.names, scatter.intervals.tolist(), strict=True)),
         "frequency_sd_hz": good.std(axis=0, ddof=1).tolist() if len(good) > 1 else None,
     }
 
 
-def monte_carlo_section(fit: KDFit, found: MonteCarlo) -> Section:
+def monte_carlo_section(fit: KDFit, simulated: MonteCarlo) -> Section:
     """Return the section of the page: scatter beside the linear propagation."""
-    stated, scatter = _stated(fit), found.standard_deviation
+    stated, scatter = _stated(fit), simulated.standard_deviation
     rows = [
         (name, f"{stated[place]:.3g}", f"{scatter[place]:.3g}", f"{scatter[place] / stated[place]:.3f}")
-        for place, name in enumerate(found.names)
+        for place, name in enumerate(simulated.names)
     ]
     return Section("Monte Carlo", key="monte_carlo").add(
         page.text(
-            f"{len(found.estimates)} simulated repetitions were fitted, with channel noise and every common "
-            f"error of motion and mass drawn anew ({found.failed} failed). A ratio carries a chance error of "
-            f"{100.0 / np.sqrt(2.0 * len(found.estimates)):.1f} %."
+            f"{len(simulated.estimates)} simulated repetitions were fitted, with channel noise and every "
+            f"common error of motion and mass drawn anew ({simulated.failed} failed). A ratio has a chance "
+            f"error of {100.0 / np.sqrt(2.0 * len(simulated.estimates)):.1f} %."
         ),
         page.table(("entry", "sd stated (SI)", "sd of refits (SI)", "ratio"), rows),
     )

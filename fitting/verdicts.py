@@ -30,8 +30,8 @@ _BIASED = 0.02
 
 def verdicts(fit: KDFit) -> list[Notice]:
     """Return every warning that a result deserves."""
-    found = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
-    return [*found, *_fit_quality(fit), *_local(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
+    notices = [*physics(fit), *fit.identifiability.notices(), *fit.inplane.notices()]
+    return [*notices, *_fit_quality(fit), *_local(fit), *_bias(fit), *_inputs(fit), *plausibility(fit)]
 
 
 def physics(fit: KDFit) -> list[Notice]:
@@ -113,10 +113,10 @@ def cause_notices(fit: KDFit) -> list[Notice]:
     from fitting.causes.catalogue import title_of, unit_of
     from fitting.causes.diagnosis import largest_effect
 
-    found = [] if fit.fluid is None else list(fit.fluid.notices)
+    notices = [] if fit.fluid is None else list(fit.fluid.notices)
     cause = None if fit.diagnosis is None else fit.diagnosis.named
     if cause is None or fit.diagnosis is None:
-        return found
+        return notices
     size = f"{cause.size:.3g} ± {cause.sd:.1g} {unit_of(cause.name)}".rstrip()
     size = f" of {size}" if cause.sd > 0.0 else ""
     place, change = largest_effect(cause.effect, fit.stiffness, fit.damping)
@@ -133,7 +133,7 @@ def cause_notices(fit: KDFit) -> list[Notice]:
         text += " It does not explain the whole misfit."
     law = cause.name.removeprefix("law_")
     text += f" Use {named('damping')} {law}, or compare." if law != cause.name else ""
-    return [*found, Notice("cause_found", text)]
+    return [*notices, Notice("cause_found", text)]
 
 
 def outlying(fit: KDFit) -> Array:

@@ -46,12 +46,12 @@ def read_dataset(dataset: Path) -> list[Path]:
         There is none.
     """
     dataset = Path(dataset)
-    found = sorted([*dataset.glob(f"sub-*/sub-*{_STUDY}"), *dataset.glob(f"sub-*/ses-*/sub-*{_STUDY}")])
-    if not found:
+    files = sorted([*dataset.glob(f"sub-*/sub-*{_STUDY}"), *dataset.glob(f"sub-*/ses-*/sub-*{_STUDY}")])
+    if not files:
         expected = f"a dataset with study files sub-*/sub-*{_STUDY}"
         step = "Name study files before {bids} to write them there"
         raise PipelineError(Fault("{bids}", expected, dataset, "", step))
-    return found
+    return files
 
 
 def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:

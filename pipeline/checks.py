@@ -1,4 +1,4 @@
-"""What can be found wrong with a study before the long work on its scan begins."""
+"""Check a study before the long work on its scan begins."""
 
 from __future__ import annotations
 

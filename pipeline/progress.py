@@ -45,15 +45,15 @@ class Progress:
     @contextmanager
     def step(self, title: str) -> Iterator[Step]:
         """Show a step while its block runs, and its line when it has ended."""
-        made = Step(title)
+        current = Step(title)
         if self.quiet:
-            yield made
+            yield current
             return
         stream = sys.stderr if self.stream is None else self.stream
         with _alive(title, stream):
-            yield made
-        note = f"  {made.note}" if made.note else ""
-        stream.write(f"{self.prefix}{title:<40} {made.seconds:7.1f} s{note}\n")
+            yield current
+        note = f"  {current.note}" if current.note else ""
+        stream.write(f"{self.prefix}{title:<40} {current.seconds:7.1f} s{note}\n")
         stream.flush()
 
 

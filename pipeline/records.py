@@ -78,12 +78,12 @@ def read_record(folder: Path, stage: str) -> StageRecord | None:
         content = json.loads((Path(folder) / record_name(stage)).read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA or content["stage"] != stage:
             return None
-        made, outputs = dict(content["fingerprint"]), dict(content["outputs"])
-        if not all(isinstance(value, str) for value in (*made.values(), *outputs.values())):
+        prints, outputs = dict(content["fingerprint"]), dict(content["outputs"])
+        if not all(isinstance(value, str) for value in (*prints.values(), *outputs.values())):
             return None
         if any(Path(name).is_absolute() or ".." in Path(name).parts for name in outputs):
             return None
-        return StageRecord(stage, made, outputs, float(content["seconds"]))
+        return StageRecord(stage, prints, outputs, float(content["seconds"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -106,13 +106,13 @@ def fingerprint(
     hashes : Hashes
         Of the files of this run.
     """
-    made = {"stapeskit": code_hash(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
+    prints = {"stapeskit": code_hash(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
     for role, path in inputs.items():
         for place, file in enumerate(() if path is None else with_data(path)):
-            made[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
+            prints[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
     for name, value in parameters.items():
-        made[name] = _short(json.dumps(value, sort_keys=True))
-    return made
+        prints[name] = _short(json.dumps(value, sort_keys=True))
+    return prints
 
 
 def _short(text: str) -> str:
@@ -150,19 +150,19 @@ def _sources(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a stage has to tell: sections of the report, and warnings."""
+class StageReport:
+    """The part of a stage in the report: its sections and warnings."""
 
     sections: tuple[Section, ...] = ()
     notices: tuple[Notice, ...] = ()
 
 
-def told_name(stage: str) -> str:
+def stage_report_name(stage: str) -> str:
     """Return the name of the file with a stage's sections within the output folder."""
     return f"{FOLDER}/{stage}.sections.json"
 
 
-def write_told(folder: Path, stage: str, told: Told) -> None:
+def write_stage_report(folder: Path, stage: str, report: StageReport) -> None:
     """Keep the sections of a stage, so that the report can be put together without making them anew."""
     content = {
         "sections": [
@@ -171,17 +171,17 @@ def write_told(folder: Path, stage: str, told: Told) -> None:
                 "heading": section.heading,
                 "blocks": [str(block) for block in section.blocks],
             }
-            for section in told.sections
+            for section in report.sections
         ],
-        "warnings": [notice.as_json() for notice in told.notices],
+        "warnings": [notice.as_json() for notice in report.notices],
     }
-    path = Path(folder) / told_name(stage)
+    path = Path(folder) / stage_report_name(stage)
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
-def read_told(path: Path) -> Told | None:
-    """Read back what write_told wrote; None when it holds what this program does not write.
+def read_stage_report(path: Path) -> StageReport | None:
+    """Read the report of a stage; None when the content is not as write_stage_report writes it.
 
     The hash in the stage's record does not prove who wrote it: whoever passes a folder on can change both.
     """
@@ -198,6 +198,6 @@ def read_told(path: Path) -> Told | None:
         blocks = [str(block) for section in sections for block in section.blocks]
         if any(map(foreign_markup, blocks)):
             return None
-        return Told(sections, from_json(content["warnings"]))
+        return StageReport(sections, from_json(content["warnings"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.errors import PipelineError
 from pipeline.methods import methods
-from pipeline.records import Told
+from pipeline.records import StageReport
 from pipeline.report_summary import si_table, summary_block
 from pipeline.study import Study
 from pipeline.verdict import verdict
@@ -60,7 +60,7 @@ _FIRST, _LAST = "This ear", "Record"
 
 
 def write_report(
-    path: Path, study_file: Path, name: str, study: Study, work: Workspace, told: Mapping[str, Told]
+    path: Path, study_file: Path, name: str, study: Study, work: Workspace, reports: Mapping[str, StageReport]
 ) -> None:
     """Write report.html.
 
@@ -73,25 +73,25 @@ def write_report(
     study : Study
     work : Workspace
         Where the result files are.
-    told : mapping of str to Told
+    reports : mapping of str to StageReport
         Sections and warnings by stage.
     """
     mass, kd = work.mass.record.raw, work.kd
     truth = None if study.study.truth is None else _read_truth(study.study.truth)
-    notices = unique(notice for one in told.values() for notice in one.notices)
-    made = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
-    made.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
-    made.summary.append(summary_block(mass, kd, verdict(kd, notices), truth))
-    made.summary.append(si_table(mass, kd))
-    made.section("The stapes in three dimensions", viewer(work.mass, kd)).key = "stapes_3d"
-    made.section("Accept or correct the cut", *_correction(study_file, study, work))
-    made.section("Warnings", page.notices(notices))
-    made.section("Methods in words", page.text(methods(mass, kd, work.motion)))
-    for section in made.sections:
+    notices = unique(notice for one in reports.values() for notice in one.notices)
+    report = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
+    report.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
+    report.summary.append(summary_block(mass, kd, verdict(kd, notices), truth))
+    report.summary.append(si_table(mass, kd))
+    report.section("The stapes in three dimensions", viewer(work.mass, kd)).key = "stapes_3d"
+    report.section("Accept or correct the cut", *_correction(study_file, study, work))
+    report.section("Warnings", page.notices(notices))
+    report.section("Methods in words", page.text(methods(mass, kd, work.motion)))
+    for section in report.sections:
         section.group = _FIRST
-    made.sections += ordered(told)
-    made.section("Inputs", *_inputs(study_file, mass, kd, work)).group = _LAST
-    made.write(path)
+    report.sections += ordered(reports)
+    report.section("Inputs", *_inputs(study_file, mass, kd, work)).group = _LAST
+    report.write(path)
 
 
 def _read_truth(path: Path) -> Mapping[str, Any]:
@@ -144,11 +144,11 @@ def _relative(path: Path, folder: Path) -> str:
         return Path(path).absolute().as_posix()
 
 
-def ordered(told: Mapping[str, Told]) -> list[Section]:
+def ordered(reports: Mapping[str, StageReport]) -> list[Section]:
     """Return the sections of all stages in the order of the page."""
     places = {key: place for place, key in enumerate(_ORDER)}
     listed: list[tuple[tuple[int, int, int], Section]] = []
-    for stage in told.values():
+    for stage in reports.values():
         group = next((_part_of(section.key) for section in stage.sections if section.key in places), _LAST)
         last = max((places.get(section.key, -1) for section in stage.sections), default=-1)
         for number, section in enumerate(stage.sections):

@@ -43,7 +43,7 @@ def cards(
 ) -> list[Card]:
     """Return the groups of the summary: a title, and rows of name, value and, when known, the truth."""
     sd = None if mass_sd_missing(mass) else mass["mass_matrix"]["standard_deviation_si"][1][1]
-    made: list[Card] = [
+    blocks: list[Card] = [
         ("Mass", [_row("mass", MASS, mass["mass_kg"], sd, None if truth is None else truth.get("mass_kg"))])
     ]
     exponent = kd["model"]["damping_exponent"]
@@ -55,15 +55,15 @@ def cards(
             value, spread = (kd[f"{key}{end}"][place][place] for end in ("_si", "_sd_si"))
             known = None if true is None else true[place][place]
             rows.append(_row(f"{letter}({dof})", diagonal_unit(letter, dof, exponent), value, spread, known))
-        made.append((title, rows))
+        blocks.append((title, rows))
     rows = []
     for place, mode in enumerate(kd["modes"]):
         frequency = plus_minus(mode["frequency_hz"], mode.get("frequency_sd_hz"))
         ratio = plus_minus(mode["damping_ratio"], mode.get("damping_ratio_sd"))
         rows.append((f"mode {place + 1}", f"{frequency} Hz, damping ratio {ratio}"))
     stable, passive = ("yes" if value else "NO" for value in (kd["stable"], all(kd["passive"].values())))
-    made.append(("Modes", [*rows, ("stable; passive", f"{stable}; {passive}")]))
-    return made
+    blocks.append(("Modes", [*rows, ("stable; passive", f"{stable}; {passive}")]))
+    return blocks
 
 
 def axes_card(kd: Mapping[str, Any]) -> list[Card]:
@@ -93,15 +93,15 @@ def frame_card(mass: Mapping[str, Any]) -> list[Card]:
 
 
 def summary_block(
-    mass: Mapping[str, Any], kd: Mapping[str, Any], found: Verdict, truth: Mapping[str, Any] | None
+    mass: Mapping[str, Any], kd: Mapping[str, Any], results: Verdict, truth: Mapping[str, Any] | None
 ) -> Markup:
     """Return the verdict with its reasons and the key numbers in the units of people."""
     return page.template(
         _TEMPLATE,
-        level=found.level.capitalize(),
-        css=found.level.replace(" ", "-"),
-        sentence=_SENTENCES[found.level],
-        reasons=[type(reason)(reason.level, reason.code, printed(reason.text)) for reason in found.reasons],
+        level=results.level.capitalize(),
+        css=results.level.replace(" ", "-"),
+        sentence=_SENTENCES[results.level],
+        reasons=[type(reason)(reason.level, reason.code, printed(reason.text)) for reason in results.reasons],
         cards=[*cards(mass, kd, truth), *axes_card(kd), *frame_card(mass)],
     )
 

@@ -11,13 +11,13 @@ from pipeline.progress import Progress
 from pipeline.records import (
     FOLDER,
     StageRecord,
-    Told,
+    StageReport,
     fingerprint,
     read_record,
-    read_told,
-    told_name,
+    read_stage_report,
+    stage_report_name,
     write_record,
-    write_told,
+    write_stage_report,
 )
 from pipeline.results import StageRun, StudyResult
 from pipeline.stages import STAGES, Stage, inputs_of, names_of_outputs
@@ -66,16 +66,16 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
         # files of an earlier run that was killed among them may be of two runs: none is reused
         usable: Mapping[str, StageRecord] = {} if force or unfinished(out) else old
         runs: list[StageRun] = []
-        told: dict[str, Told] = {}
+        reports: dict[str, StageReport] = {}
         for stage in STAGES:
-            told[stage.name] = _stage(stage, study, work, usable.get(stage.name), runs, progress)
-        _report(path, name, study, work, told, usable.get(REPORT), runs, progress)
+            reports[stage.name] = _stage(stage, study, work, usable.get(stage.name), runs, progress)
+        _report(path, name, study, work, reports, usable.get(REPORT), runs, progress)
         mass, kd = work.mass.record.raw, work.kd
         names = _outputs(runs)
         kept += names
     shown = tuple(out / one for one in names if not one.startswith(FOLDER))
     notices = unique(
-        (*(notice for one in told.values() for notice in one.notices), *outputs.kept_notices(names))
+        (*(notice for one in reports.values() for notice in one.notices), *outputs.kept_notices(names))
     )
     return StudyResult(study, name, out, mass, kd, tuple(runs), shown, notices)
 
@@ -138,12 +138,12 @@ def _stage(
     old: StageRecord | None,
     runs: list[StageRun],
     progress: Progress,
-) -> Told:
+) -> StageReport:
     """Reuse a stage or run it."""
     with progress.step(stage.title) as step:
         now = fingerprint(stage.rooms, stage.inputs(study), stage.parameters(study, work), work.hashes)
         reason = _reason(old, now, work)
-        kept = None if reason else read_told(work.find(told_name(stage.name)))
+        kept = None if reason else read_stage_report(work.find(stage_report_name(stage.name)))
         if kept is not None:
             step.note = "unchanged, reused"
             runs.append(StageRun(stage.name, True, 0.0, "", _names(old)))
@@ -151,22 +151,22 @@ def _stage(
         reason = reason or "its sections are not as this program writes them"
         try:
             with worded(words(stage.table)):
-                names, told = stage.run(study, work)
+                names, report = stage.run(study, work)
         except PipelineError:
             raise
         except StapeskitError as error:
             raise PipelineError(*error.faults) from error
-        write_told(work.fresh, stage.name, told)
+        write_stage_report(work.fresh, stage.name, report)
         record = StageRecord(
             stage.name,
             now,
-            {file: work.hash_of(file) for file in (*names, told_name(stage.name))},
+            {file: work.hash_of(file) for file in (*names, stage_report_name(stage.name))},
             step.seconds,
         )
         write_record(work.fresh, record)
         step.note = "" if old is None else reason
         runs.append(StageRun(stage.name, False, step.seconds, reason, _names(record)))
-        return told
+        return report
 
 
 def _reason(old: StageRecord | None, now: Mapping[str, str], work: Workspace) -> str:
@@ -188,7 +188,7 @@ def _report(
     name: str,
     study: Study,
     work: Workspace,
-    told: Mapping[str, Told],
+    reports: Mapping[str, StageReport],
     old: StageRecord | None,
     runs: list[StageRun],
     progress: Progress,
@@ -197,7 +197,7 @@ def _report(
     from pipeline.report import write_report
 
     with progress.step("report") as step:
-        parts = {stage: work.hash_of(told_name(stage)) for stage in told}
+        parts = {stage: work.hash_of(stage_report_name(stage)) for stage in reports}
         parts |= {name: work.hash_of(name) for name in ("mass.json", "dof.h5", "kd.json")}
         now = fingerprint(_REPORT_CODE, {"study": path, "truth": study.study.truth}, parts, work.hashes)
         reason = _reason(old, now, work)
@@ -205,7 +205,7 @@ def _report(
             step.note = "unchanged, reused"
             runs.append(StageRun(REPORT, True, 0.0, "", _names(old)))
             return
-        write_report(work.fresh / REPORT_FILE, path, name, study, work, told)
+        write_report(work.fresh / REPORT_FILE, path, name, study, work, reports)
         record = StageRecord(REPORT, now, {REPORT_FILE: work.hash_of(REPORT_FILE)}, step.seconds)
         write_record(work.fresh, record)
         runs.append(StageRun(REPORT, False, step.seconds, reason, _names(record)))

@@ -87,14 +87,14 @@ def folder_names(studies: Sequence[Path]) -> list[str]:
         name if times[name] == 1 else path.resolve().parent.name
         for name, path in zip(own, studies, strict=True)
     ]
-    made: list[str] = []
+    unique_names: list[str] = []
     for name in names:
         plain = name.lstrip(".") or "study"
         number, unique = 2, plain
-        while unique in made:
+        while unique in unique_names:
             unique, number = f"{plain}-{number}", number + 1
-        made.append(unique)
-    return made
+        unique_names.append(unique)
+    return unique_names
 
 
 def run_studies(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.records import Told
+from pipeline.records import StageReport
 from pipeline.study import Study, read_study
 from pipeline.workspace import Workspace
 
@@ -45,7 +45,7 @@ class Stage:
     rooms: tuple[str, ...]
     inputs: Callable[[Study], Mapping[str, Path | None]]
     parameters: Callable[[Study, Workspace], dict[str, Any]]
-    run: Callable[[Study, Workspace], tuple[list[str], Told]]
+    run: Callable[[Study, Workspace], tuple[list[str], StageReport]]
 
 
 def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) -> list[str]:
@@ -106,7 +106,7 @@ def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
     return study.scan.parameters()
 
 
-def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
+def _run_scan(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write mass.json, surfaces and labels."""
     from ct_inertia.exports.mass_json import mass_json, write_outputs
     from ct_inertia.exports.output_files import labels_name
@@ -119,7 +119,7 @@ def _run_scan(study: Study, work: Workspace) -> tuple[list[str], Told]:
     sections = report_sections(result, content)
     names = write_outputs(result, work.fresh, content)
     work.keep("mass", result.measured_mass(content))
-    return names, Told(tuple(sections), result.notices)
+    return names, StageReport(tuple(sections), result.notices)
 
 
 def _motion_inputs(study: Study) -> Mapping[str, Path | None]:
@@ -150,7 +150,7 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     }
 
 
-def _run_motion(study: Study, work: Workspace) -> tuple[list[str], Told]:
+def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write dof.csv, dof.h5 and dof.channels.csv."""
     from kinematics.measure_motion import motion_inputs, motion_of
     from kinematics.motion_outputs import write_outputs
@@ -166,7 +166,7 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], Told]:
     scenery = result.scenery
     names = write_outputs(work.fresh, "dof", result, scenery, False, hash_of=work.hashes.of)
     work.keep("motion", result.motion)
-    return names, Told(tuple(sections(result, scenery, interactive=True)), result.notices)
+    return names, StageReport(tuple(sections(result, scenery, interactive=True)), result.notices)
 
 
 def _no_inputs(_study: Study) -> dict[str, Path | None]:
@@ -183,7 +183,7 @@ def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     }
 
 
-def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
+def _run_fit(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write kd.json."""
     from fitting.chain import check_chain
     from fitting.measure_kd import kd_of
@@ -201,7 +201,7 @@ def _run_fit(study: Study, work: Workspace) -> tuple[list[str], Told]:
     text = json.dumps(fit.content(), indent=1) + "\n"
     (work.fresh / KD_FILE).write_text(text, encoding="utf-8")
     work.keep("kd", json.loads(text))
-    return [KD_FILE], Told(
+    return [KD_FILE], StageReport(
         tuple(fit.sections()), tuple(notice for notice in fit.notices if notice not in chain)
     )
 

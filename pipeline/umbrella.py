@@ -32,7 +32,7 @@ to begin:
   sample DIR    copy a complete simulated study into DIR
   completion    print the completion for bash, zsh or fish
 
-Each of the four is a command of its own: stapeskit scan2kd is scan2kd.
+Each of the four is also a separate command: stapeskit scan2kd is scan2kd.
 scan2kd --help and so on list their options; stapeskit --version says which
 version this is.
 
@@ -83,8 +83,8 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
 def _work_of(module: str) -> Callable[[list[str]], Any]:
     from importlib import import_module
 
-    found = import_module(module)
-    return getattr(found, "work", None) or found._work
+    loaded = import_module(module)
+    return getattr(loaded, "work", None) or loaded._work
 
 
 def _unknown(word: str) -> Fault:

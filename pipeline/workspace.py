@@ -40,8 +40,8 @@ class Workspace:
 
     def find(self, name: str) -> Path:
         """Return the present place of an output."""
-        made = self.fresh / name
-        return made if made.exists() else self.out / name
+        path = self.fresh / name
+        return path if path.exists() else self.out / name
 
     def hash_of(self, name: str) -> str:
         """Return the content hash of an output."""

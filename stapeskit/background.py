@@ -56,6 +56,6 @@ class Later(Generic[Result]):
 
     def taken(self) -> Result:
         """Return what ``result`` does and hold it no longer, so that its memory can be freed."""
-        found = self.result()
+        value = self.result()
         self._found = []
-        return found
+        return value

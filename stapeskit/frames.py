@@ -72,7 +72,7 @@ def transform_faults(matrix: Array, name: str, where: str = "") -> list[Fault]:
     name : str
         What it is called in the message.
     where : str
-        The file it stands in.
+        The file that contains it.
     """
     if matrix.shape != (4, 4):
         return [Fault(name, "a finite 4x4 matrix", f"shape {matrix.shape}", where)]

@@ -53,7 +53,7 @@ class Kind:
     expected : str
         What the value must be, as in "<option> must be ...".
     metavar : str
-        What stands for the value in the help.
+        Placeholder of the value in the help.
     read : callable
         Takes text, a TOML value or a value of the kind, returns the value; ValueError when it is unfit.
     is_flag, is_file : bool

@@ -284,12 +284,12 @@ def read_named(value: Any) -> tuple[str, ...]:
 
 def read_channels(value: Any) -> tuple[str, ...]:
     """Read BODY:POINT or BODY:POINT:BEAM, one or several."""
-    found = entries_of(value)
-    for entry in found:
+    entries = entries_of(value)
+    for entry in entries:
         require(isinstance(entry, str))
         body, mark, rest = entry.partition(":")
         require(bool(mark and body.strip() and rest.strip()))
-    return tuple(dict.fromkeys(entry.strip() for entry in found))
+    return tuple(dict.fromkeys(entry.strip() for entry in entries))
 
 
 def is_item(value: object) -> bool:

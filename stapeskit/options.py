@@ -41,7 +41,7 @@ class Option:
     default : object
         None: not given.
     metavar : str
-        What stands for its value in the help.
+        Placeholder of its value in the help.
     group : str
         Heading in the help.
     example : object

@@ -174,25 +174,25 @@ class OutputSet:
 
     def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None] | None:
         """Check and record what is about to appear; return what remains to be done when it has appeared."""
-        made = {
+        hashes = {
             path.relative_to(stage).as_posix(): self.hash_of(path)
             for path in sorted(stage.rglob("*"))
             if path.is_file()
         }
-        self._check((*self.names, *made) if not self.force else made)
+        self._check((*self.names, *hashes) if not self.force else hashes)
         recorded = self._recorded()
-        made = {name: found for name, found in made.items() if not name.startswith(f"{RECORDS}/")}
-        after = {name: {found} for name, found in made.items()}
+        hashes = {name: found for name, found in hashes.items() if not name.startswith(f"{RECORDS}/")}
+        after = {name: {found} for name, found in hashes.items()}
         if not os.path.lexists(self.folder):
             # the record appears with the files, by one rename
             self._record(stage, after, stage)
             return None
         (stage / self._record_name).unlink(missing_ok=True)
-        stale = self._stale({*made, *kept}, recorded)
+        stale = self._stale({*hashes, *kept}, recorded)
         # Both states are known while the files are moved one by one: a run that is killed there leaves only
         # files that the next one knows, and readers refuse them until then.
-        both = {**recorded, **{name: {*recorded.get(name, ()), made[name]} for name in made}}
-        self._record(stage, both, self.folder, unfinished=(*made, *stale))
+        both = {**recorded, **{name: {*recorded.get(name, ()), hashes[name]} for name in hashes}}
+        self._record(stage, both, self.folder, unfinished=(*hashes, *stale))
         after = {**{name: found for name, found in recorded.items() if name not in stale}, **after}
 
         def finish() -> None:
@@ -230,13 +230,13 @@ class OutputSet:
 
     def _recorded(self) -> dict[str, set[str]]:
         """Return the content hashes of what the command wrote here, by name."""
-        found = {name: {known} for name, known in self.known.items()}
+        records = {name: {known} for name, known in self.known.items()}
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
             content = json.loads((self.folder / self._record_name).read_text(encoding="utf-8"))
             if content["schema"] == SCHEMA:
                 for name, hashes in content["files"].items():
-                    found.setdefault(name, set()).update(map(str, hashes))
-        return found
+                    records.setdefault(name, set()).update(map(str, hashes))
+        return records
 
     def _record(
         self,
@@ -297,20 +297,20 @@ def _records_of(folder: Path) -> Iterator[dict[str, Any]]:
 def _inode(path: Path) -> _Inode | None:
     """Return what names a file whatever path leads to it; None when there is none."""
     with suppress(OSError, ValueError):
-        found = os.stat(path)
-        return found.st_dev, found.st_ino
+        state = os.stat(path)
+        return state.st_dev, state.st_ino
     return None
 
 
 def _files_of(paths: Iterable[Path]) -> dict[_Inode | None, Path]:
     """Return files, also those within folders, by inode."""
-    found: dict[_Inode | None, Path] = {}
+    files: dict[_Inode | None, Path] = {}
     for path in paths:
         inside = [Path(top, name) for top, _, names in os.walk(path) for name in names]
         for file in (path, *inside):
-            found.setdefault(_inode(file), file)
-    found.pop(None, None)
-    return found
+            files.setdefault(_inode(file), file)
+    files.pop(None, None)
+    return files
 
 
 def _listed(names: list[str]) -> str:

@@ -113,10 +113,10 @@ class Hashes:
         if path not in self._wanted:
             return self._hash_once(path)
         self._join()
-        found = self._done[path]
-        if isinstance(found, OSError):
-            raise found
-        return found
+        value = self._done[path]
+        if isinstance(value, OSError):
+            raise value
+        return value
 
     def _hash_once(self, path: Path) -> str:
         stat = path.stat()
@@ -151,13 +151,13 @@ def input_record(
     size = sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else stat.st_size
     modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
     content = content_hash(path, sha256) if hashes is None else hashes.of(path)
-    found = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
+    entry = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}
     if document is None and path.suffix.lower() == ".json":
         with suppress(OSError, ValueError, RecursionError):
             document = json.loads(path.read_text(encoding="utf-8"))
     if isinstance(document, Mapping) and "frames" in document:
-        found["document_hash"] = document_hash(document)
-    return found
+        entry["document_hash"] = document_hash(document)
+    return entry
 
 
 def document_hash(document: Mapping[str, Any]) -> str:
@@ -179,13 +179,13 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, of stapeskit and of the packages its numbers come from."""
     from importlib import metadata
 
-    found = {"python": platform.python_version()}
+    entries = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            entries[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return entries
 
 
 def record(

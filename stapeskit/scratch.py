@@ -1,4 +1,4 @@
-"""Temporary folders that no killed run leaves for good: the next run removes those whose owner is gone."""
+"""Temporary folders; those of killed runs are removed by the next run."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def inertia_faults(matrix: ArrayLike, name: str = "the mass matrix", where: str 
 
     Checks symmetry, the rigid-body pattern, a positive mass, a positive definite tensor about the centre
     of mass, and the triangle inequality of its principal moments (Wensing, Kim and Slotine 2018,
-    doi:10.1109/LRA.2017.2729659). ``where`` is the file it stands in, for the messages.
+    doi:10.1109/LRA.2017.2729659). ``where`` is the file that contains it, for the messages.
     """
     m = np.asarray(matrix, dtype=float)
     if m.shape != (6, 6) or not np.all(np.isfinite(m)):

@@ -41,7 +41,7 @@ def system_fault(fault: OSError) -> Fault:
 
 
 def is_full(fault: BaseException | None) -> bool:
-    """Tell whether a fault, or one that it came from, is a full disk; HDF5 says so in its text only."""
+    """Return whether a fault, or its cause, is a full disk; HDF5 reports that in its text only."""
     while fault is not None:
         number = getattr(fault, "errno", None)
         if number in FULL or any(f"errno = {code}," in str(fault) for code in FULL):

@@ -1,4 +1,4 @@
-"""Inputs that change while they are read: numbers of two states of a file are refused."""
+"""Refuse inputs that change while they are read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class InputStates:
 
     @classmethod
     def of(cls, paths: Iterable[Path | None]) -> InputStates:
-        """Look at files, and at the files within folders."""
+        """Record the state of files, and of the files within folders."""
         return cls({file: _state(file) for path in paths if path is not None for file in _files(Path(path))})
 
     def check(self, error: type[StapeskitError] = StapeskitError) -> None:
@@ -65,9 +65,9 @@ def _files(path: Path) -> Iterator[Path]:
 
 def _state(file: Path) -> _State:
     try:
-        found = os.stat(file)
+        status = os.stat(file)
     except (OSError, ValueError):
         return ()
-    state = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    state = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     # A folder changes with every file beside its own that comes and goes: its files are looked at.
     return state[:2] if os.path.isdir(file) else state

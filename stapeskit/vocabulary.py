@@ -1,4 +1,4 @@
-"""How the reader of a message writes the name of an option: ``--box``, ``scan.box_mm`` or ``box``.
+"""Names of options in messages: ``--box`` on the terminal, ``scan.box_mm`` in a study, ``box`` in Python.
 
 Texts name an option by `named`, faults by a reference ``{name}``. The edge that a person uses chooses the
 words: a command, a study file or a notebook.

@@ -1,6 +1,6 @@
 """Warnings as data: a stable code and a text, carried in results, reports and on the terminal.
 
-What each code means stands in ``warnings.toml``; ``python -m stapeskit.warnings`` prints it as a page.
+The meaning of each code is in ``warnings.toml``; ``python -m stapeskit.warnings`` prints it as a page.
 """
 
 from __future__ import annotations

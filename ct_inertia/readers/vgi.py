@@ -104,7 +104,7 @@ def _number(name: str) -> int:
     return int(digits) if digits else 0
 
 
-def _told(key: str, part: dict[str, str], sections: Sections, path: Path) -> str:
+def _required(key: str, part: dict[str, str], sections: Sections, path: Path) -> str:
     value = part.get(key, sections.get("representation", {}).get(key))
     if value is None:
         raise header_fault(path, "VGI header", f"no {key}")
@@ -112,7 +112,7 @@ def _told(key: str, part: dict[str, str], sections: Sections, path: Path) -> str
 
 
 def _size(part: dict[str, str], sections: Sections, path: Path) -> tuple[int, int, int]:
-    words = _told("size", part, sections, path).split()
+    words = _required("size", part, sections, path).split()
     try:
         x, y, z = (int(word) for word in words)
     except ValueError as fault:
@@ -121,8 +121,8 @@ def _size(part: dict[str, str], sections: Sections, path: Path) -> tuple[int, in
 
 
 def _dtype(part: dict[str, str], sections: Sections, path: Path) -> np.dtype:
-    kind = _KINDS.get(_told("datatype", part, sections, path).lower())
-    bits = _told("bitsperelement", part, sections, path)
+    kind = _KINDS.get(_required("datatype", part, sections, path).lower())
+    bits = _required("bitsperelement", part, sections, path)
     if (kind, bits) not in _STORED:
         raise header_fault(path, "VGI header", f"Datatype = {part.get('datatype')}, BitsPerElement = {bits}")
     order = ">" if part.get("byteorder", "").lower().startswith("big") else "<"

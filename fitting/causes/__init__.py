@@ -1,1 +1,1 @@
-"""What may be wrong with a measurement or its model: one catalogue, its scores, and the naming of a cause."""
+"""Errors of a measurement or its model: their catalogue, their scores, and the identification of one."""

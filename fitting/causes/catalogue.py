@@ -1,5 +1,4 @@
-"""The catalogue of causes: what each does to motion, mass matrix or ligament, as one further unknown of a
-joint fit.
+"""The catalogue of causes: each changes motion, mass matrix or ligament by one unknown of a joint fit.
 
 A cause is one entry of CAUSES. Scores, refits, naming, the effect on K and D, ``--correct``, page and
 kd.json follow.
@@ -29,7 +28,7 @@ _HOLDER_QUALITY = 10.0
 
 @dataclass(frozen=True)
 class Setting:
-    """What a cause needs to know of a fit.
+    """The fit to which a cause is added.
 
     Attributes
     ----------
@@ -56,7 +55,7 @@ class Cause:
     Attributes
     ----------
     title : str
-        As it stands in a sentence.
+        As written within a sentence.
     unit : str
         In which its size is given.
     per_unit : float
@@ -215,9 +214,9 @@ def _centre(axis: int) -> Callable[[float, Setting], Array]:
     """Return the change of the inertial parameters when the centre of mass lies elsewhere (mm)."""
 
     def change(value: float, setting: Setting) -> Array:
-        made = np.zeros(10)
-        made[1 + axis] = 1e-3 * value * setting.mass[0, 0]
-        return made
+        change_si = np.zeros(10)
+        change_si[1 + axis] = 1e-3 * value * setting.mass[0, 0]
+        return change_si
 
     return change
 
@@ -226,9 +225,9 @@ def _part(places: slice) -> Callable[[float, Setting], Array]:
     """Return a share (%) of some of the inertial parameters."""
 
     def change(value: float, setting: Setting) -> Array:
-        made = np.zeros(10)
-        made[places] = 0.01 * value * parameters_from_matrix(setting.mass)[places]
-        return made
+        change_si = np.zeros(10)
+        change_si[places] = 0.01 * value * parameters_from_matrix(setting.mass)[places]
+        return change_si
 
     return change
 

@@ -23,18 +23,18 @@ def corrected_problem(problem: Problem, ligament: LigamentFit) -> Problem:
     ligament : LigamentFit
         Factors on K and D (drift, level) are not part of the problem and cannot be corrected.
     """
-    made = replace(problem.with_law(ligament.law), coupling=ligament.coupling, fluid=ligament.fluid)
+    corrected = replace(problem.with_law(ligament.law), coupling=ligament.coupling, fluid=ligament.fluid)
     if not ligament.terms:
-        return made
+        return corrected
     lines = ligament.applied
     if lines.factors is not None:
-        made = made.with_observation(_multiplied(problem.observation, lines.factors))
+        corrected = corrected.with_observation(_multiplied(problem.observation, lines.factors))
     matrix = lines.mass * np.outer(lines.root_mass, lines.root_mass)
     if not np.allclose(matrix, problem.inertia.matrix, rtol=1e-12, atol=0.0):
         inertia = problem.inertia
         parameters = None if inertia.parameters is None else parameters_from_matrix(matrix)
-        made = replace(made, inertia=replace(inertia, matrix=matrix, parameters=parameters))
-    return made
+        corrected = replace(corrected, inertia=replace(inertia, matrix=matrix, parameters=parameters))
+    return corrected
 
 
 def _multiplied(observation: Observation, factors: np.ndarray) -> Observation:

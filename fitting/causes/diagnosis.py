@@ -99,24 +99,24 @@ class Diagnosis:
 
 
 def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
-    """Return what the causes need to know of a fit."""
+    """Return the setting of a fit for the causes."""
     return Setting(ligament.lines, ligament.lines.omega * problem.scale.omega, problem.inertia.matrix)
 
 
 def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
-    """Score every cause at a fit, and refit with the likeliest where a score or the misfit calls for it."""
+    """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable."""
     setting = setting_of(problem, ligament)
     present = {term.name for term in ligament.equations.terms}
     names = tuple(name for name in CAUSES if name not in present)
     terms = tuple(term_of(name, setting) for name in names)
-    found = scores(ligament.lines, ligament.equations, ligament.joint, terms)
+    tested = scores(ligament.lines, ligament.equations, ligament.joint, terms)
     scored = [place for place, name in enumerate(names) if CAUSES[name].scored]
-    p_values = found.p_values[scored]
+    p_values = tested.p_values[scored]
     alarm = p_values.min() * len(scored) < calibrated("causes.false_alarm")
     units = problem.with_law(ligament.law).units
     entries = len(units)
     sensitivities = {
-        name: CAUSES[name].example * found.response[:entries, place] * units
+        name: CAUSES[name].example * tested.response[:entries, place] * units
         for place, name in enumerate(names)
     }
     order = [scored[place] for place in np.argsort(p_values, kind="stable")]
@@ -125,17 +125,17 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
     searched = bool(alarm or ligament.p_value < calibrated("causes.misfit_p"))
     if searched:
         for place in order[: int(calibrated("causes.shortlist"))]:
-            one = _refit(ligament, names[place], terms[place], found, place, units)
+            one = _refit(ligament, names[place], terms[place], tested, place, units)
             if one is not None:
                 refits.append(one)
     refits.sort(key=lambda one: -one.fall)
     equations = 2 * ligament.equations.n * ligament.lines.count
     kept = Scores(
-        found.z[scored],
-        found.estimate[scored],
-        found.sd[scored],
-        found.correlation[np.ix_(scored, scored)],
-        found.response[:, scored],
+        tested.z[scored],
+        tested.estimate[scored],
+        tested.sd[scored],
+        tested.correlation[np.ix_(scored, scored)],
+        tested.response[:, scored],
     )
     return Diagnosis(
         tuple(names[place] for place in scored),
@@ -148,18 +148,18 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
 
 
 def _refit(
-    ligament: LigamentFit, name: str, term: Term, found: Scores, place: int, units: Array
+    ligament: LigamentFit, name: str, term: Term, start_scores: Scores, place: int, units: Array
 ) -> Refit | None:
     """Fit with one cause from the estimate of its score and from its other starts; the best one, or None."""
     from scipy.special import chdtrc
 
     best = None
-    for begin in (float(found.estimate[place]), *CAUSES[name].starts):
-        shifted = ligament.joint.parameters - begin * found.response[:, place]
+    for begin in (float(start_scores.estimate[place]), *CAUSES[name].starts):
+        shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
-        made = extended_fit(ligament.lines, ligament.equations, start, (term,), np.array([begin]))
-        if made is not None and (best is None or made[1].chi2 < best[1].chi2 - 1e-6):
-            best = made
+        fitted = extended_fit(ligament.lines, ligament.equations, start, (term,), np.array([begin]))
+        if fitted is not None and (best is None or fitted[1].chi2 < best[1].chi2 - 1e-6):
+            best = fitted
     if best is None:
         return None
     equations, fit = best
@@ -170,7 +170,7 @@ def _refit(
     if CAUSES[name].positive and size < 0.0:
         return None
     left = float(chdtrc(fit.n_dof, fit.chi2))
-    return Refit(name, size, float(found.sd[place]), fall, change, left)
+    return Refit(name, size, float(start_scores.sd[place]), fall, change, left)
 
 
 def relative_effect(change: Array, stiffness: Array, damping: Array) -> Array:
@@ -190,15 +190,15 @@ def largest_effect(change: Array, stiffness: Array, damping: Array) -> tuple[int
     return place, float(relative[place])
 
 
-def with_refits(found: Diagnosis, more: Sequence[Refit]) -> Diagnosis:
+def with_refits(diagnosis: Diagnosis, more: Sequence[Refit]) -> Diagnosis:
     """Return a diagnosis with further refits, e.g. under other damping laws."""
-    return replace(found, refits=tuple(sorted((*found.refits, *more), key=lambda one: -one.fall)))
+    return replace(diagnosis, refits=tuple(sorted((*diagnosis.refits, *more), key=lambda one: -one.fall)))
 
 
-def with_corrected(found: Diagnosis, ligament: LigamentFit) -> Diagnosis:
+def with_corrected(diagnosis: Diagnosis, ligament: LigamentFit) -> Diagnosis:
     """Return a diagnosis that lists the causes which are part of the model."""
     sizes = {
         name: (value / CAUSES[name].per_unit, sd / CAUSES[name].per_unit)
         for name, (value, sd) in ligament.terms.items()
     }
-    return replace(found, corrected=sizes)
+    return replace(diagnosis, corrected=sizes)

@@ -1,4 +1,4 @@
-"""Directed scores: what one further unknown would explain, to first order, at the fit without it.
+"""Directed scores: the misfit that one further unknown would explain, to first order.
 
 With the unknowns p of a fit and a further unknown t, the efficient score is S = g_t - A_tp A_pp^-1 g_p, of
 variance J = [-A_tp A_pp^-1, 1] V [...]^T (information A, spread of the scores V): z = S / sqrt(J) is normal

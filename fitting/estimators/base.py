@@ -1,4 +1,4 @@
-"""What every estimator takes and gives; all quantities are scaled (fitting.model.lines.Scale)."""
+"""The interface of the estimators and their linear algebra; all quantities are scaled (model.lines.Scale)."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def solve_symmetric(matrix: Array, right: Array) -> Array:
 
 
 def times(rows: Array, parameters: Array) -> Array:
-    """Return A p without threads, which cost more than they bring at these sizes."""
+    """Return A p without threads, which would be slower at these sizes."""
     return np.asarray(np.einsum("rp,p->r", rows, parameters))
 
 
@@ -177,11 +177,11 @@ def least_squares(rows: Array, right: Array) -> Array:
     except np.linalg.LinAlgError:
         well = False
     if well:
-        found = np.zeros(len(norms))
+        solution = np.zeros(len(norms))
         for _ in range(3):
-            slope = transposed_times(scaled, right - times(scaled, found))
-            found = found + np.linalg.solve(root.T, np.linalg.solve(root, slope))
-        return np.asarray(found / norms)
+            slope = transposed_times(scaled, right - times(scaled, solution))
+            solution = solution + np.linalg.solve(root.T, np.linalg.solve(root, slope))
+        return np.asarray(solution / norms)
     triangle = np.asarray(np.linalg.qr(np.column_stack([scaled, right]), mode="r"))
     p = rows.shape[1]
     diagonal = np.abs(np.diag(triangle)[:p])

@@ -171,10 +171,10 @@ def _bounded(lines: Lines, problem: Quadratic) -> tuple[Array, tuple[str, ...]]:
         return free, ()
     from scipy.optimize import lsq_linear
 
-    found = lsq_linear(
+    bounded = lsq_linear(
         problem.triangle, problem.right, (problem.lower, problem.upper), method="bvls", tol=1e-14
     ).x
-    return found, _at_bounds(found, problem)
+    return bounded, _at_bounds(bounded, problem)
 
 
 def _psd(lines: Lines, problem: Quadratic) -> Estimate:
@@ -185,10 +185,10 @@ def _psd(lines: Lines, problem: Quadratic) -> Estimate:
     begin = _interior_start(problem, pull_inside(free, lines.n))
     zero = np.where(problem.lower == 0.0, -np.inf, problem.lower)
     hessian, linear = 2.0 * problem.triangle.T @ problem.triangle, 2.0 * problem.triangle.T @ problem.right
-    found, gap, steps = nearest(hessian, linear, begin, lines.n, _GAP, zero, problem.upper)
-    level = problem.value(found)
-    active = (*_at_bounds(found, problem), *active_names(found, lines.n))
-    return Estimate(found, level, steps, True, active, certificate=gap / max(level, _GAP))
+    parameters, gap, steps = nearest(hessian, linear, begin, lines.n, _GAP, zero, problem.upper)
+    level = problem.value(parameters)
+    active = (*_at_bounds(parameters, problem), *active_names(parameters, lines.n))
+    return Estimate(parameters, level, steps, True, active, certificate=gap / max(level, _GAP))
 
 
 def _interior_start(problem: Quadratic, begin: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Distances of the lines, Hessian and gradient in one compiled pass; its twins are in numpy (ml, irls)."""
+"""Distances of the lines, Hessian and gradient in one compiled pass; ml and irls do the same in numpy."""
 
 from __future__ import annotations
 

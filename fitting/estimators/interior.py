@@ -33,11 +33,11 @@ _THINNEST = 1e-7
 
 def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
     """Return the smallest eigenvalue of scaled K over its largest magnitude, and the same of D."""
-    found = []
+    ratios = []
     for part in split(parameters, n):
         values = np.linalg.eigvalsh(part)
-        found.append(float(values[0] / max(np.max(np.abs(values)), 1e-300)))
-    return found[0], found[1]
+        ratios.append(float(values[0] / max(np.max(np.abs(values)), 1e-300)))
+    return ratios[0], ratios[1]
 
 
 def inside(parameters: Array, n: int) -> bool:
@@ -149,14 +149,14 @@ def _centre(
 
 
 def active_names(parameters: Array, n: int) -> tuple[str, ...]:
-    """Name which of K >= 0 and D >= 0 an estimate leans on."""
+    """Name which of the constraints K >= 0 and D >= 0 are active."""
     stiffness, damping = smallest_eigenvalues(parameters, n)
     named = (("stiffness_psd", stiffness), ("damping_psd", damping))
     return tuple(name for name, smallest in named if smallest < _ACTIVE)
 
 
 def shortest_distance(target: Array, metric: Array, start: Array, n: int) -> tuple[Array, tuple[str, ...]]:
-    """Return the positive semidefinite K, D nearest to ``target`` in a metric (p, p), and what holds them.
+    """Return the positive semidefinite K, D nearest to ``target`` in a metric (p, p), and active constraints.
 
     This is the constrained minimum of a least squares objective with that Hessian.
     """

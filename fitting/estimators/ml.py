@@ -117,17 +117,17 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         joint = _jointly(lines, options, Estimate(begin, 0.0, 0))
         if joint is None:
             joint = _with_spread(lines, options, _descend(lines, options, begin, merit), merit)
-        found, merit = joint
+        best, merit = joint
     else:
-        found = _descend(lines, options, begin, merit)
+        best = _descend(lines, options, begin, merit)
     active: tuple[str, ...] = ()
-    if options.passive and not inside(found.parameters, lines.n):
-        found, active = _held(lines, found, merit)
+    if options.passive and not inside(best.parameters, lines.n):
+        best, active = _held(lines, best, merit)
     weights = None
     if merit.robust:
-        weights = merit.weights(distances(found.parameters, lines))
+        weights = merit.weights(distances(best.parameters, lines))
         weights = weights * (_STUDENT * merit.spread) / (_STUDENT + merit.dimension)
-    return Estimate(found.parameters, found.objective, found.iterations, found.converged, active, weights)
+    return Estimate(best.parameters, best.objective, best.iterations, best.converged, active, weights)
 
 
 def distances(parameters: Array, lines: Lines) -> Array:
@@ -199,10 +199,10 @@ def _bounded_value(parameters: Array, distance: Array, merit: _Merit) -> float:
     return merit.value(distance)
 
 
-def _jointly(lines: Lines, options: EstimatorOptions, found: Estimate) -> tuple[Estimate, _Merit] | None:
+def _jointly(lines: Lines, options: EstimatorOptions, first: Estimate) -> tuple[Estimate, _Merit] | None:
     """Iterate parameters and spread of Student's t together; None when that does not settle."""
     dimension = 2 * lines.n
-    parameters, spread = found.parameters, 1.0
+    parameters, spread = first.parameters, 1.0
     for count in range(1, _MOST_ITERATIONS):
         distance = distances(parameters, lines)
         if not np.isfinite(_bounded_value(parameters, distance, _Merit(False, dimension))):
@@ -216,23 +216,23 @@ def _jointly(lines: Lines, options: EstimatorOptions, found: Estimate) -> tuple[
         parameters, spread = parameters + step, following
         if settled and float(step @ hessian @ step) < options.tolerance:
             value = merit.value(distances(parameters, lines))
-            return Estimate(parameters, value, found.iterations + count, True), merit
+            return Estimate(parameters, value, first.iterations + count, True), merit
     return None
 
 
 def _with_spread(
-    lines: Lines, options: EstimatorOptions, found: Estimate, merit: _Merit
+    lines: Lines, options: EstimatorOptions, best: Estimate, merit: _Merit
 ) -> tuple[Estimate, _Merit]:
     """Alternate between the parameters, with step control, and the spread of Student's t."""
     for _ in range(20):
-        distance = distances(found.parameters, lines)
+        distance = distances(best.parameters, lines)
         spread = _spread(distance, lines, merit.spread, 1e-6)
         done = abs(spread - merit.spread) < 1e-4 * spread
         merit = _Merit(True, merit.dimension, spread)
-        found = _descend(lines, options, found.parameters, merit)
+        best = _descend(lines, options, best.parameters, merit)
         if done:
             break
-    return found, merit
+    return best, merit
 
 
 def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""What the noise of the fitted motion adds to the Gauss-Newton Hessian of maximum likelihood.
+"""The part of the Gauss-Newton Hessian of maximum likelihood that comes from noise of the fitted motion.
 
 The corrected motion y' = dq - G Ce^-1 e is independent of the residual e, and its noise has the covariance
 C = Spp - G Ce^-1 G^H. So the Hessian H = sum Re(J^H J) that it makes is larger, on average, than that of the

@@ -95,7 +95,7 @@ def nearest(
 def _path(
     hessian: Array, linear: Array, start: Array, n: int, gap: float, signs: Array, limits: Array
 ) -> tuple[Array, float, int]:
-    """Follow the central path; where rounding ends it, return the last point with its gap."""
+    """Follow the central path until rounding dominates at the latest; return the last point and its gap."""
     now = np.array(start)
     slack = np.stack(split(now, n))
     bound_slack = signs @ now - limits
@@ -107,7 +107,7 @@ def _path(
         dual = linear - hessian @ now + _adjoint(cone.multiplier, n) + signs.T @ cone.bound_multiplier
         if cone.gap <= gap and float(np.max(np.abs(dual))) <= _FEASIBLE * size:
             return now, cone.gap, count
-        if count > 1 and _worn(cone):
+        if count > 1 and _outside_cone(cone):
             return now, cone.gap, count
         inverse = _inverse(cone.slack)
         factor = _inverse(np.linalg.cholesky(_regular(hessian + _schur(cone, inverse, signs, n))))
@@ -128,8 +128,8 @@ def _path(
     return now, max(cone.gap, 0.0), _MOST_STEPS
 
 
-def _worn(cone: _Cone) -> bool:
-    """Return whether rounding has taken a slack or a multiplier out of the cone."""
+def _outside_cone(cone: _Cone) -> bool:
+    """Return whether rounding has moved a slack or a multiplier out of the cone."""
     both = np.concatenate([cone.slack, cone.multiplier])
     return bool(np.any(np.linalg.eigvalsh(both)[:, 0] <= 0.0))
 

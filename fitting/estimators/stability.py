@@ -77,10 +77,10 @@ def state_derivatives(mass: Array) -> Array:
     """Return the derivative of the state matrix by every parameter, (p, 2n, 2n)."""
     n = len(mass)
     shapes = np.linalg.solve(mass, basis(n))
-    found = np.zeros((2 * len(shapes), 2 * n, 2 * n))
-    found[: len(shapes), n:, :n] = -shapes
-    found[len(shapes) :, n:, n:] = -shapes
-    return found
+    derivatives = np.zeros((2 * len(shapes), 2 * n, 2 * n))
+    derivatives[: len(shapes), n:, :n] = -shapes
+    derivatives[len(shapes) :, n:, n:] = -shapes
+    return derivatives
 
 
 def height(parameters: Array, problem: Objective) -> float:
@@ -137,8 +137,8 @@ def _lyapunov(state: Array, right: Array) -> Array:
     size = len(state)
     eye = np.eye(size)
     operator = np.kron(state, eye) + np.kron(eye, state)
-    found = np.linalg.solve(operator, right.reshape(len(right), -1).T).T.reshape(right.shape)
-    return np.asarray(0.5 * (found + np.swapaxes(found, -1, -2)))
+    solution = np.linalg.solve(operator, right.reshape(len(right), -1).T).T.reshape(right.shape)
+    return np.asarray(0.5 * (solution + np.swapaxes(solution, -1, -2)))
 
 
 def stable_start(problem: Objective, begin: Array) -> Array:
@@ -180,11 +180,11 @@ def best_stable(problem: Objective, begin: Array, others: Sequence[Array]) -> tu
     converged : bool
         Whether the objective had settled.
     """
-    found = [follow(problem, begin, _FIRST)]
+    candidates = [follow(problem, begin, _FIRST)]
     for other in others:
-        found += [follow(problem, other, weight) for weight in (1e-2, 1e-3)]
-    parameters, _, converged = min(found, key=lambda one: problem.value(one[0]))
-    return parameters, sum(steps for _, steps, _ in found), converged
+        candidates += [follow(problem, other, weight) for weight in (1e-2, 1e-3)]
+    parameters, _, converged = min(candidates, key=lambda one: problem.value(one[0]))
+    return parameters, sum(steps for _, steps, _ in candidates), converged
 
 
 def follow(problem: Objective, start: Array, weight: float) -> tuple[Array, int, bool]:

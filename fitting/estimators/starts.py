@@ -18,7 +18,7 @@ _DIRECTIONS = 3
 _FLUID_ROUNDS = 3  # of weighted least squares, each with the noise at the last estimate
 
 
-def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
+def improve(problem: Problem, lines: Lines, current: Estimate) -> Estimate:
     """Return the best ml estimate from the given one and from further starts.
 
     The starts are the convex solution with K, D >= 0, the reweighted equation error, and points two standard
@@ -29,19 +29,19 @@ def improve(problem: Problem, lines: Lines, found: Estimate) -> Estimate:
         constrained.estimate(lines, EstimatorOptions(constraint="psd")).parameters,
         irls.estimate(lines, EstimatorOptions(passive=False)).parameters,
     ]
-    hessian, _ = ml.normal_equations(found.parameters, lines)
+    hessian, _ = ml.normal_equations(current.parameters, lines)
     size = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian / np.outer(size, size))
     for place in range(min(_DIRECTIONS, len(values))):
         step = vectors[:, place] / size * np.sqrt(0.5 / max(values[place], 1e-12))
-        starts += [found.parameters + 2.0 * step, found.parameters - 2.0 * step]
+        starts += [current.parameters + 2.0 * step, current.parameters - 2.0 * step]
     free = replace(options, passive=False)
     tried = [ml.estimate(lines, free, start) for start in starts]
     best = min(tried, key=lambda one: one.objective)
-    if best.objective >= found.objective * (1.0 - 1e-9):
-        return found
+    if best.objective >= current.objective * (1.0 - 1e-9):
+        return current
     held = ml.estimate(lines, options, best.parameters)
-    return held if held.objective < found.objective else found
+    return held if held.objective < current.objective else current
 
 
 def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float]:
@@ -60,11 +60,11 @@ def with_fluid(parameters: Array, lines: Lines) -> tuple[Array, float]:
     fluid = np.zeros((lines.n, lines.count), dtype=complex)
     fluid[0] = -(lines.omega**2) * lines.dq[0]
     columns = np.concatenate([regressor(lines.dq, lines.factor), fluid[:, :, None]], axis=2)
-    found = np.append(parameters, 0.0)
+    solution = np.append(parameters, 0.0)
     for _ in range(_FLUID_ROUNDS):
-        factor = cholesky(evaluate(found[:-1], lines).noise)
+        factor = cholesky(evaluate(solution[:-1], lines).noise)
         rows, right = real_rows(forward(factor, columns)), real_rows(forward(factor, lines.force))
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
             break
-        found = least_squares(rows, right)
-    return found[:-1], float(found[-1])
+        solution = least_squares(rows, right)
+    return solution[:-1], float(solution[-1])

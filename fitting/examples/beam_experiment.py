@@ -250,12 +250,12 @@ def deviations(
     """Repeat the experiment with new noise; ``shift_z_m`` is where the centre of mass is believed to be."""
     rng = np.random.default_rng(seed)
     theory = setup.beam.coefficients
-    found, ratios = [], []
+    errors, ratios = [], []
     for _ in range(repetitions):
         fit = fit_beam(measured(setup, rng), setup.beam, model, estimator, shift_z_m)
-        found.append(100.0 * (coefficients(fit.stiffness) / theory - 1.0))
+        errors.append(100.0 * (coefficients(fit.stiffness) / theory - 1.0))
         ratios.append(fit.chi2 / fit.n_dof)
-    values = np.array(found)
+    values = np.array(errors)
     return Deviations(
         model,
         estimator,

@@ -31,10 +31,10 @@ MODEL_WORDS = {"massless": "cube alone (the paper's)", "condensed": "cube + M_tt
 _HEADER = ("model", "estimator", "c1 (%)", "c2 (%)", "c3 (%)", "Eq. 9, c1 c2 c3 (%)", "chi2 per dof")
 
 
-def rows_of(found: Sequence[Deviations]) -> list[tuple[str, ...]]:
+def rows_of(shown: Sequence[Deviations]) -> list[tuple[str, ...]]:
     """Return deviations as table rows: mean ± scatter of every coefficient."""
     rows = []
-    for one in found:
+    for one in shown:
         pairs = zip(one.mean_percent, one.scatter_percent, strict=True)
         rows.append(
             (
@@ -71,15 +71,15 @@ def _percent(values: np.ndarray, reference: np.ndarray) -> tuple[str, ...]:
 def beam_page(repetitions: int = 20) -> Page:
     """Return the page."""
     setup, massless = Setup(), Setup(beam_has_mass=False)
-    made = Page(
+    report = Page(
         "The beam experiment, simulated",
         "A finite-element beam between two steel cubes as truth; K estimated at the tip in (y, alpha)",
     )
-    made.sections.append(_setup_section(setup, massless))
-    made.sections.append(_table_section(setup, repetitions))
-    made.sections.append(_shift_section(setup, massless, repetitions))
-    made.sections.append(_response_section(setup))
-    return made
+    report.sections.append(_setup_section(setup, massless))
+    report.sections.append(_table_section(setup, repetitions))
+    report.sections.append(_shift_section(setup, massless, repetitions))
+    report.sections.append(_response_section(setup))
+    return report
 
 
 def _setup_section(setup: Setup, massless: Setup) -> Section:
@@ -102,10 +102,10 @@ def _setup_section(setup: Setup, massless: Setup) -> Section:
 
 
 def _table_section(setup: Setup, repetitions: int) -> Section:
-    found = [deviations(setup, model, name, repetitions) for model in MODELS for name in ESTIMATORS]
+    table = [deviations(setup, model, name, repetitions) for model in MODELS for name in ESTIMATORS]
     printed = " ".join(f"{value:g}" for value in TABLE_1_DEVIATION_PERCENT)
     return Section("Deviation from Table 1's theory, by model and estimator").add(
-        page.table(_HEADER, rows_of(found)),
+        page.table(_HEADER, rows_of(table)),
         page.text(
             f"Mean ± standard deviation over {repetitions} repetitions. Printed in Table 1: {printed} %. "
             "The beam cannot be neglected beside such a cube: chi2 shows that the massless model is wrong. "
@@ -116,13 +116,13 @@ def _table_section(setup: Setup, repetitions: int) -> Section:
 
 
 def _shift_section(setup: Setup, massless: Setup, repetitions: int) -> Section:
-    found, words = [], []
+    shifts, words = [], []
     for truth, name, model in ((massless, "massless", "massless"), (setup, "with mass", "condensed")):
         for estimator in ("ml", "pinv"):
             for shift in (0.0, SHIFT_M):
-                found.append(deviations(truth, model, estimator, repetitions, shift))
+                shifts.append(deviations(truth, model, estimator, repetitions, shift))
                 words.append(f"{name}; {1e6 * shift:.0f} µm")
-    rows = [(label, *row[1:]) for label, row in zip(words, rows_of(found), strict=True)]
+    rows = [(label, *row[1:]) for label, row in zip(words, rows_of(shifts), strict=True)]
     return Section("A centre of mass that is 100 µm off along the beam").add(
         page.table(("true beam; error", *_HEADER[1:]), rows),
         page.text(
@@ -138,15 +138,15 @@ def _response_section(setup: Setup) -> Section:
     section = Section("Measured and simulated responses: as Figs. 3 and 4")
     for model in MODELS:
         fit = fit_beam(measured(setup, np.random.default_rng(1)), setup.beam, model)
-        found = responses(fit)
+        motion = responses(fit)
         section.add(
             page.figure(
-                response_figure(found, 0, "tip"),
+                response_figure(motion, 0, "tip"),
                 f"Tip of the beam, model: {MODEL_WORDS[model]}.",
                 "measured and simulated responses of the beam",
             ),
             page.figure(
-                residual_figure(found),
+                residual_figure(motion),
                 f"Residuals of that model, chi2 per degree of freedom {fit.chi2 / fit.n_dof:.3g}.",
                 "normalised residuals of the beam",
             ),

@@ -49,15 +49,15 @@ def simulated_figure() -> Figure:
     return figure
 
 
-def shape_figure(found: Modes) -> Figure:
+def shape_figure(mode_list: Modes) -> Figure:
     """Draw the piston motion of the footplate plane in every mode."""
     x, z = np.meshgrid(
         np.linspace(-_HALF_LENGTH_MM, _HALF_LENGTH_MM, 501), np.linspace(-_HALF_WIDTH_MM, _HALF_WIDTH_MM, 251)
     )
     inside = (x / _HALF_LENGTH_MM) ** 2 + (z / _HALF_WIDTH_MM) ** 2 <= 1.0
     figure = new_figure(10.8, 2.6)
-    axes = figure.subplots(1, len(found.pairs), squeeze=False)[0]
-    for place, (axis, mode) in enumerate(zip(axes, found.pairs, strict=True)):
+    axes = figure.subplots(1, len(mode_list.pairs), squeeze=False)[0]
+    for place, (axis, mode) in enumerate(zip(axes, mode_list.pairs, strict=True)):
         y, alpha, gamma = mode.shape
         motion = np.where(inside, y - z * 1e-3 * alpha + x * 1e-3 * gamma, np.nan)
         phases = np.exp(1j * np.linspace(0.0, np.pi, 181))

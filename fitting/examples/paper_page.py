@@ -27,12 +27,12 @@ _AGREES = "agrees"
 
 def paper_page() -> Page:
     """Return the page."""
-    made = Page(
+    report = Page(
         "The paper, recomputed",
         "Numbers printed in the paper (CURAC 2019, p. 98 ff.) beside what stapeskit computes from them.",
     )
-    made.sections.extend([_beam(), _matrices(), _printed_damping(), _modal(), _axes(), _simulated()])
-    return made
+    report.sections.extend([_beam(), _matrices(), _printed_damping(), _modal(), _axes(), _simulated()])
+    return report
 
 
 def _row(quantity: str, printed: str, recomputed: str, finding: str = _AGREES) -> tuple[str, ...]:
@@ -41,14 +41,14 @@ def _row(quantity: str, printed: str, recomputed: str, finding: str = _AGREES) -
 
 def _beam() -> Section:
     beam = Beam()
-    found = beam.coefficients
+    entries = beam.coefficients
     names = ("c1 (N/mm)", "c2 (N)", "c3 (N mm)")
     rows = [_row("I = b h³/12 (mm⁴)", "0.44287", f"{beam.second_moment_mm4:.7f}")]
-    for name, printed, value in zip(names, paper.TABLE_1_THEORY, found, strict=True):
+    for name, printed, value in zip(names, paper.TABLE_1_THEORY, entries, strict=True):
         percent = 100.0 * abs(value / printed - 1.0)
         finding = f"agrees within {percent:.0e} %; the rest is the rounding of I"
         rows.append(_row(f"{name}, Eq. 6", f"{printed:g}", f"{value:.6g}", finding))
-    for name, printed, theory in zip(names, paper.TABLE_1_DEVIATION_PERCENT, found, strict=True):
+    for name, printed, theory in zip(names, paper.TABLE_1_DEVIATION_PERCENT, entries, strict=True):
         estimate = theory * (1.0 + printed / 100.0)
         again = deviations_percent(estimate, theory)
         rows.append(
@@ -149,9 +149,9 @@ def _damping_unit(unit: str) -> str:
 
 
 def _modal() -> Section:
-    found = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, paper.PAPER_DAMPING_CORRECTED)
+    paper_modes = modes(paper.PAPER_MASS, paper.PAPER_STIFFNESS, paper.PAPER_DAMPING_CORRECTED)
     rows = []
-    for place, mode in enumerate(found.pairs):
+    for place, mode in enumerate(paper_modes.pairs):
         printed_ratio = paper.TABLE_2_DAMPING_RATIO[place]
         fits = abs(mode.damping_ratio - printed_ratio) < 0.005
         number = place + 1
@@ -191,13 +191,13 @@ def _modal() -> Section:
     return Section("Modes: Table 2").add(
         page.table(_HEADER, rows, words=True),
         page.text(f"Shapes: {NORMALISATION}; times 1e9 for y and 1e6 for the rotations."),
-        page.figure(shape_figure(found), _shape_caption(found), "mode shapes over the footplate"),
+        page.figure(shape_figure(paper_modes), _shape_caption(paper_modes), "mode shapes over the footplate"),
     )
 
 
-def _shape_caption(found: Modes) -> str:
+def _shape_caption(mode_list: Modes) -> str:
     parts = []
-    for place, mode in enumerate(found.pairs):
+    for place, mode in enumerate(mode_list.pairs):
         phases = np.degrees(np.angle(mode.shape))
         parts.append(f"mode {place + 1}: {', '.join(f'{value:+.0f}°' for value in phases)}")
     return (
@@ -207,9 +207,9 @@ def _shape_caption(found: Modes) -> str:
 
 
 def _axes() -> Section:
-    found = principal_axes(paper.PAPER_STIFFNESS)
+    axes = principal_axes(paper.PAPER_STIFFNESS)
     mass = paper.PAPER_MASS
-    values = (found.origin_x_m * 1e3, found.origin_z_m * 1e3)
+    values = (axes.origin_x_m * 1e3, axes.origin_z_m * 1e3)
     printed = paper.PAPER_PRINCIPAL_ORIGIN_MM
     rows = [
         _row("origin x0 = K13/K11 (mm)", f"{printed[0]:g} from the centre", f"{values[0]:+.4f}"),
@@ -217,11 +217,11 @@ def _axes() -> Section:
         _row(
             "rotation about y (degrees)",
             f"{paper.PAPER_PRINCIPAL_ANGLE_DEG:g}",
-            f"{np.degrees(found.angle_rad):.3f}",
+            f"{np.degrees(axes.angle_rad):.3f}",
         ),
     ]
     names = ("stiffness y (N/m)", "about x' (N m/rad)", "about z' (N m/rad)")
-    for name, was, now in zip(names, paper.PAPER_PRINCIPAL_STIFFNESS, found.stiffness, strict=True):
+    for name, was, now in zip(names, paper.PAPER_PRINCIPAL_STIFFNESS, axes.stiffness, strict=True):
         rows.append(_row(name, f"{was:g}", f"{now:.5g}"))
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
     return Section("Principal axes: Fig. 6").add(
@@ -232,7 +232,7 @@ def _axes() -> Section:
             f"{paper.LITERATURE_PISTON_STIFFNESS[0]:g} ± {paper.LITERATURE_PISTON_STIFFNESS[1]:g} N/m."
         ),
         page.figure(
-            principal_figure(found.as_vector(), None, None, centre),
+            principal_figure(axes.as_vector(), None, None, centre),
             "Principal axes of the paper's K, seen from lateral. Its footplate outline is not published.",
             "principal axes",
         ),

@@ -27,11 +27,11 @@ _RIGID = 1e4
 
 def spring_points(matrix: Array) -> Array:
     """Return the places (4, 2), x and z in m, of four equal springs along y that make a matrix (3, 3)."""
-    found = principal_axes(matrix)
-    angle = found.angle_rad
+    axes = principal_axes(matrix)
+    angle = axes.angle_rad
     axis, other = np.array([np.cos(angle), -np.sin(angle)]), np.array([np.sin(angle), np.cos(angle)])
-    origin = np.array([found.origin_x_m, found.origin_z_m])
-    about_axis, about_other = np.sqrt(2.0 * np.maximum(found.stiffness[1:], 0.0) / matrix[0, 0])
+    origin = np.array([axes.origin_x_m, axes.origin_z_m])
+    about_axis, about_other = np.sqrt(2.0 * np.maximum(axes.stiffness[1:], 0.0) / matrix[0, 0])
     return np.array(
         [
             origin + about_other * axis,

@@ -63,15 +63,15 @@ def joint_parameters(fit: KDFit) -> JointParameters:
 
 def content(fit: KDFit) -> bytes:
     """Return them as JSON."""
-    found = joint_parameters(fit)
+    joint = joint_parameters(fit)
     record = {
         "schema": "stapeskit.joint/1",
         "dof": list(fit.dof),
         "about": "footplate_centre",
         "axes": "footplate",
         "damping_law": fit.law.name,
-        "parameters": list(found.names),
-        "values_si": found.values.tolist(),
-        "covariance_si": found.covariance.tolist(),
+        "parameters": list(joint.names),
+        "values_si": joint.values.tolist(),
+        "covariance_si": joint.covariance.tolist(),
     }
     return (json.dumps(record) + "\n").encode()

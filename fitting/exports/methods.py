@@ -45,8 +45,8 @@ def content(fit: KDFit) -> bytes:
         parts.append(f"The damping law was chosen out of {names} by the criterion of Schwarz.")
     if fit.diagnosis is not None:
         named = fit.diagnosis.named
-        said = "none was called for" if named is None else f"the data speak for {title_of(named.name)}"
+        outcome = "none was called for" if named is None else f"the data speak for {title_of(named.name)}"
         parts.append(
-            f"{len(fit.diagnosis.tested)} errors of measurement and model were tested by scores; {said}."
+            f"{len(fit.diagnosis.tested)} errors of measurement and model were tested by scores; {outcome}."
         )
     return (" ".join(parts) + "\n").encode()

@@ -140,22 +140,22 @@ class Equations:
 
     def applied(self, lines: JointLines, parameters: Array) -> tuple[JointLines, Equations]:
         """Return lines and equations with the terms among the parameters in them."""
-        made: tuple[JointLines, Equations] = (lines, self)
+        applied: tuple[JointLines, Equations] = (lines, self)
         for term, value in zip(self.terms, parameters[self.term], strict=True):
-            made = term.apply(float(value), *made)
-        return made
+            applied = term.apply(float(value), *applied)
+        return applied
 
 
 def dynamic(equations: Equations, parameters: Array, omega: Array) -> ComplexArray:
     """Return Z, (lines, n, n)."""
     stiffness, damping = split(parameters[: equations.entries], equations.n)
     factor = equations.damping_factor(parameters, omega)
-    made: Any = stiffness + factor[:, None, None] * damping
+    matrix: Any = stiffness + factor[:, None, None] * damping
     if equations.factor is not None:
-        made = made * equations.factor[:, None, None]
+        matrix = matrix * equations.factor[:, None, None]
     if equations.fluid is not None:
-        made = made - (omega**2)[:, None, None] * equations.fluid
-    return np.asarray(made)
+        matrix = matrix - (omega**2)[:, None, None] * equations.fluid
+    return np.asarray(matrix)
 
 
 def mass_at(lines: JointLines, errors: Array) -> Array:
@@ -206,7 +206,7 @@ def moved_motion(motion: ComplexArray, turn: ComplexArray | None, shift: Complex
 
 def term_operators(lines: JointLines, equations: Equations, parameters: Array) -> ComplexArray:
     """Return the derivatives of B, as it acts on the motion as measured, by the terms, (t, lines, n, 12)."""
-    found = []
+    derivatives = []
     errors = parameters[equations.unknowns :]
     for place in range(equations.term.start, equations.term.stop):
         ends = []
@@ -214,7 +214,7 @@ def term_operators(lines: JointLines, equations: Equations, parameters: Array) -
             near = parameters.copy()
             near[place] += sign * _STEP
             there, changed = equations.applied(lines, near)
-            made = times_turn(operator_of(there, changed, near), turned(there, errors))
-            ends.append(made if there.factors is None else made * there.factors[:, None, :])
-        found.append((ends[0] - ends[1]) / (2.0 * _STEP))
-    return np.array(found)
+            operator = times_turn(operator_of(there, changed, near), turned(there, errors))
+            ends.append(operator if there.factors is None else operator * there.factors[:, None, :])
+        derivatives.append((ends[0] - ends[1]) / (2.0 * _STEP))
+    return np.array(derivatives)

@@ -120,11 +120,11 @@ def inplane_stiffness(
         good = good[_without_torsion()]
     values[good] = fitted[good]
     covariance[np.ix_(good, good)] = fitted_covariance[np.ix_(good, good)]
-    found = split(values, _N)
-    determined = bool(min(np.linalg.eigvalsh(part[:2, :2])[0] for part in found) >= 0.0)
+    matrices = split(values, _N)
+    determined = bool(min(np.linalg.eigvalsh(part[:2, :2])[0] for part in matrices) >= 0.0)
     if not determined:
         return InplaneStiffness(*split(mean, _N), np.diag(sd**2), False)
-    return InplaneStiffness(*found, covariance, True)
+    return InplaneStiffness(*matrices, covariance, True)
 
 
 def _solved(lines: JointLines, equations: Equations, begin: Array) -> JointFit | None:

@@ -69,10 +69,10 @@ def _weights(lines: JointLines, equations: Equations, parameters: Array) -> Comp
     """Return the functions u of the frequency, (m, lines): of K, of D, of masses, of an exponent."""
     law = equations.law_at(parameters)
     factor = np.ones(lines.count) if equations.factor is None else equations.factor
-    found = [factor, factor * equations.damping_factor(parameters, lines.omega), lines.omega**2]
+    weights = [factor, factor * equations.damping_factor(parameters, lines.omega), lines.omega**2]
     if law.estimated:
-        found.append(factor * law.slope(lines.omega))
-    return np.array(found, dtype=complex)
+        weights.append(factor * law.slope(lines.omega))
+    return np.array(weights, dtype=complex)
 
 
 def _constant_operators(
@@ -87,27 +87,27 @@ def _constant_operators(
     stiffness, damping = split(parameters[: equations.entries], n)
     fluid = np.zeros((n, n)) if equations.fluid is None else equations.fluid
     parts = np.array([stiffness, damping, -fluid])
-    found = np.zeros((p + lines.errors, weights, n, 2 * DOFS), dtype=complex)
+    operators = np.zeros((p + lines.errors, weights, n, 2 * DOFS), dtype=complex)
     units, half = basis(n), equations.entries // 2
-    found[:half, 0] = found[half : 2 * half, 1] = units @ both
+    operators[:half, 0] = operators[half : 2 * half, 1] = units @ both
     if equations.law.estimated:
-        found[equations.entries, 3] = damping @ both
+        operators[equations.entries, 3] = damping @ both
     if len(equations.coupled):
         rows = (equations.coupled @ mass_at(lines, errors)).astype(complex)
         rows = rows if turn is None else rows @ turn[0]
         for place, (row, column) in enumerate(np.ndindex(n, len(rows))):
-            found[equations.coupling.start + place, 2, row, :DOFS] = rows[column]
+            operators[equations.coupling.start + place, 2, row, :DOFS] = rows[column]
     if len(equations.shapes):
         bent = times_turn(np.concatenate([equations.shapes, -equations.shapes], axis=2).astype(complex), turn)
-        found[equations.shape, :3] = (parts[:, None] @ bent).swapaxes(0, 1)
+        operators[equations.shape, :3] = (parts[:, None] @ bent).swapaxes(0, 1)
     if lines.errors:
         pulled = inertia_rows(equations, parameters)
         elastic = parts @ difference
         for body, half_of_motion in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
             sign = 1.0 - 2.0 * body
             maps = np.moveaxis(lines.maps[body], 2, 0)[:, None]
-            found[p:, :3, :, half_of_motion] = sign * elastic @ maps
-        found[p:, 2, :, :DOFS] -= pulled @ mass_at(lines, errors) @ np.moveaxis(lines.maps[0], 2, 0)
+            operators[p:, :3, :, half_of_motion] = sign * elastic @ maps
+        operators[p:, 2, :, :DOFS] -= pulled @ mass_at(lines, errors) @ np.moveaxis(lines.maps[0], 2, 0)
         heavy = (pulled @ lines.mass_changes).astype(complex)
-        found[p:, 2, :, :DOFS] -= heavy if turn is None else heavy @ turn[0]
-    return found
+        operators[p:, 2, :, :DOFS] -= heavy if turn is None else heavy @ turn[0]
+    return operators

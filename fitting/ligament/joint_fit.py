@@ -218,9 +218,9 @@ def fit_joint(
     if lines.errors and len(start) <= equations.unknowns:
         begun = _descend(lines.without_errors(), equations, start, max(tolerance, _START_TOLERANCE), most)
         start, count = (begun.parameters if begun.converged else start), begun.iterations
-    found = _descend(lines, equations, start, tolerance, most)
+    joint = _descend(lines, equations, start, tolerance, most)
     return JointFit(
-        found.parameters, found.chi2, found.n_dof, found.converged, found.iterations + count, found.at
+        joint.parameters, joint.chi2, joint.n_dof, joint.converged, joint.iterations + count, joint.at
     )
 
 

@@ -97,8 +97,8 @@ class JointLines:
             turn[place, place] = np.eye(DOFS) + self.maps[body] @ errors
         y = self.y @ turn.T if self.rests is None else self.y @ turn.T + self.rests @ errors
         mass = self.mass + np.tensordot(errors, self.mass_changes, 1)
-        made = replace(self, y=y, covariance=turn @ self.covariance @ turn.conj().T, mass=mass)
-        return made.without_errors()
+        changed = replace(self, y=y, covariance=turn @ self.covariance @ turn.conj().T, mass=mass)
+        return changed.without_errors()
 
     def multiplied(self, factors: ComplexArray) -> JointLines:
         """Return the lines with the motion multiplied by factors (lines, 12)."""
@@ -141,10 +141,10 @@ def _shared(problem: Problem, both: Observation) -> tuple[ComplexArray, Array, t
     joined = problem.with_observation(both)
     if covariance is not None and derivatives is not None:
         along = motion_moves_mass(joined)
-        columns, found = _unit_errors(covariance, both.shared_names)
+        columns, names = _unit_errors(covariance, both.shared_names)
         changes.append(np.tensordot(columns, derivatives, 1))
         slopes += [matrix_from_parameters(change) for change in columns @ along.T]
-        sources += found
+        sources += names
     if problem.inertia.parameters is not None:
         for source, part in joined_mass_sources(joined).items():
             columns, _ = _unit_errors(part, (source,) * len(part))

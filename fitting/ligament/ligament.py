@@ -78,22 +78,22 @@ def fit_ligament(
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
-    found = None
+    joint = None
     for coupling in (equations.prior.mean[len(begins) :], np.zeros(_N * _N)):
-        found = fit_joint(lines, equations, np.concatenate([begins, coupling]))
-        if found.converged:
+        joint = fit_joint(lines, equations, np.concatenate([begins, coupling]))
+        if joint.converged:
             break
-    good = found is not None and found.converged and semidefinite(found.parameters[: equations.entries])
-    if extend is not None and found is not None and (needed or not good):
+    good = joint is not None and joint.converged and semidefinite(joint.parameters[: equations.entries])
+    if extend is not None and joint is not None and (needed or not good):
         terms = extend(lines)
-        made = _from_all_starts(lines, equations, found, terms)
+        fitted = _from_all_starts(lines, equations, joint, terms)
         if begun is not None:
             first = np.concatenate([begun[0], begins[len(start) :], equations.prior.mean[len(begins) :]])
-            made = _better(made, _prepared(lines, equations, first, terms, begun[1]))
-        if made is None or not semidefinite(made[1].parameters[: equations.entries]):
+            fitted = _better(fitted, _prepared(lines, equations, first, terms, begun[1]))
+        if fitted is None or not semidefinite(fitted[1].parameters[: equations.entries]):
             return None
-        return ligament_in_si(problem, lines, *made)
-    return ligament_in_si(problem, lines, equations, found) if good and found is not None else None
+        return ligament_in_si(problem, lines, *fitted)
+    return ligament_in_si(problem, lines, equations, joint) if good and joint is not None else None
 
 
 def _from_all_starts(

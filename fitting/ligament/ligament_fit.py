@@ -142,12 +142,12 @@ class LigamentFit:
         """
         sd = np.sqrt(np.diag(self.coupling_covariance))
         piston = self.plane_stiffness[0, 0]
-        found = []
+        angles = []
         for column, sign in ((1, -1.0), (0, 1.0)):
             share = 1.0 - piston / self.inplane.stiffness[column, column]
             share = sign * share if abs(share) > 0.1 else np.nan
-            found.append((float(self.coupling[0, column] / share), float(sd[column] / abs(share))))
-        return found[0], found[1]
+            angles.append((float(self.coupling[0, column] / share), float(sd[column] / abs(share))))
+        return angles[0], angles[1]
 
 
 def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fit: JointFit) -> LigamentFit:

@@ -232,7 +232,7 @@ def _nonlinear_modes(
     inverse = np.linalg.inv(mass)
     squares, vectors = np.linalg.eig(inverse @ stiffness.astype(complex))
     values = np.sqrt(-squares)
-    found, shapes = [], []
+    eigenvalues, shapes = [], []
     for value, vector in zip(np.where(values.imag < 0.0, -values, values), vectors.T, strict=True):
         now, shape = complex(value), vector
         for _ in range(_MOST_ITERATIONS):
@@ -248,9 +248,9 @@ def _nonlinear_modes(
                 now = complex(root)
                 break
             now = complex(root)
-        found.append(now)
+        eigenvalues.append(now)
         shapes.append(shape)
-    return np.array(found), np.array(shapes)
+    return np.array(eigenvalues), np.array(shapes)
 
 
 def _normalised(shape: ComplexArray, eigenvalue: complex, mass: Array) -> ComplexArray:

@@ -1,4 +1,4 @@
-"""Sizes with which nothing can be fitted: lines far beyond all others, results that are not finite."""
+"""Refuse what cannot be fitted: lines far beyond all others, results that are not finite."""
 
 from __future__ import annotations
 

@@ -26,11 +26,11 @@ def entry_names(n: int) -> tuple[str, ...]:
 @lru_cache(maxsize=16)
 def basis(n: int) -> Array:
     """Return the derivative of a symmetric matrix by its independent entries, (n (n + 1) / 2, n, n)."""
-    found = np.zeros((len(pairs(n)), n, n))
+    derivative = np.zeros((len(pairs(n)), n, n))
     for place, (row, column) in enumerate(pairs(n)):
-        found[place, row, column] = found[place, column, row] = 1.0
-    found.setflags(write=False)
-    return found
+        derivative[place, row, column] = derivative[place, column, row] = 1.0
+    derivative.setflags(write=False)
+    return derivative
 
 
 @lru_cache(maxsize=16)

@@ -1,7 +1,7 @@
 """Before a measurement: the standard deviations to expect of every entry, and what would make them smaller.
 
 The planned experiment is simulated without noise and fitted; the covariance that its noise would have then
-tells what the fit of the real one can reach (Cramer-Rao bound), the mass matrix's uncertainty included.
+gives what the fit of the real one can reach (Cramer-Rao bound), the mass matrix's uncertainty included.
 """
 
 from __future__ import annotations
@@ -146,8 +146,8 @@ def expect(plan: Plan) -> Expectation:
         Mass, stiffness and degrees of freedom do not fit together, or the lines are too few.
     """
     options = tuple(Option(name, _fit(way)) for name, way in _ways(plan))
-    found = [notice for notice in options[0].fit.notices if notice.code in EXPECTED_CODES]
-    return Expectation(plan, options, tuple(found))
+    notices = [notice for notice in options[0].fit.notices if notice.code in EXPECTED_CODES]
+    return Expectation(plan, options, tuple(notices))
 
 
 def _ways(plan: Plan) -> list[tuple[str, Plan]]:
@@ -217,9 +217,9 @@ def _matrix(plan: Plan) -> Array:
     return inertia_of(plan.mass, plan.dof).rows(plan.dof, ())
 
 
-def plan_json(found: Expectation, provenance: Mapping[str, Any]) -> dict[str, Any]:
+def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return an expectation as JSON-able data, SI."""
-    plan, fit = found.plan, found.planned
+    plan, fit = expectation.plan, expectation.planned
     stiffness, damping = fit.standard_deviation
     noise = fit.noise_standard_deviation
     return {
@@ -254,16 +254,16 @@ def plan_json(found: Expectation, provenance: Mapping[str, Any]) -> dict[str, An
                 "entries_over_10_percent": list(option.weak_entries),
                 "relative_sd": dict(zip(fit.parameters, option.relative.tolist(), strict=True)),
             }
-            for option in found.options
+            for option in expectation.options
         ],
-        "warnings": [notice.as_json() for notice in found.notices],
+        "warnings": [notice.as_json() for notice in expectation.notices],
         "provenance": dict(provenance),
     }
 
 
-def summary_rows(found: Expectation) -> list[tuple[str, str]]:
+def summary_rows(expectation: Expectation) -> list[tuple[str, str]]:
     """Return the rows of the command's table."""
-    fit = found.planned
+    fit = expectation.planned
     rows = []
     stiffness_sd, damping_sd = fit.standard_deviation
     for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
@@ -277,7 +277,7 @@ def summary_rows(found: Expectation) -> list[tuple[str, str]]:
         for mode, sd in zip(fit.modes.pairs, fit.derived.frequency_sd_hz, strict=True)
     ]
     rows.append(("modes, damped (Hz)", ", ".join(parts)))
-    for option in found.options:
+    for option in expectation.options:
         known = option.fit.identifiability
         weak = f"{len(option.weak_entries)} of {len(known.names)} entries over 10 %"
         largest = int(np.argmax(known.relative))

@@ -125,7 +125,7 @@ def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
 
 
 def _key_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
-    """Return a sentence for every key that is unknown."""
+    """Return a fault for every unknown key."""
     faults = []
     for key in table:
         if key not in KEYS:
@@ -136,7 +136,7 @@ def _key_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
 
 
 def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
-    """Return a sentence for every single value that is none."""
+    """Return a fault for every value of a wrong type or size."""
     faults = []
     law = table.get("damping_law", VISCOUS.name)
     known = [name for name in LAWS if law_of(name).search is None]

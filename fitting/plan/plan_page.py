@@ -1,4 +1,4 @@
-"""The page of a plan: what the measurement would tell of every entry, and what one change would bring."""
+"""The page of a plan: the expected uncertainty of every entry, as planned and after each single change."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ _OTHERS = ("#c2571a", "#5d6b7a", "#3f8f5f", "#8a5aa8", "#b08a1e", "#a83f55", "#2
 _LIMIT = 0.1
 
 
-def plan_page(found: Expectation, provenance: Mapping[str, Any]) -> Page:
+def plan_page(expectation: Expectation, provenance: Mapping[str, Any]) -> Page:
     """Return plan.html: expectation, warnings, matrices with expected sd, and every change side by side."""
-    plan, fit = found.plan, found.planned
-    made = Page(
+    plan, fit = expectation.plan, expectation.planned
+    report = Page(
         "What the planned measurement can reach",
         f"{', '.join(plan.dof)} about the footplate centre in footplate axes; {plan.lines} lines from "
         f"{plan.low_hz:g} to {plan.high_hz:g} Hz, shaker along {', '.join(plan.directions)}.",
     )
-    made.section(
+    report.section(
         "At a glance",
-        page.table(("", ""), summary_rows(found)[:3], words=True),
-        page.notices(found.notices),
+        page.table(("", ""), summary_rows(expectation)[:3], words=True),
+        page.notices(expectation.notices),
         page.text(
             "The planned experiment is simulated without noise and fitted; standard deviations are what its "
             "noise and the mass matrix's uncertainty would leave to the best unbiased estimator."
         ),
     )
-    made.sections.append(_entries(found))
-    made.sections.append(_options(found))
+    report.sections.append(_entries(expectation))
+    report.sections.append(_options(expectation))
     units = entry_units(fit.dof)
     stiffness_sd, damping_sd = fit.standard_deviation
-    made.section(
+    report.section(
         "Matrices",
         page.matrix(fit.stiffness, fit.dof, "K, assumed, ± expected sd of all sources.", stiffness_sd, units),
         page.matrix(
@@ -53,14 +53,14 @@ def plan_page(found: Expectation, provenance: Mapping[str, Any]) -> Page:
             [[fit.law.unit(unit) for unit in row] for row in units],
         ),
     )
-    made.section("Inputs", page.inputs_table(dict(provenance)))
-    return made
+    report.section("Inputs", page.inputs_table(dict(provenance)))
+    return report
 
 
-def _entries(found: Expectation) -> Section:
+def _entries(expectation: Expectation) -> Section:
     return Section("Every entry, as planned and with one change").add(
         page.figure(
-            _figure(found.options),
+            _figure(expectation.options),
             "Expected standard deviation of every entry, channel noise alone, relative to sqrt(Xii Xjj) for "
             "entry (i, j) of X = K or D. Left of the dashed line (10 %) an entry is known well; entries far "
             "to the right are not measured by this plan.",
@@ -69,9 +69,9 @@ def _entries(found: Expectation) -> Section:
     )
 
 
-def _options(found: Expectation) -> Section:
+def _options(expectation: Expectation) -> Section:
     rows = []
-    for option in found.options:
+    for option in expectation.options:
         known = option.fit.identifiability
         largest = int(np.argmax(known.relative))
         rows.append(

@@ -25,24 +25,24 @@ _FREQUENCY = 1e-3
 
 def causes_json(fit: KDFit) -> dict[str, Any]:
     """Return the keys ``causes``, ``sensitivities`` and ``fluid`` of kd.json; null without the joint fit."""
-    found, fluid = fit.diagnosis, fit.fluid
-    if found is None or fluid is None:
+    diagnosis, fluid = fit.diagnosis, fit.fluid
+    if diagnosis is None or fluid is None:
         return {"causes": None, "sensitivities": None, "fluid": None}
-    named = found.named
+    named = diagnosis.named
     scored = zip(
-        found.tested,
-        found.scores.z,
-        found.scores.p_values,
-        found.scores.estimate,
-        found.scores.sd,
+        diagnosis.tested,
+        diagnosis.scores.z,
+        diagnosis.scores.p_values,
+        diagnosis.scores.estimate,
+        diagnosis.scores.sd,
         strict=True,
     )
     return {
         "causes": {
-            "searched": found.searched,
+            "searched": diagnosis.searched,
             "named": None if named is None else named.name,
-            "look_alikes": list(found.look_alikes),
-            "least_fall_of_chi2": found.threshold,
+            "look_alikes": list(diagnosis.look_alikes),
+            "least_fall_of_chi2": diagnosis.threshold,
             "scores": [
                 {
                     "name": name,
@@ -65,16 +65,16 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
                     "p_value": refit.p_value,
                     "change_si": _by_entry(fit, refit.effect),
                 }
-                for refit in found.refits
+                for refit in diagnosis.refits
             ],
             "corrected": {
                 name: {"size": size, "sd": sd, "unit": unit_of(name)}
-                for name, (size, sd) in found.corrected.items()
+                for name, (size, sd) in diagnosis.corrected.items()
             },
         },
         "sensitivities": [
             {"name": name, "title": title, "size": size, "unit": unit, "change_si": _by_entry(fit, change)}
-            for name, title, size, unit, change in sensitivities(fit, found)
+            for name, title, size, unit, change in sensitivities(fit, diagnosis)
         ],
         "fluid": {
             "option": fluid.option,
@@ -87,12 +87,12 @@ def causes_json(fit: KDFit) -> dict[str, Any]:
     }
 
 
-def sensitivities(fit: KDFit, found: Diagnosis) -> list[tuple[str, str, float, str, Array]]:
+def sensitivities(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, str, float, str, Array]]:
     """Return name, title, size, unit and change of K and D, SI, of errors that are there and left out."""
     rows = [
-        (name, cause.title, cause.example, cause.unit, found.sensitivities[name])
+        (name, cause.title, cause.example, cause.unit, diagnosis.sensitivities[name])
         for name, cause in CAUSES.items()
-        if cause.refitted and not name.startswith("holder") and name in found.sensitivities
+        if cause.refitted and not name.startswith("holder") and name in diagnosis.sensitivities
     ]
     axis = join(2.0 * fit.stiffness, (2.0 - fit.law.exponent) * fit.damping) * _FREQUENCY
     rows.append(("frequency_axis", "frequencies that are too high", 100.0 * _FREQUENCY, "%", axis))
@@ -106,11 +106,11 @@ def _by_entry(fit: KDFit, change: Array) -> dict[str, float | None]:
     }
 
 
-def causes_section(fit: KDFit, found: Diagnosis) -> Section:
+def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
     """Return whether to believe the fit: the named cause, what was refitted, scores and sensitivities."""
     section = Section("Is the model right?", key="causes")
-    named = found.named
-    if named is None and not found.searched:
+    named = diagnosis.named
+    if named is None and not diagnosis.searched:
         words = (
             "No error of the catalogue is called for: none of the directed scores is improbable, and the "
             "residuals are those of noise and shared errors."
@@ -122,29 +122,29 @@ def causes_section(fit: KDFit, found: Diagnosis) -> Section:
     else:
         words = f"The data speak for {title_of(named.name)}; see the warnings."
     section.add(page.text(words))
-    if found.corrected:
+    if diagnosis.corrected:
         rows = [
             (title_of(name), f"{plus_minus(size, sd)} {unit_of(name)}")
-            for name, (size, sd) in found.corrected.items()
+            for name, (size, sd) in diagnosis.corrected.items()
         ]
         section.add(page.subheading("Estimated with K and D"), page.table(("", "size"), rows))
-    if found.refits:
-        section.add(page.subheading("Refits"), _refit_table(fit, found))
-    section.add(page.subheading("Scores"), _score_table(found))
+    if diagnosis.refits:
+        section.add(page.subheading("Refits"), _refit_table(fit, diagnosis))
+    section.add(page.subheading("Scores"), _score_table(diagnosis))
     section.add(
         page.subheading("What an error that is left out does"),
         page.text(
             "Changes of the entries over sqrt(Xii Xjj), to first order, in %. The data cannot show those "
             "that are smaller than the sd of their score; another mass and the frequency axis are never seen."
         ),
-        _sensitivity_table(fit, found),
+        _sensitivity_table(fit, diagnosis),
     )
     return section
 
 
-def _refit_table(fit: KDFit, found: Diagnosis) -> Markup:
+def _refit_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
-    for refit in found.refits:
+    for refit in diagnosis.refits:
         place, change = largest_effect(refit.effect, fit.stiffness, fit.damping)
         size = plus_minus(refit.size, refit.sd) if refit.sd > 0.0 else f"{refit.size:.3g}"
         rows.append(
@@ -159,18 +159,18 @@ def _refit_table(fit: KDFit, found: Diagnosis) -> Markup:
     return page.table(("cause", "size", "fall of chi2", "p of the rest", "largest change"), rows)
 
 
-def _score_table(found: Diagnosis) -> Markup:
-    scores = found.scores
+def _score_table(diagnosis: Diagnosis) -> Markup:
+    scores = diagnosis.scores
     rows = [
         (title_of(name), f"{z:+.1f}", f"{size:.2g} ± {sd:.1g} {unit_of(name)}")
-        for name, z, size, sd in zip(found.tested, scores.z, scores.estimate, scores.sd, strict=True)
+        for name, z, size, sd in zip(diagnosis.tested, scores.z, scores.estimate, scores.sd, strict=True)
     ]
     return page.table(("cause", "z", "size to first order"), rows)
 
 
-def _sensitivity_table(fit: KDFit, found: Diagnosis) -> Markup:
+def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
-    for _, title, size, unit, change in sensitivities(fit, found):
+    for _, title, size, unit, change in sensitivities(fit, diagnosis):
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
         rows.append((f"{title}: {size:g} {unit}", *(f"{value:+.2g}" for value in relative)))
     return page.table(("error", *fit.parameters), rows)

@@ -227,16 +227,16 @@ def _arrow(axis: Axes, start: ArrayLike, direction: ArrayLike, color: str, name:
     axis.text(label[0], label[1], name, color=color, ha="center", va="center", fontsize=10)
 
 
-def frequency_figure(found: FrequencyDependence) -> Figure:
+def frequency_figure(dependence: FrequencyDependence) -> Figure:
     """Draw the local factors of K and D over frequency with 95 % intervals."""
     figure = new_figure(9.0, 2.9)
     panels = figure.subplots(1, 2, sharex=True)
     for axis, name, factor, sd in (
-        (panels[0], "K", found.stiffness, found.stiffness_sd),
-        (panels[1], "D", found.damping, found.damping_sd),
+        (panels[0], "K", dependence.stiffness, dependence.stiffness_sd),
+        (panels[1], "D", dependence.damping, dependence.damping_sd),
     ):
-        middle = 0.5 * (found.low_hz + found.high_hz)
-        half = 0.5 * (found.high_hz - found.low_hz)
+        middle = 0.5 * (dependence.low_hz + dependence.high_hz)
+        half = 0.5 * (dependence.high_hz - dependence.low_hz)
         axis.axhline(1.0, color=BASE, lw=1.0, zorder=1)
         axis.errorbar(
             middle,

@@ -124,20 +124,22 @@ def _equation(fit: KDFit) -> str:
 
 def ligament_json(fit: KDFit) -> dict[str, Any] | None:
     """Return the plane of the ligament with K and D about it, or None where it was not estimated."""
-    found = fit.ligament
-    if found is None:
+    ligament = fit.ligament
+    if ligament is None:
         return None
-    height, height_sd = found.height
-    (about_x, about_x_sd), (about_z, about_z_sd) = found.tilt_rad
-    stiffness_sd, damping_sd = split(np.sqrt(np.diag(found.plane_covariance)), len(fit.dof))
-    inplane_sd = split(np.sqrt(np.diag(found.inplane.covariance)), len(INPLANE_DOF))
+    height, height_sd = ligament.height
+    (about_x, about_x_sd), (about_z, about_z_sd) = ligament.tilt_rad
+    stiffness_sd, damping_sd = split(np.sqrt(np.diag(ligament.plane_covariance)), len(fit.dof))
+    inplane_sd = split(np.sqrt(np.diag(ligament.inplane.covariance)), len(INPLANE_DOF))
     return {
         "height_mm": 1e3 * height,
         "height_sd_mm": 1e3 * height_sd,
         "height_interval_95_mm": [1e3 * (height + sign * 1.96 * height_sd) for sign in (-1.0, 1.0)],
         "height_by_rocking_mm": {
             name: {"value": 1e3 * value, "sd": 1e3 * sd}
-            for name, value, sd in zip(("alpha", "gamma"), found.heights_m, found.heights_sd_m, strict=True)
+            for name, value, sd in zip(
+                ("alpha", "gamma"), ligament.heights_m, ligament.heights_sd_m, strict=True
+            )
         },
         "height_of": "the plane of the ligament above the footplate centre, + lateral",
         "tilt_deg": {
@@ -146,28 +148,28 @@ def ligament_json(fit: KDFit) -> dict[str, Any] | None:
             "about_z": _number(float(np.degrees(about_z))),
             "about_z_sd": _number(float(np.degrees(about_z_sd))),
         },
-        "coupling_si": _numbers(found.coupling),
-        "coupling_sd_si": _numbers(np.sqrt(np.diag(found.coupling_covariance)).reshape(3, 3)),
+        "coupling_si": _numbers(ligament.coupling),
+        "coupling_sd_si": _numbers(np.sqrt(np.diag(ligament.coupling_covariance)).reshape(3, 3)),
         "coupling_rows": list(fit.dof),
         "coupling_columns": list(INPLANE_DOF),
         "about_ligament_plane": {
             "about": "footplate centre, raised by the height along y",
-            "stiffness_si": _numbers(found.plane_stiffness),
+            "stiffness_si": _numbers(ligament.plane_stiffness),
             "stiffness_sd_si": _numbers(stiffness_sd),
-            "damping_si": _numbers(found.plane_damping),
+            "damping_si": _numbers(ligament.plane_damping),
             "damping_sd_si": _numbers(damping_sd),
-            "covariance_si": _numbers(found.plane_covariance),
+            "covariance_si": _numbers(ligament.plane_covariance),
         },
         "inplane": {
             "dof": list(INPLANE_DOF),
-            "determined": found.inplane.determined,
-            "stiffness_si": _numbers(found.inplane.stiffness),
+            "determined": ligament.inplane.determined,
+            "stiffness_si": _numbers(ligament.inplane.stiffness),
             "stiffness_sd_si": _numbers(inplane_sd[0]),
-            "damping_si": _numbers(found.inplane.damping),
+            "damping_si": _numbers(ligament.inplane.damping),
             "damping_sd_si": _numbers(inplane_sd[1]),
         },
-        "p_value": _number(found.p_value),
-        "shared_errors": len(found.lines.sources),
+        "p_value": _number(ligament.p_value),
+        "shared_errors": len(ligament.lines.sources),
         "without_inplane_motion": _plain(fit),
     }
 
@@ -191,9 +193,9 @@ def _exponent_sd(fit: KDFit) -> float | None:
 
 
 def _modes(fit: KDFit) -> list[dict[str, Any]]:
-    found = []
+    mode_list = []
     for place, mode in enumerate(fit.modes.pairs):
-        found.append(
+        mode_list.append(
             {
                 "frequency_hz": mode.frequency_hz,
                 "frequency_sd_hz": _number(fit.derived.frequency_sd_hz[place]),
@@ -207,7 +209,7 @@ def _modes(fit: KDFit) -> list[dict[str, Any]]:
                 "normalisation": NORMALISATION,
             }
         )
-    return found
+    return mode_list
 
 
 def principal_axes_json(fit: KDFit) -> dict[str, Any] | None:
@@ -244,23 +246,23 @@ def _fit(fit: KDFit) -> dict[str, Any]:
 
 
 def _frequency(fit: KDFit) -> dict[str, Any] | None:
-    found = fit.frequency
-    if found is None:
+    dependence = fit.frequency
+    if dependence is None:
         return None
     return {
         "bands_hz": [
-            [float(low), float(high)] for low, high in zip(found.low_hz, found.high_hz, strict=True)
+            [float(low), float(high)] for low, high in zip(dependence.low_hz, dependence.high_hz, strict=True)
         ],
-        "lines": [int(count) for count in found.lines],
-        "stiffness_factor": _numbers(found.stiffness),
-        "stiffness_factor_sd": _numbers(found.stiffness_sd),
-        "damping_factor": _numbers(found.damping),
-        "damping_factor_sd": _numbers(found.damping_sd),
+        "lines": [int(count) for count in dependence.lines],
+        "stiffness_factor": _numbers(dependence.stiffness),
+        "stiffness_factor_sd": _numbers(dependence.stiffness_sd),
+        "damping_factor": _numbers(dependence.damping),
+        "damping_factor_sd": _numbers(dependence.damping_sd),
         "relative_to": "K and D of the whole band; the factors' means, weighted by information, are 1",
-        "verdict": found.verdict,
-        "chi2": _number(found.chi2),
-        "n_dof": found.n_dof,
-        "p_value": _number(found.p_value),
+        "verdict": dependence.verdict,
+        "chi2": _number(dependence.chi2),
+        "n_dof": dependence.n_dof,
+        "p_value": _number(dependence.p_value),
     }
 
 

@@ -65,18 +65,18 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
 
 def kd_page(fit: KDFit, provenance: Mapping[str, Any], outline_mm: Array | None = None) -> Page:
     """Return kd.html: summary, warnings, the sections of the fit, inputs."""
-    made = Page(
+    report = Page(
         "Stiffness and damping of the annular ligament",
         f"{', '.join(fit.dof)} about the footplate centre in footplate axes; "
         f"estimator {fit.options.estimator}, "
         f"{fit.law.name} damping ({fit.law.formula}), {len(fit.observation.freq_hz)} lines.",
     )
-    made.section(
+    report.section(
         "At a glance", page.table(("", ""), summary_rows(fit), words=True), page.notices(fit.notices)
     )
-    made.sections.extend(kd_sections(fit, outline_mm))
-    made.section("Inputs", page.inputs_table(dict(provenance)))
-    return made
+    report.sections.extend(kd_sections(fit, outline_mm))
+    report.section("Inputs", page.inputs_table(dict(provenance)))
+    return report
 
 
 def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
@@ -118,10 +118,10 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
         rows.append(("mass of fluid", f"{used}: {fit.fluid.reason}"))
     if fit.diagnosis is not None:
         named = fit.diagnosis.named
-        said = "no cause is called for" if named is None else f"the data speak for {title_of(named.name)}"
+        outcome = "no cause is called for" if named is None else f"the data speak for {title_of(named.name)}"
         if named is None and fit.diagnosis.searched:
-            said = "NO, and no cause of the catalogue explains it"
-        rows.append(("is the model right?", said))
+            outcome = "NO, and no cause of the catalogue explains it"
+        rows.append(("is the model right?", outcome))
     worst = fit.identifiability
     rows.append(("worst combination", f"{worst.describe(0)}: relative sd {worst.percent(0)}"))
     return rows
@@ -137,7 +137,7 @@ def _sd(value: float | None) -> str:
 
 def _responses(fit: KDFit) -> Section:
     section = Section("Measured and simulated responses", key="responses")
-    found = responses(fit)
+    motion = responses(fit)
     load = " and to the measured in-plane load" if fit.inplane.used else ""
     section.add(
         page.text(
@@ -148,14 +148,14 @@ def _responses(fit: KDFit) -> Section:
             "of the measured base motion."
         )
     )
-    vector = found.measured.size <= _MOST_VECTOR_POINTS
-    for run in np.unique(found.run)[:_MOST_RUNS]:
+    vector = motion.measured.size <= _MOST_VECTOR_POINTS
+    for run in np.unique(motion.run)[:_MOST_RUNS]:
         caption = (
             f"Run {fit.observation.runs[run]}." if len(fit.observation.runs) > 1 else "Amplitude and phase."
         )
         section.add(
             page.figure(
-                response_figure(found, int(run)), caption, "measured and simulated responses", vector=vector
+                response_figure(motion, int(run)), caption, "measured and simulated responses", vector=vector
             )
         )
     return section
@@ -176,14 +176,14 @@ def _residuals(fit: KDFit) -> Section:
     )
 
 
-def _frequency(found: FrequencyDependence) -> Section:
-    verdict = found.verdict
+def _frequency(dependence: FrequencyDependence) -> Section:
+    verdict = dependence.verdict
     return Section("K and D over the band", key="kd_over_band").add(
         page.figure(
-            frequency_figure(found),
+            frequency_figure(dependence),
             "Stiffness and damping of parts of the band over those of the whole, to first order, with 95 % "
-            f"intervals of all sources. One pair of matrices {verdict}: chi2 = {found.chi2:.1f} for "
-            f"{found.n_dof} degrees of freedom, p = {found.p_value:.2g}.",
+            f"intervals of all sources. One pair of matrices {verdict}: chi2 = {dependence.chi2:.1f} for "
+            f"{dependence.n_dof} degrees of freedom, p = {dependence.p_value:.2g}.",
             "local factors of stiffness and damping",
         )
     )

@@ -111,12 +111,12 @@ def fewer_bands(lines: int, bands: int) -> list[Notice]:
     lines : int
         Lines that are fitted, of all runs.
     bands : int
-        Asked for; the usual number is not told of.
+        Number that the user asked for; the default number gives no notice.
     """
-    made = lines // _FEWEST_LINES
-    if bands in (0, USUAL_BANDS) or made >= bands:
+    possible = lines // _FEWEST_LINES
+    if bands in (0, USUAL_BANDS) or possible >= bands:
         return []
-    now = f"in {made} parts of the band" if made > 1 else "in no parts of the band"
+    now = f"in {possible} parts of the band" if possible > 1 else "in no parts of the band"
     text = (
         f"K and D are compared {now}, not in the {bands} that were asked for: a part holds at least "
         f"{_FEWEST_LINES} of the {lines} lines. Leave {named('bands')} at {USUAL_BANDS}, or measure more "
@@ -126,7 +126,7 @@ def fewer_bands(lines: int, bands: int) -> list[Notice]:
 
 
 def frequency_dependence(
-    problem: Problem, lines: Lines, found: Estimate, widened: float = 1.0, bands: int = USUAL_BANDS
+    problem: Problem, lines: Lines, estimate: Estimate, widened: float = 1.0, bands: int = USUAL_BANDS
 ) -> FrequencyDependence | None:
     """Return local factors of K and D in bands of equally many lines; None when two bands are too many.
 
@@ -135,7 +135,7 @@ def frequency_dependence(
     problem : Problem
     lines : Lines
         Its scaled equations.
-    found : Estimate
+    estimate : Estimate
     widened : float
         Factor on the noise covariance because chi2 exceeds its degrees of freedom.
     bands : int
@@ -148,13 +148,13 @@ def frequency_dependence(
     band = np.empty(lines.count, dtype=np.intp)
     for place, members in enumerate(np.array_split(order, bands)):
         band[members] = place
-    now = ml.whiten(found.parameters, lines)
-    weights = np.ones(lines.count) if found.weights is None else found.weights
+    now = ml.whiten(estimate.parameters, lines)
+    weights = np.ones(lines.count) if estimate.weights is None else estimate.weights
     root = np.sqrt(weights)
     rows = np.column_stack(
         [
             real_rows(now.corrected(lines) * root[:, None]),
-            real_rows(_local_columns(found.parameters, lines, now, band, bands) * root[:, None]),
+            real_rows(_local_columns(estimate.parameters, lines, now, band, bands) * root[:, None]),
         ]
     )
     p = lines.parameters
@@ -162,17 +162,17 @@ def frequency_dependence(
     weights_of_bands = np.einsum("rp,rp->p", rows[:, p:], rows[:, p:]).reshape(2, bands)
     rows = rows @ turned
     residual = real_rows(now.residual * root)
-    noise = turned.T @ _noise(found.parameters, lines, now, band, bands, weights) @ turned
-    level = chi2(found.parameters, lines) / max(degrees(lines), 1)
+    noise = turned.T @ _noise(estimate.parameters, lines, now, band, bands, weights) @ turned
+    level = chi2(estimate.parameters, lines) / max(degrees(lines), 1)
     known, spread = information(gram(rows), noise, level)
     inverse = invert(known)
     factors = -inverse @ transposed_times(rows, residual)
-    if found.weights is None:
+    if estimate.weights is None:
         covariance = 0.5 * widened * inverse @ spread @ inverse
     else:
         scores = (rows * residual[:, None]).reshape(2 * lines.n, lines.count, -1).sum(axis=0)
         covariance = inverse @ (scores.T @ scores) @ inverse
-    for changes, part in common_errors(problem, lines, found.parameters):
+    for changes, part in common_errors(problem, lines, estimate.parameters):
         moved = real_rows(forward(now.factor, changes) * root[:, None])
         effect = inverse @ (rows.T @ moved)
         covariance = covariance + effect @ part @ effect.T
@@ -207,14 +207,14 @@ def _noise(
         inside = np.flatnonzero(band == place)
         part = now.select(inside)
         columns = np.r_[:half, p + place, half:p, p + bands + place]
-        found = noise_products(
+        products = noise_products(
             part,
             lines.select(inside),
             np.concatenate([units, stiffness[None]]),
             np.concatenate([units, damping[None]]),
             weights[inside],
         )
-        filled[np.ix_(columns, columns)] += found
+        filled[np.ix_(columns, columns)] += products
     return filled
 
 
@@ -275,16 +275,16 @@ def _local_columns(
 
 def common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tuple[ComplexArray, Array]]:
     """Return changes of the residual (n, lines, k) by common errors, and their covariance (k, k)."""
-    found = []
+    by_error = []
     by_mass = None
     if problem.inertia.parameters is not None:
         by_mass = _by_mass(problem, lines, parameters)
         total = sum(joined_mass_sources(problem).values(), np.zeros((10, 10)))
         if np.any(total):
-            found.append((by_mass, total))
+            by_error.append((by_mass, total))
     observation = problem.observation
     if observation.shared_derivatives is None or observation.shared_covariance is None:
-        return found
+        return by_error
     difference, inertia = motion_rows(
         observation,
         problem.mass_rows(),
@@ -302,8 +302,8 @@ def common_errors(problem: Problem, lines: Lines, parameters: Array) -> list[tup
     if np.any(along):
         by_mass = _by_mass(problem, lines, parameters) if by_mass is None else by_mass
         residual = residual + by_mass @ along
-    found.append((residual, observation.shared_covariance))
-    return found
+    by_error.append((residual, observation.shared_covariance))
+    return by_error
 
 
 def _by_mass(problem: Problem, lines: Lines, parameters: Array) -> ComplexArray:

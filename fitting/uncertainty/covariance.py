@@ -59,7 +59,7 @@ class SharedEffect:
     mass: Array
 
 
-def noise_covariance(problem: Problem, lines: Lines, found: Estimate) -> tuple[Array, float, str]:
+def noise_covariance(problem: Problem, lines: Lines, estimate: Estimate) -> tuple[Array, float, str]:
     """Return the covariance of the scaled parameters from channel noise alone.
 
     Returns
@@ -72,18 +72,18 @@ def noise_covariance(problem: Problem, lines: Lines, found: Estimate) -> tuple[A
     Notes
     -----
     ml: inverse Fisher matrix times max(1, chi2 / dof), with what the noise of the fitted motion feigns of
-    information taken off and its spread counted (`fitting.estimators.regressor_noise`).
+    information subtracted and its spread added (`fitting.estimators.regressor_noise`).
     The others and Student's t: the
     sandwich H^-1 (sum g g^T) H^-T of the lines' scores g (White 1982, doi:10.2307/1912526).
     """
     if problem.method.likelihood and not problem.options.student:
-        level = chi2(found.parameters, lines) / max(degrees(lines), 1)
-        known, spread = known_and_spread(found.parameters, lines, level)
+        level = chi2(estimate.parameters, lines) / max(degrees(lines), 1)
+        known, spread = known_and_spread(estimate.parameters, lines, level)
         inverse = invert(known)
         widened = max(1.0, level)
         return 0.5 * widened * inverse @ spread @ inverse, widened, "fisher"
-    slope = _invert_general(score_slope(problem, lines, found.parameters))
-    terms = problem.method.scores(found.parameters, lines, problem.options)
+    slope = _invert_general(score_slope(problem, lines, estimate.parameters))
+    terms = problem.method.scores(estimate.parameters, lines, problem.options)
     terms = terms - terms.mean(axis=0)
     equations = 2 * lines.n * lines.count
     spread = terms.T @ terms * (equations / max(equations - lines.parameters, 1))
@@ -158,9 +158,9 @@ def attenuation(problem: Problem, lines: Lines, parameters: Array) -> Array:
     return bias
 
 
-def implicit_response(problem: Problem, lines: Lines, found: Estimate) -> Callable[[Array], Array]:
+def implicit_response(problem: Problem, lines: Lines, estimate: Estimate) -> Callable[[Array], Array]:
     """Return the map from changes of the estimating equations (p[, k]) to those of the SI parameters."""
-    slope = score_slope(problem, lines, found.parameters)
+    slope = score_slope(problem, lines, estimate.parameters)
     units = problem.units
 
     def to_si(change: Array) -> Array:
@@ -170,17 +170,17 @@ def implicit_response(problem: Problem, lines: Lines, found: Estimate) -> Callab
         inverse = _invert_general(slope)
         return lambda change: to_si(-(inverse @ change))
     exact = 0.5 * (slope + slope.T)
-    if found.active or np.linalg.eigvalsh(exact)[0] <= 0.0:
-        exact, _ = ml.normal_equations(found.parameters, lines)
+    if estimate.active or np.linalg.eigvalsh(exact)[0] <= 0.0:
+        exact, _ = ml.normal_equations(estimate.parameters, lines)
     return lambda change: to_si(-solve_symmetric(exact, change))
 
 
-def shared_effects(problem: Problem, lines: Lines, found: Estimate) -> list[SharedEffect]:
+def shared_effects(problem: Problem, lines: Lines, estimate: Estimate) -> list[SharedEffect]:
     """Return how every common error of motion and mass moves the estimate."""
-    respond = implicit_response(problem, lines, found)
-    by_mass = None if problem.inertia.parameters is None else _mass_slope(problem, found.parameters)
+    respond = implicit_response(problem, lines, estimate)
+    by_mass = None if problem.inertia.parameters is None else _mass_slope(problem, estimate.parameters)
     effects = [] if by_mass is None else _mass_effects(problem, by_mass, respond)
-    return effects + _motion_effects(problem, lines, found.parameters, respond, by_mass)
+    return effects + _motion_effects(problem, lines, estimate.parameters, respond, by_mass)
 
 
 def _mass_slope(problem: Problem, parameters: Array) -> Array:

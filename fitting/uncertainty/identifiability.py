@@ -1,4 +1,4 @@
-"""What the data can tell and what not: conditioning, worst combinations by name, the bound of every entry."""
+"""Identifiability: conditioning, the worst combinations of entries, the bound of every entry."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Identifiability:
 
 
 def identifiability(parameters: Array, lines: Lines, units: Array) -> Identifiability:
-    """Judge what some lines say about K and D at scaled parameters (p,).
+    """Return how well some lines determine K and D at scaled parameters (p,).
 
     Parameters
     ----------

@@ -30,13 +30,13 @@ _MOST_REFITS = 12
 _FARTHEST = 60.0
 
 
-def profile_intervals(lines: Lines, found: Estimate, options: EstimatorOptions, widened: float) -> Array:
+def profile_intervals(lines: Lines, estimate: Estimate, options: EstimatorOptions, widened: float) -> Array:
     """Return the 95 % intervals of the scaled parameters, (p, 2); infinite where chi2 never rises enough.
 
     Parameters
     ----------
     lines : Lines
-    found : Estimate
+    estimate : Estimate
         By ml.
     options : EstimatorOptions
     widened : float
@@ -46,7 +46,7 @@ def profile_intervals(lines: Lines, found: Estimate, options: EstimatorOptions, 
     -----
     The minimum and its neighbours are taken without K >= 0 and D >= 0; diagonal entries are then cut at zero.
     """
-    best = ml.estimate(lines, replace(options, passive=False), found.parameters)
+    best = ml.estimate(lines, replace(options, passive=False), estimate.parameters)
     with np.errstate(all="ignore"):
         return _intervals(lines, best, widened)
 

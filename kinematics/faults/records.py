@@ -12,7 +12,7 @@ from kinematics.faults.each_body import diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.neglected_motion import extended_beams
-from kinematics.fit.reference_noise import cautious
+from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
@@ -43,14 +43,14 @@ def searched_body(
     variance shows one, and is named by the usual fit: the culprit is left out and the motion found anew.
     """
     basis = extended_beams(body, fit.beams.dof).basis
-    made = cautious(placed, run, body, basis)
+    made = bound_record_noise(placed, run, body, basis)
     if made is None or not known:
         return diagnosed(placed, body, fit, known), fit
     usual = with_noise(placed, run, made[0], fit.beams, fit.robust)[0]
 
     def told(without: list[int], out: list[int]) -> Diagnosis:
         """Search without some channels, in a motion that may hold nothing of others."""
-        moved = cautious(placed, run, body, basis, without=without, left=out)
+        moved = bound_record_noise(placed, run, body, basis, without=without, left=out)
         again = usual if moved is None else with_noise(placed, run, moved[1], fit.beams, fit.robust)[0]
         return diagnosed(placed, body, again, known, out)
 

@@ -121,8 +121,8 @@ def observability(arms: Array, directions: Array, dof: Sequence[str]) -> Array:
     matrix, _, _ = _scaled(arms, directions, dof)
     values = np.zeros(len(dof))
     if len(matrix):
-        found = np.linalg.svd(matrix, compute_uv=False)
-        values[: len(found)] = found
+        singular = np.linalg.svd(matrix, compute_uv=False)
+        values[: len(singular)] = singular
     top = float(values[0]) if len(values) else 0.0
     return values / top if top > 0.0 else values
 

@@ -1,4 +1,4 @@
-"""The noise of a body: as stated, in stated proportions, or from what the rigid fit leaves."""
+"""The noise of a body: as stated, in stated proportions, or from the residuals of the rigid fit."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def largest_rate(value: ComplexArray, rate: Array) -> float:
 
     It is the larger of real and imaginary part: one pass over the data without a copy.
     """
-    found = 0.0
+    largest = 0.0
     for part in blocks(*value.shape):
         block = value[:, part]
         if block.strides[-1] == block.itemsize:
@@ -83,8 +83,8 @@ def largest_rate(value: ComplexArray, rate: Array) -> float:
         if not np.all(np.isfinite(most)):
             size = np.maximum(np.abs(block.real), np.abs(block.imag))
             most = np.max(np.where(np.isfinite(size), size, 0.0), axis=0)
-        found = max(found, float(np.max(most * rate[part])))
-    return found
+        largest = max(largest, float(np.max(most * rate[part])))
+    return largest
 
 
 def _size(largest: float, rate: Array, relative: Array) -> float:
@@ -116,7 +116,7 @@ def _known(beams: BeamSet, value: ComplexArray, noise: LineNoise, rate: Array, r
 
 
 def _floor_binds(fit: LineFit, rate: Array) -> bool:
-    """Tell whether a floor on the noise may matter, without another look at the data.
+    """Return whether a floor on the noise may matter, without reading the data again.
 
     The sum of |value / sd|^2 of a line, known from the fit, bounds its largest value.
     """

@@ -1,4 +1,4 @@
-"""Weighted least squares at lines that have weights of their own: a Gram matrix each, all solved at once."""
+"""Weighted least squares at lines with different weights: one Gram matrix per line, solved together."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def pieces(
 
     The weights are relative to that channel. ``room`` of 3 numbers per value is used for the pieces.
     """
-    made, best = [], np.ones(part.stop - part.start)
+    parts, best = [], np.ones(part.stop - part.start)
     room = np.empty(3 * len(value) * len(best)) if room is None else room
     for lines in blocks(len(value), part.stop - part.start):
         block = value[:, part][:, lines]
@@ -101,8 +101,8 @@ def pieces(
         root *= 1.0 / top
         np.multiply(root, root, out=root)
         best[lines] = top
-        made.append(Piece(lines, y, root, used, root))
-    return made, best
+        parts.append(Piece(lines, y, root, used, root))
+    return parts, best
 
 
 def each_line(
@@ -113,7 +113,7 @@ def each_line(
     out: Solution,
     room: Array | None = None,
 ) -> None:
-    """Fit a run of lines, each with weights of its own, and add its sums."""
+    """Fit a run of lines with different weights and add its sums."""
     cut, top = pieces(value, noise, part, room)
     add(basis, cut, top, weighted(basis, cut, len(top)), part, out)
 
@@ -199,10 +199,10 @@ def _spans(rows: Array) -> bool:
 
 def _one_line(basis: Array, piece: Piece, line: int, z: Array, inverse: Array) -> bool:
     """Solve one line by singular values, in place; return whether it is determined."""
-    found = determining(basis, np.sqrt(piece.weight[:, line]))
-    if found is None:
+    factor = determining(basis, np.sqrt(piece.weight[:, line]))
+    if factor is None:
         return False
-    root = found[:, None]
+    root = factor[:, None]
     u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     turn = vt.T / s
     z[:] = turn @ (u.T @ (root * piece.y[:, :, line].T))

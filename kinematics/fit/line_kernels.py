@@ -28,7 +28,7 @@ def _stride(rows: NDArray[Any], itemsize: int) -> int | None:
 
 
 def all_whole(value: ComplexArray) -> bool | None:
-    """Tell whether all values (channel, freq) are finite and none is exactly zero."""
+    """Return whether all values (channel, freq) are finite and none is exactly zero."""
     kernels, stride = compiled(), _stride(value, 16)
     if kernels is None or stride is None:
         return None
@@ -36,7 +36,7 @@ def all_whole(value: ComplexArray) -> bool | None:
 
 
 def all_finite(numbers: Array) -> bool | None:
-    """Tell whether all numbers (channel, freq) are finite."""
+    """Return whether all numbers (channel, freq) are finite."""
     kernels, stride = compiled(), _stride(numbers, 8)
     if kernels is None or stride is None or numbers.dtype.kind != "f":
         return None
@@ -51,7 +51,7 @@ def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
         return np.asarray(value @ vectors)
     given = np.ascontiguousarray(vectors, dtype=complex)
     sums = np.empty((len(value) + 1, 2 * _SIZE * _WIDE))
-    made = np.empty((len(value), count), dtype=complex)
+    product = np.empty((len(value), count), dtype=complex)
     kernels.mix_lines(
         value.ctypes.data,
         stride,
@@ -60,9 +60,9 @@ def mixed(value: ComplexArray, vectors: ComplexArray) -> ComplexArray:
         given.ctypes.data,
         count,
         sums.ctypes.data,
-        made.ctypes.data,
+        product.ctypes.data,
     )
-    return made
+    return product
 
 
 def running_medians(table: Array, half: int) -> Array:
@@ -73,16 +73,16 @@ def running_medians(table: Array, half: int) -> Array:
 
         return np.asarray(median_filter(table, size=(2 * half + 1, 1), mode="nearest"))
     given = np.ascontiguousarray(table, dtype=float)
-    made = np.empty(given.shape)
-    kernels.medians(given.ctypes.data, *given.shape, half, made.ctypes.data)
-    return made
+    medians = np.empty(given.shape)
+    kernels.medians(given.ctypes.data, *given.shape, half, medians.ctypes.data)
+    return medians
 
 
 def _filled(rows: Array) -> Array:
     """Return rows (n, m) with zeros up to what the kernels take."""
-    made = np.zeros((len(rows), _SIZE))
-    made[:, : rows.shape[1]] = rows
-    return made
+    rows_of_six = np.zeros((len(rows), _SIZE))
+    rows_of_six[:, : rows.shape[1]] = rows
+    return rows_of_six
 
 
 def projected(rows: Array, value: ComplexArray) -> ComplexArray:
@@ -92,7 +92,7 @@ def projected(rows: Array, value: ComplexArray) -> ComplexArray:
     if kernels is None or stride is None or size > _SIZE or rows.shape[1] != len(value):
         return np.asarray(rows @ value)
     every, given = np.arange(len(value), dtype=np.int64), _filled(rows.T)
-    made, room = np.empty((_SIZE, lines), dtype=complex), np.empty((len(value), 2 * _TILE))
+    product, room = np.empty((_SIZE, lines), dtype=complex), np.empty((len(value), 2 * _TILE))
     kernels.project_lines(
         value.ctypes.data,
         stride,
@@ -100,12 +100,12 @@ def projected(rows: Array, value: ComplexArray) -> ComplexArray:
         len(value),
         lines,
         given.ctypes.data,
-        made.ctypes.data,
+        product.ctypes.data,
         2 * lines,
         room.ctypes.data,
         every.ctypes.data,
     )
-    return made[:size]
+    return product[:size]
 
 
 @dataclass(frozen=True)
@@ -172,9 +172,9 @@ class SharedPass:
             room.ctypes.data,
             own.ctypes.data,
         )
-        made = np.zeros((len(used), 2))
-        made[mine] = sums.sum(axis=2)
-        return int(done), made
+        channel_sums = np.zeros((len(used), 2))
+        channel_sums[mine] = sums.sum(axis=2)
+        return int(done), channel_sums
 
 
 def fit_own(
@@ -185,7 +185,7 @@ def fit_own(
     out: Solution,
     limits: tuple[float, float],
 ) -> bool:
-    """Fit a run of lines, each with weights of its own, and add its sums; return False where numpy has to.
+    """Fit a run of lines with different weights and add its sums; return False where numpy must do it.
 
     ``basis`` (channel, m) has orthonormal columns, ``value`` (channel, freq) NaN where missing. Lines whose
     condition is above the second of ``limits`` are left out of the sums and marked as not good; those above

@@ -98,7 +98,7 @@ def solve(basis: Array, value: ComplexArray, noise: LineNoise) -> Solution:
 
 
 def _own(basis: Array, value: ComplexArray, noise: LineNoise, part: slice, out: Solution) -> None:
-    """Fit a run of lines, each with weights of its own."""
+    """Fit a run of lines with different weights."""
     if fit_own(basis, value, noise, part, out, (REFINE, DOUBTFUL)):
         left = part.start + np.flatnonzero(~out.good[part])
         for run in spans(len(value), len(left)):

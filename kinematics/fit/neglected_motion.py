@@ -1,4 +1,4 @@
-"""What a fitted subset of the degrees of freedom takes for its own: motion that oblique beams pick up."""
+"""Motion outside a fitted subset of the degrees of freedom that oblique beams measure as part of it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FIFTH = 0.2
 
 
 def extended_dof(body: BodyChannels, dof: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the fitted degrees of freedom with all others that the beams observe beside them."""
+    """Return the fitted degrees of freedom and all others that the beams can observe with them."""
     arms = body.positions_mm * 1e-3
     chosen = set(dof)
     for name in _PREFERENCE:
@@ -52,7 +52,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
     """Warn when motion outside the fitted subset enters it.
 
     Motion that the beams do observe is measured, and its effect stated when it is significant; motion that
-    they do not observe apart from the fitted one is told by its geometric leak.
+    they cannot separate from the fitted one is reported by its geometric leak.
     """
     dof = fit.beams.dof
     if len(dof) == 6:
@@ -71,7 +71,7 @@ def neglected_notice(fit: LineFit, body: BodyChannels, where: str) -> list[Notic
 
 
 def _hidden(leak: Array, dof: tuple[str, ...], unseen: list[str], lever: float) -> list[str]:
-    """Describe leaks of motions that cannot be told from the fitted ones, made dimensionless by the lever."""
+    """Describe leaks of motions that cannot be separated from the fitted ones, dimensionless by the lever."""
     texts = []
     for name in unseen:
         rows = _entered(leak, dof, name, lever)
@@ -118,7 +118,7 @@ def _measured(fit: LineFit, body: BodyChannels, leak: Array, wide: tuple[str, ..
     Notes
     -----
     The fall of chi2 between the two fits tests whether the motion is there. Its mean square exceeds that of
-    the motion by the variance of the estimate, which is taken off.
+    the motion by the variance of the estimate, which is subtracted.
     """
     from scipy.special import chdtrc
 

@@ -1,4 +1,4 @@
-"""How noise of unknown size runs over frequency, from what neither motion nor steady faults explain."""
+"""Estimate noise of unknown size over frequency from the residuals of motion and constant faults."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
     Notes
     -----
     A fault that is the same at all lines leaves residuals that are the motion times a factor of each channel,
-    however large it is; one that drifts, the motion times a line over frequency. Both are taken off first, by
+    however large it is; one that drifts, the motion times a line over frequency. Both are subtracted first by
     least squares over the lines. The logarithm of the level that is left is fitted by a parabola over the
     logarithm of the frequency: white noise of velocities that were written as displacements or accelerations
     falls or rises by a power of the frequency. Levels are means of n squares, whose logarithm has the
@@ -140,11 +140,11 @@ def _parabola(
     curve = np.full(len(levels), float(np.median(levels)))
     for _ in range(_ROUNDS):
         clipped = curve + np.clip(levels - curve, -_CLIP_SD * spread, _CLIP_SD * spread)
-        found = np.linalg.solve(rows.T @ (weight[:, None] * rows), rows.T @ (weight * clipped))
-        curve = rows @ found
+        coefficients = np.linalg.solve(rows.T @ (weight[:, None] * rows), rows.T @ (weight * clipped))
+        curve = rows @ coefficients
         wide = float(np.median(np.abs(levels - curve) / sd)) / 0.6745
         spread = sd * max(1.0, wide)
     flat = np.full(len(levels), float(np.average(curve, weights=weight)))
     sure = float(np.sum(((curve - flat) / spread) ** 2)) >= _LEAST_EVIDENCE
     loud = np.where(levels - curve > _CLIP_SD * spread, 0.5 * (levels - curve), 0.0)
-    return np.asarray(0.5 * (base @ found - found[0])), loud, sure
+    return np.asarray(0.5 * (base @ coefficients - coefficients[0])), loud, sure

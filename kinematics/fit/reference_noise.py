@@ -1,4 +1,4 @@
-"""What the noise of a reference does to the motion when points were recorded one after the other."""
+"""Noise of a reference in the motion, when points were recorded one after the other."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ROUNDS = 2
 _RIDGE = 1e-12
 
 
-def cautious(
+def bound_record_noise(
     measured: Measurement,
     run: int,
     body: BodyChannels,
@@ -32,7 +32,7 @@ def cautious(
     without: Sequence[int] = (),
     left: Sequence[int] = (),
 ) -> tuple[BodyChannels, BodyChannels] | None:
-    """Return a body with bounds on the shared noise of records, and one in which that is no fault at all.
+    """Return a body with upper bounds of the noise that records share, and one for the search for faults.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _least_squares(
 
 
 def holds_record_noise(measured: Measurement, body: BodyChannels) -> bool:
-    """Tell whether beams of a point of a body share the noise of the reference of a record."""
+    """Return whether beams of a point of a body share the noise of the reference of a record."""
     if not measured.record_noise:
         return False
     points = {(body.body, point) for point, number in Counter(body.points).items() if number > 1}

@@ -163,7 +163,7 @@ class LineFit:
         return np.asarray(self.weights * (rows @ inverse))
 
     def is_rounding(self, share: float = 1e-8) -> bool:
-        """Tell whether the fit leaves nothing but the rounding of numbers, which is no noise to judge."""
+        """Return whether the residuals are rounding errors only, so that they are no measure of noise."""
         left = float(np.sum(self.solution.misfit))
         return left <= share**2 * (left + float(np.sum(self.solution.explained)))
 

@@ -93,30 +93,30 @@ def inverse(packed: Array, size: int) -> Array:
                 for k in range(j + 1, i):
                     total += low[at[i, k]] * low[at[k, j]]
                 low[at[i, j]] = -total / low[at[i, i]]
-        found = np.empty_like(low)
+        entries = np.empty_like(low)
         for (i, j), place in at.items():
             total = low[at[i, i]] * low[at[i, j]]
             for k in range(i + 1, size):
                 total += low[at[k, i]] * low[at[k, j]]
-            found[place] = total
-    return found
+            entries[place] = total
+    return entries
 
 
 def times(packed: Array, vectors: Array) -> Array:
     """Return the products (m, ..., freq) of packed matrices (p, freq) with vectors (m, ..., freq)."""
     rows, columns = places(len(vectors))
-    made = np.zeros_like(vectors)
+    product = np.zeros_like(vectors)
     for place, (i, j) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         entry = packed[place]
-        made[i] += entry * vectors[j]
+        product[i] += entry * vectors[j]
         if i != j:
-            made[j] += entry * vectors[i]
-    return made
+            product[j] += entry * vectors[i]
+    return product
 
 
 def condition(packed: Array, inverses: Array, size: int) -> Array:
     """Return the Frobenius condition numbers (freq,); they bound those of the 2-norm from above."""
     weight = doubled(size)
     with np.errstate(invalid="ignore", over="ignore"):
-        found = np.sqrt((weight @ packed**2) * (weight @ inverses**2))
-    return np.where(np.isfinite(found), found, np.inf)
+        numbers = np.sqrt((weight @ packed**2) * (weight @ inverses**2))
+    return np.where(np.isfinite(numbers), numbers, np.inf)

@@ -85,10 +85,10 @@ def read_measurement(
     if options.series is not None and not faults and not any(recordings.from_series for recordings in files):
         faults.append(Fault(SERIES, "left out: no file holds time series", "them"))
     raise_all(KinematicsError, dict.fromkeys(faults))
-    said = tuple(
+    statements = tuple(
         f"{recordings.file}: {recordings.frame_units}" for recordings in files if recordings.frame_units
     )
-    return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=said)
+    return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=statements)
 
 
 def inputs_of(paths: Sequence[Path], points: Path | None) -> dict[str, Path]:
@@ -101,7 +101,7 @@ def _check_names(paths: Sequence[Path]) -> None:
     names = [path.name for path in paths]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        step = "Rename one of them: runs and bodies are told by the names of files"
+        step = "Rename one of them: runs and bodies are identified by the names of files"
         raise KinematicsError(
             Fault("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
         )
@@ -148,7 +148,7 @@ def _refuse_options(options: InputOptions, path: Path) -> None:
 def _as_recordings(measurement: Measurement, path: Path) -> Recordings:
     """Turn a tidy table into recordings, to be joined with other files."""
     rate = (2j * np.pi * measurement.freq_hz) ** measurement.order
-    made = []
+    recordings = []
     for body in measurement.bodies:
         for run, name in enumerate(measurement.runs):
             take = measurement.takes[run] if measurement.takes else None
@@ -158,7 +158,7 @@ def _as_recordings(measurement: Measurement, path: Path) -> Recordings:
                 if not np.any(there):
                     continue
                 sd = None if body.sd is None else (body.sd[run, channel] * np.abs(rate))[there]
-                made.append(
+                recordings.append(
                     Recording(
                         point,
                         measurement.freq_hz[there],
@@ -176,5 +176,5 @@ def _as_recordings(measurement: Measurement, path: Path) -> Recordings:
                     )
                 )
     return Recordings(
-        tuple(made), measurement.notices, "as its columns say", path.name, amplitude_stated=True
+        tuple(recordings), measurement.notices, "as its columns say", path.name, amplitude_stated=True
     )

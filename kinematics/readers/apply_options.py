@@ -21,7 +21,7 @@ DEFAULT_RUN = "1"
 Entry = tuple[str, Recording]
 
 
-def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[list[Entry], list[Notice]]:
+def apply_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[list[Entry], list[Notice]]:
     """Return (file, recording) with beam, amplitude and length unit applied where the files are silent.
 
     Raises
@@ -29,7 +29,7 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
     KinematicsError
         An option that has nothing to say: all files say it themselves.
     """
-    made: list[Entry] = []
+    entries: list[Entry] = []
     notices: list[Notice] = []
     silent = {
         "{beam}": False,
@@ -56,7 +56,7 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
         for recording in recordings.recordings:
             silent["{beam}"] |= bool(np.any(np.isnan(recording.direction)))
             silent["{n_avg}"] |= recording.n_avg is None and recording.sd is None
-            made.append((recordings.file, _said(recording, recordings, options)))
+            entries.append((recordings.file, _with_stated(recording, recordings, options)))
     step = "Leave it out, or correct the file"
     faults = [
         Fault(option, "left out where the files say it themselves", "it", "", step)
@@ -64,11 +64,11 @@ def with_stated(files: Sequence[Recordings], options: InputOptions) -> tuple[lis
         if option in options.said and not needed
     ]
     raise_all(KinematicsError, faults)
-    return made, notices
+    return entries, notices
 
 
-def _said(recording: Recording, file: Recordings, options: InputOptions) -> Recording:
-    """Return one recording with what is said applied."""
+def _with_stated(recording: Recording, file: Recordings, options: InputOptions) -> Recording:
+    """Return one recording with the stated options applied."""
     if options.direction is not None and np.any(np.isnan(recording.direction)):
         recording = replace(recording, direction=options.direction)
     if options.n_avg is not None and recording.n_avg is None and recording.sd is None:
@@ -83,7 +83,7 @@ def _said(recording: Recording, file: Recordings, options: InputOptions) -> Reco
 
 
 def _metres(file: Recordings) -> Notice:
-    """Tell that positions were taken as metres, with their extent."""
+    """Report that positions were taken as metres, with their extent."""
     places = np.array([recording.position_mm for recording in file.recordings])
     places = places[np.all(np.isfinite(places), axis=1)]
     extent = " x ".join(f"{span:.4g}" for span in np.ptp(places, axis=0))
@@ -106,7 +106,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
     for body, point in () if points is None else points.positions:
         by_point.setdefault(point, []).append(body)
     used: set[str] = set()
-    made: list[Entry] = []
+    assigned: list[Entry] = []
     faults: list[Fault] = []
     without: dict[str, list[str]] = {}
     for file, one in entries:
@@ -121,7 +121,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         elif not names:
             without.setdefault(file, []).append(one.point)
         else:
-            made.append((file, replace(one, body=names[0])))
+            assigned.append((file, replace(one, body=names[0])))
     for file, lost in without.items():
         lost = list(dict.fromkeys(lost))
         shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
@@ -138,7 +138,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
         if name not in used
     ]
     raise_all(KinematicsError, list(dict.fromkeys(faults)))
-    return made
+    return assigned
 
 
 def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Entry], list[Notice]]:
@@ -149,8 +149,8 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
     """
     labelled: list[Entry] = []
     for file, one in entries:
-        said = [name for name, chosen in options.runs if is_file(chosen, file)]
-        run = said[0] if said else ""
+        files = [name for name, chosen in options.runs if is_file(chosen, file)]
+        run = files[0] if files else ""
         if run and one.run:
             run = f"{run} {one.run}"
         labelled.append((file, replace(one, run=run or one.run)))
@@ -163,17 +163,17 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
     if not again:
         return [(file, replace(one, run=one.run or DEFAULT_RUN)) for file, one in labelled], []
     twice = [one.run for _, one in labelled if one.run]
-    made = []
+    assigned = []
     for file, one in labelled:
         run = one.run or Path(file).stem
         if one.run and not options.runs and len({f for f, other in labelled if other.run == one.run}) > 1:
             run = f"{Path(file).stem} {one.run}"
-        made.append((file, replace(one, run=run)))
+        assigned.append((file, replace(one, run=run)))
     if not unnamed and not twice:
-        return made, []
-    listed = ", ".join(dict.fromkeys(one.run for _, one in made))
+        return assigned, []
+    listed = ", ".join(dict.fromkeys(one.run for _, one in assigned))
     text = (
         f"the files measure the same points again: they are different runs, {listed}. {named('run')} "
         "names them."
     )
-    return made, [Notice("runs_by_file", text)]
+    return assigned, [Notice("runs_by_file", text)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement, Take, direction_name
-from kinematics.readers.apply_options import with_bodies, with_runs, with_stated
+from kinematics.readers.apply_options import apply_stated, with_bodies, with_runs
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.input_options import InputOptions, check_used
 from kinematics.readers.recording import Recording, Recordings
@@ -76,14 +76,14 @@ def assemble(
     """
     options = options or InputOptions()
     raise_all(KinematicsError, check_used(options, [one.file for one in files]))
-    recordings, notices = with_stated(files, options)
-    recordings, said = without_dc(recordings)
-    notices += said
+    recordings, notices = apply_stated(files, options)
+    recordings, dropped = without_dc(recordings)
+    notices += dropped
     if not recordings:
         step = "Export the points with their spectra"
         raise KinematicsError(Fault("the vibrometer files", "with values of one point", "none", "", step))
-    named, said = with_runs(with_bodies(recordings, points, options), options)
-    notices += said
+    named, dropped = with_runs(with_bodies(recordings, points, options), options)
+    notices += dropped
     flat = [one for _, one in named]
     raise_all(KinematicsError, value_faults(flat))
     _check(flat, points)
@@ -96,8 +96,8 @@ def assemble(
     shape = (len(places.takes), len(places.lines))
     records = () if takes else noise_of_records(flat, places.take_of, places.lines_of, shape)
     flat, common = with_common_noise(flat, places.take_of, places.lines_of, shape, bool(takes))
-    bodies, said = _bodies(flat, places, points, order)
-    notices += said
+    bodies, dropped = _bodies(flat, places, points, order)
+    notices += dropped
     runs = tuple(take.name for take in places.takes)
     return Measurement(
         frame,
@@ -140,7 +140,7 @@ def without_dc(
         if not np.any(good):
             empty.append(one.where)
             continue
-        made = replace(
+        shortened = replace(
             one,
             freq_hz=one.freq_hz[good],
             value=one.value[good],
@@ -148,7 +148,7 @@ def without_dc(
             coherence=None if one.coherence is None else one.coherence[good],
             common_sd=None if one.common_sd is None else one.common_sd[good],
         )
-        kept.append((file, made))
+        kept.append((file, shortened))
     if empty and not kept:
         raise KinematicsError(Fault("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
     if not dropped:
@@ -204,19 +204,19 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _per(recordings: Sequence[Recording]) -> list[Notice]:
-    """Refuse responses to different quantities in one run; tell what the motion is a response to."""
+    """Refuse responses to different quantities in one run; report the quantity that the motion refers to."""
     by_run: dict[str, dict[str, Place | str]] = {}
     for one in recordings:
         by_run.setdefault(one.run, {}).setdefault(one.per, one.where)
     faults = []
-    for run, found in by_run.items():
-        if len(found) > 1:
-            got = " and ".join(f"{_per_name(per)} ({where})" for per, where in list(found.items())[:3])
+    for run, by_unit in by_run.items():
+        if len(by_unit) > 1:
+            got = " and ".join(f"{_per_name(per)} ({where})" for per, where in list(by_unit.items())[:3])
             step = "Export all points as responses to one reference, or all as amplitudes"
             where = f"run {run}" if len(by_run) > 1 else ""
             faults.append(Fault("the values of one run", "of one unit", got, where, step))
     raise_all(KinematicsError, faults)
-    units = {per for found in by_run.values() for per in found} - {""}
+    units = {per for by_unit in by_run.values() for per in by_unit} - {""}
     if not units:
         return []
     text = (
@@ -231,11 +231,11 @@ def _per_name(per: str) -> str:
 
 
 def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
-    """Number runs, channels and lines, the channels of a body together; tell how lines were matched."""
+    """Number runs, channels and lines, the channels of a body together; report how lines were matched."""
     takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
     bodies = list(dict.fromkeys(one.body for one in recordings))
-    found = list(dict.fromkeys(_channel(one) for one in recordings))
-    channels = tuple(sorted(found, key=lambda channel: bodies.index(channel[0])))
+    keys = list(dict.fromkeys(_channel(one) for one in recordings))
+    channels = tuple(sorted(keys, key=lambda channel: bodies.index(channel[0])))
     number = {channel: place for place, channel in enumerate(channels)}
     channel_of = [number[_channel(one)] for one in recordings]
     lengths = [len(one.freq_hz) for one in recordings]
@@ -288,7 +288,7 @@ def _bodies(
     recordings: Sequence[Recording], places: _Places, points: Points | None, order: int
 ) -> tuple[tuple[BodyChannels, ...], list[Notice]]:
     """Fill the arrays of every body."""
-    made: list[BodyChannels] = []
+    channels_of: list[BodyChannels] = []
     notices: list[Notice] = []
     for body in dict.fromkeys(channel[0] for channel in places.channels):
         rows = [n for n, channel in enumerate(places.channels) if channel[0] == body]
@@ -305,18 +305,18 @@ def _bodies(
             where = (places.take_of[number], channel, places.lines_of[number])
             value[where] = one.value / (2j * np.pi * one.freq_hz) ** one.order
             entries.append((where, one))
-        sd, relative, said = body_noise(body, entries, value, order)
-        notices += said
+        sd, relative, noise_notices = body_noise(body, entries, value, order)
+        notices += noise_notices
         names = tuple(places.channels[row][1] for row in rows)
         positions = np.array([_position(first[n], recordings, points) for n in range(len(rows))])
         spread = [np.nan if points is None else points.sd_mm.get((body, name), np.nan) for name in names]
         directions = np.array([first[n].direction for n in range(len(rows))])
-        made.append(
+        channels_of.append(
             BodyChannels(
                 body, names, positions, directions, value, sd, relative, np.array(spread, dtype=float)
             )
         )
-    return tuple(made), notices
+    return tuple(channels_of), notices
 
 
 def _position(one: Recording, recordings: Sequence[Recording], points: Points | None) -> Array:

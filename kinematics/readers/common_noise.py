@@ -41,24 +41,24 @@ def with_common_noise(
     ndarray, (run, line), or None
         Relative standard deviation of the common factor's real (= imaginary) part; None without any.
     """
-    made = list(recordings)
+    changed = list(recordings)
     common = np.zeros(shape)
     for run in range(shape[0]):
         members = [place for place, take in enumerate(take_of) if take == run]
-        first = made[members[0]] if members else None
+        first = changed[members[0]] if members else None
         if first is None:
             continue
-        together = not pooled and all(_same(made[place], first) for place in members)
+        together = not pooled and all(_same(changed[place], first) for place in members)
         for place in members:
-            one = made[place]
+            one = changed[place]
             if one.common_sd is None:
                 continue
             if together:
                 common[run, lines_of[place]] = one.common_sd
             elif one.sd is not None:
                 spread = np.hypot(one.sd, one.common_sd * np.abs(one.value))
-                made[place] = replace(one, sd=spread, common_sd=None)
-    return made, common if np.any(common > 0.0) else None
+                changed[place] = replace(one, sd=spread, common_sd=None)
+    return changed, common if np.any(common > 0.0) else None
 
 
 def noise_of_records(
@@ -70,7 +70,7 @@ def noise_of_records(
     """Return what the channels of each record share where a run was recorded piece by piece.
 
     Parameters are those of with_common_noise, the recordings before it. Points whose beams come from several
-    records share nothing that can be told.
+    records share nothing that can be separated.
     """
     record_noises: list[RecordNoise] = []
     for run in range(shape[0]):
@@ -97,7 +97,7 @@ def noise_of_records(
 
 
 def _same(one: Recording, other: Recording) -> bool:
-    """Tell whether two recordings have one and the same noise of the reference."""
+    """Return whether two recordings have the same noise of the reference."""
     if one.common_sd is None or other.common_sd is None:
         return False
     return np.array_equal(one.common_sd, other.common_sd) and np.array_equal(one.freq_hz, other.freq_hz)

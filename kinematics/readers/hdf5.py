@@ -1,4 +1,4 @@
-"""Read and write spectra in HDF5: a small layout of its own that any program can write.
+"""Read and write spectra in HDF5: a small layout of this project that any program can write.
 
 The file ``ldv.h5``:
 
@@ -80,8 +80,8 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     from kinematics.readers.matlab.spectra import with_mapping
 
     path = Path(path)
-    found = read_hdf5(path, "an HDF5 file", lambda file: _content(file, path.name, mapping is None))
-    return found if isinstance(found, Recordings) else with_mapping(found, path, mapping)
+    content = read_hdf5(path, "an HDF5 file", lambda file: _content(file, path.name, mapping is None))
+    return content if isinstance(content, Recordings) else with_mapping(content, path, mapping)
 
 
 def _content(file: Any, name: str, unmapped: bool) -> Recordings | dict[str, Any]:
@@ -162,12 +162,12 @@ def _own(file: Any, name: str) -> Recordings:
     raise_all(KinematicsError, faults)
     scale = unit.scale * (np.sqrt(2.0) if amplitude == "rms" else 1.0)
     value = value.conj() if sign == "-" else value
-    made = []
+    recordings = []
     for run in range(runs):
         for k in range(channels):
             if np.all(np.isnan(value[run, k])):
                 continue
-            made.append(
+            recordings.append(
                 Recording(
                     points[k],
                     freq,
@@ -185,7 +185,12 @@ def _own(file: Any, name: str) -> Recordings:
                 )
             )
     return Recordings(
-        tuple(made), (), "position_mm, direction", name, amplitude_stated=bool(amplitude), length_stated=True
+        tuple(recordings),
+        (),
+        "position_mm, direction",
+        name,
+        amplitude_stated=bool(amplitude),
+        length_stated=True,
     )
 
 
@@ -199,10 +204,10 @@ def _frequencies(file: Any, name: str) -> Array:
 
 def _real(file: Any, key: str, name: str) -> Array:
     """Return a data set of real numbers."""
-    found = array_of(file[key], f"{name}, {key}")
-    if found.dtype.kind not in "fiu":
-        raise KinematicsError(Fault(key, "real numbers", f"values of type {found.dtype}", name))
-    return found.astype(float)
+    values = array_of(file[key], f"{name}, {key}")
+    if values.dtype.kind not in "fiu":
+        raise KinematicsError(Fault(key, "real numbers", f"values of type {values.dtype}", name))
+    return values.astype(float)
 
 
 def _attribute(file: Any, name: str) -> str:
@@ -212,35 +217,35 @@ def _attribute(file: Any, name: str) -> str:
 def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bool]:
     """Return values (run, channel, freq) and whether dimensions are written in reverse."""
     if "value" in file:
-        found = complex_of(array_of(file["value"], f"{name}, value"))
+        values = complex_of(array_of(file["value"], f"{name}, value"))
     elif "im" in file:
         parts = [_real(file, part, name) for part in ("re", "im")]
         if parts[0].shape != parts[1].shape:
             got = f"{parts[0].shape} and {parts[1].shape}"
             raise KinematicsError(Fault("re and im", "of one shape", got, name))
-        found = np.empty(parts[0].shape, dtype=complex)
-        found.real, found.imag = parts
+        values = np.empty(parts[0].shape, dtype=complex)
+        values.real, values.imag = parts
     else:
         step = "Write the imaginary part: without phase there is no motion"
         raise KinematicsError(Fault("the data set im", "in the file", "re alone", name, step))
-    if found.dtype.kind not in "c":
+    if values.dtype.kind not in "c":
         raise KinematicsError(Fault("value", "complex", "real numbers", name, "Write re and im"))
     dims = _attribute(file, "dims").replace(" ", "")
     if dims not in ("", "channel,freq", "run,channel,freq", "freq,channel", "freq,channel,run"):
         raise KinematicsError(Fault("the attribute dims", "channel,freq or freq,channel", dims, name))
-    if found.ndim not in (2, 3) or lines not in (found.shape[0], found.shape[-1]):
+    if values.ndim not in (2, 3) or lines not in (values.shape[0], values.shape[-1]):
         want = f"of shape (channel, freq) with {lines} frequencies"
-        raise KinematicsError(Fault("the values", want, found.shape, name))
-    if not dims and found.shape[0] == found.shape[-1]:
+        raise KinematicsError(Fault("the values", want, values.shape, name))
+    if not dims and values.shape[0] == values.shape[-1]:
         step = 'Write the attribute dims, "channel,freq" or (MATLAB) "freq,channel"'
         raise KinematicsError(
             Fault("the order of dimensions", "clear", "as many channels as lines", name, step)
         )
-    turned = dims.startswith("freq") if dims else found.shape[-1] != lines
-    found = found.T if turned else found
-    if found.shape[-1] != lines:
-        raise KinematicsError(Fault("the values", f"as dims says, {dims}", found.shape, name))
-    return np.asarray(found[None] if found.ndim == 2 else found, dtype=complex), turned
+    turned = dims.startswith("freq") if dims else values.shape[-1] != lines
+    values = values.T if turned else values
+    if values.shape[-1] != lines:
+        raise KinematicsError(Fault("the values", f"as dims says, {dims}", values.shape, name))
+    return np.asarray(values[None] if values.ndim == 2 else values, dtype=complex), turned
 
 
 def _texts(file: Any, key: str, count: int, name: str, faults: list[Fault]) -> list[str]:
@@ -266,12 +271,12 @@ def _vectors(file: Any, key: str, count: int, turned: bool, name: str, faults: l
     unknown = np.tile(unknown_vector(), (count, 1))
     if key not in file:
         return unknown
-    found = array_of(file[key], f"{name}, {key}")
-    found = found.T if turned else found
-    if found.shape != (count, 3) or found.dtype.kind not in "fiu":
-        faults.append(Fault(key, f"numbers of shape ({count}, 3)", found.shape, name))
+    values = array_of(file[key], f"{name}, {key}")
+    values = values.T if turned else values
+    if values.shape != (count, 3) or values.dtype.kind not in "fiu":
+        faults.append(Fault(key, f"numbers of shape ({count}, 3)", values.shape, name))
         return unknown
-    return found.astype(float)
+    return values.astype(float)
 
 
 def _like(
@@ -279,16 +284,16 @@ def _like(
 ) -> Array | None:
     if key not in file:
         return None
-    found = array_of(file[key], f"{name}, {key}")
-    if found.dtype.kind not in "fiu":
-        faults.append(Fault(key, "real numbers", f"values of type {found.dtype}", name))
+    values = array_of(file[key], f"{name}, {key}")
+    if values.dtype.kind not in "fiu":
+        faults.append(Fault(key, "real numbers", f"values of type {values.dtype}", name))
         return None
-    found = found.T if turned else found
-    found = found.reshape(1, -1, 1) if found.ndim == 1 and found.size == shape[1] else found
+    values = values.T if turned else values
+    values = values.reshape(1, -1, 1) if values.ndim == 1 and values.size == shape[1] else values
     try:
-        return np.broadcast_to(found.astype(float), shape)
+        return np.broadcast_to(values.astype(float), shape)
     except ValueError:
-        faults.append(Fault(key, f"of shape {shape[1:]} or ({shape[1]},)", found.shape, name))
+        faults.append(Fault(key, f"of shape {shape[1:]} or ({shape[1]},)", values.shape, name))
         return None
 
 
@@ -323,7 +328,7 @@ def write_hdf5(
     unit : str
         ``m/s``, ``nm``, ``(m/s)/V``, ...
     body : sequence of str, (channel,), or str
-        Empty when it is told elsewhere.
+        Empty when another file says it.
     position_mm : array_like, (channel, 3), optional
     sd, coherence : array_like, shape of ``value``, optional
     n_avg : array_like, scalar or (channel,), optional

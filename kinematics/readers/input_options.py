@@ -42,9 +42,9 @@ class Chosen:
         return True
 
 
-def is_file(said: str, file: str) -> bool:
+def is_file(item: str, file: str) -> bool:
     """Tell whether a file is named by its name, with or without the ending."""
-    return said in (file, file.rsplit(".", 1)[0])
+    return item in (file, file.rsplit(".", 1)[0])
 
 
 @dataclass(frozen=True)
@@ -134,11 +134,11 @@ def _body(text: str, faults: list[Fault]) -> tuple[str, tuple[Chosen, ...]] | No
     for item in points.split(","):
         head, colon, rest = item.strip().rpartition(":")
         file, item = (head.strip(), rest.strip()) if colon else (file, item.strip())
-        made = _points(file, item)
-        if made is None:
+        item_points = _points(file, item)
+        if item_points is None:
             faults.append(Fault("the points of {body}", "numbers, ranges or names", f"{text}", "", step))
             return None
-        chosen.append(made)
+        chosen.append(item_points)
     return name, tuple(chosen)
 
 

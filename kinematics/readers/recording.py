@@ -23,10 +23,10 @@ def unknown_vector() -> Array:
 
 def scaled(value: ComplexArray, factor: float) -> ComplexArray:
     """Return ``value * factor`` without a complex product, which would make NaN of infinite parts."""
-    made = np.empty(value.shape, dtype=complex)
+    converted = np.empty(value.shape, dtype=complex)
     with np.errstate(over="ignore", invalid="ignore"):
-        made.real, made.imag = value.real * factor, value.imag * factor
-    return made
+        converted.real, converted.imag = value.real * factor, value.imag * factor
+    return converted
 
 
 @dataclass(frozen=True)

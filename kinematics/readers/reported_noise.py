@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.readers.recording import Recording
-from kinematics.tidy.few_averages import steadied
+from kinematics.tidy.few_averages import steady_noise
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -35,18 +35,18 @@ def body_noise(
     From coherence g2 and n averages: |v| sqrt((1 - g2) / (2 n g2)) (Bendat and Piersol 2010, Random Data,
     section 9.2, for the real part of a frequency response).
     """
-    found = [_noise(one, order) for _, one in entries]
-    absolute = any(kind == "absolute" for kind, _ in found)
-    if not absolute and all(kind == "none" for kind, _ in found):
+    noises = [_noise(one, order) for _, one in entries]
+    absolute = any(kind == "absolute" for kind, _ in noises)
+    if not absolute and all(kind == "none" for kind, _ in noises):
         return None, True, []
     wanted = "absolute" if absolute else "relative"
     sd = np.full(value.shape, np.nan)
-    for ((run, channel, lines), _), (kind, spread) in zip(entries, found, strict=True):
+    for ((run, channel, lines), _), (kind, spread) in zip(entries, noises, strict=True):
         if kind == wanted and spread is not None:
             sd[run, channel, lines] = spread
     notices: list[Notice] = []
     if absolute:
-        sd, notices = _steadied(body, entries, sd)
+        sd, notices = _steady(body, entries, sd)
     missing = int(np.sum(np.isnan(sd) & ~np.isnan(value.real)))
     if missing:
         text = f"{missing} values of body {body} have no standard deviation and were not used."
@@ -70,10 +70,10 @@ def _noise(one: Recording, order: int) -> tuple[str, Array | None]:
     return "none", None
 
 
-def _steadied(body: str, entries: Sequence[tuple[Place, Recording]], sd: Array) -> tuple[Array, list[Notice]]:
-    """Steady sd that were estimated from few averages; those of coherence and those stated apart.
+def _steady(body: str, entries: Sequence[tuple[Place, Recording]], sd: Array) -> tuple[Array, list[Notice]]:
+    """Smooth sd that were estimated from few averages; those from coherence and those stated separately.
 
-    Estimates of frequency responses from time series, with sd beside a coherence, were steadied with them.
+    Estimates from time series, which have an sd and a coherence, are smoothed with those from coherence.
     """
     notices: list[Notice] = []
     for from_coherence in (True, False):
@@ -84,6 +84,6 @@ def _steadied(body: str, entries: Sequence[tuple[Place, Recording]], sd: Array) 
             if one.n_avg is not None and (one.sd is None) == from_coherence:
                 counts[run, channel] = one.n_avg
         if np.any(np.isfinite(counts)):
-            sd, said = steadied(sd, counts[:, :, None], body, from_coherence=from_coherence)
-            notices += said
+            sd, steady_notices = steady_noise(sd, counts[:, :, None], body, from_coherence=from_coherence)
+            notices += steady_notices
     return sd, notices[:1]

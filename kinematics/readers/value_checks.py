@@ -35,17 +35,25 @@ def value_faults(recordings: Sequence[Recording]) -> list[Fault]:
             want = f"{LOWEST_HZ:g} Hz or more"
             faults.append(Fault("the frequencies", want, f"{slow[0]:g} Hz", recording.where))
         bad = np.isinf(recording.value.real) | np.isinf(recording.value.imag)
-        faults += _told(recording, bad, "the values", "finite, or NaN where missing", recording.value)
+        faults += _number_faults_of(
+            recording, bad, "the values", "finite, or NaN where missing", recording.value
+        )
         bad = ~bad & ((np.abs(recording.value.real) > LARGEST) | (np.abs(recording.value.imag) > LARGEST))
-        faults += _told(recording, bad, "the values", f"below {LARGEST:g}", recording.value)
+        faults += _number_faults_of(recording, bad, "the values", f"below {LARGEST:g}", recording.value)
         if recording.sd is not None:
             bad = (recording.sd < 0.0) | np.isinf(recording.sd)
-            faults += _told(recording, bad, "the standard deviations", "positive and finite", recording.sd)
+            faults += _number_faults_of(
+                recording, bad, "the standard deviations", "positive and finite", recording.sd
+            )
             bad = np.isfinite(recording.sd) & (recording.sd > LARGEST)
-            faults += _told(recording, bad, "the standard deviations", f"below {LARGEST:g}", recording.sd)
+            faults += _number_faults_of(
+                recording, bad, "the standard deviations", f"below {LARGEST:g}", recording.sd
+            )
         if recording.coherence is not None:
             bad = (recording.coherence < 0.0) | (recording.coherence > 1.0)
-            faults += _told(recording, bad, "the coherence", "within 0 and 1", recording.coherence)
+            faults += _number_faults_of(
+                recording, bad, "the coherence", "within 0 and 1", recording.coherence
+            )
         if recording.n_avg is not None and not 1.0 <= recording.n_avg < float("inf"):
             step = "Correct the number"
             faults.append(
@@ -66,7 +74,7 @@ def number_faults(
     return [Fault(thing, expected, f"{numbers[first]} at place {place}{more}", where, "Export it again")]
 
 
-def _told(
+def _number_faults_of(
     one: Recording, bad: NDArray[np.bool_], thing: str, expected: str, numbers: NDArray[np.generic]
 ) -> list[Fault]:
     if not np.any(bad):

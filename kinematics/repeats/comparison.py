@@ -62,7 +62,7 @@ class RunRepeats:
     noise_from_repeats : bool
         The noise of the pooled values was estimated from the scatter between the takes.
     were_pooled : bool
-        The takes were pooled into one run; else each is a run of its own.
+        The takes were pooled into one run; else each is a separate run.
     shift : ndarray, (take,)
         Relative shift of each take's responses along the frequency (a moving resonance); NaN when it cannot
         be told. ``shift_share`` is the part of all differences that it explains.
@@ -154,7 +154,7 @@ class RunRepeats:
         return notices + ([Notice("repeat_outlier", f"{many}{where}: {apart}")] if apart else [])
 
     def _apart(self) -> str:
-        """Say which take stands apart in its gain, far beyond the others, when no test has said so."""
+        """Report the take whose gain differs far more than the others', unless a test has reported it."""
         if any(test.name not in SHAPE and test.name != "shape_scatter" for test in self.found):
             return ""
         size, turn = self.gain / np.median(self.gain), self.phase_deg - np.median(self.phase_deg)
@@ -176,7 +176,7 @@ class RunRepeats:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the form in which the comparison stands in JSON."""
+        """Return the comparison as JSON-able data."""
         return {
             "run": self.run,
             "verdict": self.verdict,

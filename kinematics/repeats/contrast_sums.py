@@ -132,7 +132,7 @@ class Outliers:
     count : int
         Takes.
     columns : sequence of ndarray (take,)
-        What is taken off first: the level.
+        The level, which is subtracted first.
     """
 
     def __init__(self, count: int, columns: Sequence[Array]) -> None:
@@ -178,15 +178,15 @@ class Outliers:
             As of ``ContrastSums.compared``.
         """
         count = len(self._sums)
-        found = []
+        extremes = []
         for take, sums in enumerate(self._sums):
             if self._spent[take] or not self._lines[take]:
                 continue
             p, noise = sums.compared(freedom, freedom * (count - self._taken - 1), False, doubt)
             if p is not None:
                 lever = float(self._lever[take] / self._lines[take])
-                found.append((p, -sums.energy, take, lever, noise))
-        if not found:
+                extremes.append((p, -sums.energy, take, lever, noise))
+        if not extremes:
             return None
-        p, energy, take, lever, noise = min(found)
+        p, energy, take, lever, noise = min(extremes)
         return min(1.0, count * p), take, lever, -energy, noise

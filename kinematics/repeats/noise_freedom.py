@@ -32,7 +32,7 @@ def stated_freedom(pieces: Iterator[Array]) -> float:
     (Bartlett and Kendall 1946, J. R. Stat. Soc. Suppl. 8:128). Steps over two lines count: noise that really
     differs runs smoothly.
     """
-    found = []
+    values = []
     for logs in pieces:
         whole = np.all(np.isfinite(logs), axis=0)
         takes, count = len(logs), np.sum(whole, axis=0)
@@ -46,8 +46,8 @@ def stated_freedom(pieces: Iterator[Array]) -> float:
         number = np.sum(both, axis=0)
         freedom = 2.0 * (takes - 1) * (number - 1.0)
         good = number * takes >= _LEAST_CELLS * takes
-        found.append(np.sum(steps**2, axis=(0, 1))[good] / freedom[good])
-    scatter = np.concatenate(found) if found else np.zeros(0)
+        values.append(np.sum(steps**2, axis=(0, 1))[good] / freedom[good])
+    scatter = np.concatenate(values) if values else np.zeros(0)
     if len(scatter) < _LEAST_LINES:
         return np.inf
     return _freedom(float(np.median(scatter)))

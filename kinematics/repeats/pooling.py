@@ -66,8 +66,8 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
     parts, reports = [], []
     notices = list(measurement.notices)
     for run in runs:
-        places, takes, said = _takes_of(measurement, run)
-        notices += said
+        places, takes, take_notices = _takes_of(measurement, run)
+        notices += take_notices
         if len(places) == 1:
             parts.append(_alone(measurement, places[0]))
             continue
@@ -81,18 +81,18 @@ def pooled(measurement: Measurement, alarm: float = ALARM) -> Pooled:
         text = "no noise is stated: it was estimated from the scatter between repeats."
         notices.append(Notice("noise_from_repeats", text))
     bodies = _split(measurement, parts, len(reports) == len(runs))
-    made = replace(measurement, runs=runs, bodies=bodies, takes=(), notices=tuple(notices))
-    return Pooled(made, tuple(reports))
+    merged = replace(measurement, runs=runs, bodies=bodies, takes=(), notices=tuple(notices))
+    return Pooled(merged, tuple(reports))
 
 
 def separate(measurement: Measurement, alarm: float = ALARM) -> Pooled:
-    """Compare the takes of every run and keep each as a run of its own."""
+    """Compare the takes of every run and keep each as a separate run."""
     runs = tuple(dict.fromkeys(take.run for take in measurement.takes))
     reports = []
     notices = list(measurement.notices)
     for run in runs:
-        places, takes, said = _takes_of(measurement, run)
-        notices += said
+        places, takes, take_notices = _takes_of(measurement, run)
+        notices += take_notices
         if len(places) > 1:
             shapes = _shapes(measurement, places)
             report = _compared(measurement, run, takes, shapes, _single(alarm, runs))
@@ -218,18 +218,18 @@ def _split(
 ) -> tuple[BodyChannels, ...]:
     value = np.stack([part[0] for part in parts])
     known = [part[1] for part in parts if part[1] is not None]
-    made, start = [], 0
+    pieces, start = [], 0
     for body in measurement.bodies:
         mine = slice(start, start + len(body.points))
         start = mine.stop
         if len(known) < len(parts):
-            made.append(replace(body, displacement=value[:, mine], sd=None, relative=True))
+            pieces.append(replace(body, displacement=value[:, mine], sd=None, relative=True))
             continue
         sd = np.stack(known)[:, mine]
-        made.append(
+        pieces.append(
             replace(body, displacement=value[:, mine], sd=sd, relative=body.relative and not scattered)
         )
-    return tuple(made)
+    return tuple(pieces)
 
 
 def with_gain_errors(motion: RigidMotion, repeats: Sequence[RunRepeats]) -> RigidMotion:

@@ -97,10 +97,10 @@ def _regression(design: Array, values: Array) -> tuple[float, float, int] | None
     freedom = len(values) - design.shape[1]
     if freedom < 1:
         return None
-    found, *_ = np.linalg.lstsq(design, values, rcond=None)
-    left = values - design @ found
+    coefficients, *_ = np.linalg.lstsq(design, values, rcond=None)
+    left = values - design @ coefficients
     inverse = np.linalg.inv(design.T @ design)
-    return float(found[-1]), float(np.sqrt(left @ left / freedom * inverse[-1, -1])), freedom
+    return float(coefficients[-1]), float(np.sqrt(left @ left / freedom * inverse[-1, -1])), freedom
 
 
 def _gain_outlier(design: Array, values: Array) -> RepeatTest | None:

@@ -92,7 +92,7 @@ def _lagged(values: NDArray[np.complex128] | Array, width: int) -> NDArray[np.co
     """Return the sums of products (width,) of lines (n, ...) 0, 1, ... apart."""
     spectrum = np.fft.fft(values, 2 * len(values), axis=0)
     sums = np.fft.ifft(np.sum(np.abs(spectrum) ** 2, axis=1))
-    made = np.zeros(width, dtype=complex)
+    lagged = np.zeros(width, dtype=complex)
     count = min(width, len(values))
-    made[:count] = sums[:count]
-    return made
+    lagged[:count] = sums[:count]
+    return lagged

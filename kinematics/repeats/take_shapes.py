@@ -81,8 +81,8 @@ class Stack:
                 parts.append(np.broadcast_to(1.0 / self.rate[lines], shape))
             else:
                 parts.append(body.sd[:, :, lines][list(self.places)])
-        made = np.concatenate(parts, axis=1)
-        return made if self.noise is None else made * self.noise[:, lines]
+        deviations = np.concatenate(parts, axis=1)
+        return deviations if self.noise is None else deviations * self.noise[:, lines]
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ class Shapes:
 
     def residual(self, lines: Lines, data: ComplexArray) -> ComplexArray:
         """Return what is left of ``data`` beside the common shape, (n, take, channel)."""
-        made = self.gain[lines][:, :, None] * self.common(lines, data)[:, None, :]
-        return np.subtract(data, made, out=made)
+        difference = self.gain[lines][:, :, None] * self.common(lines, data)[:, None, :]
+        return np.subtract(data, difference, out=difference)
 
     def clear_blocks(self) -> Iterator[NDArray[np.intp]]:
         """Yield the clear lines in runs that hold a moderate number of values."""

@@ -72,14 +72,14 @@ def _found(result: Points2Dof) -> list[Markup]:
     ]
 
 
-def _joint_rows(found: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
+def _joint_rows(chances: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
     """Return the rows of turned axes and exchanged points."""
-    turn = "-" if np.isnan(found.axes_rad) else size_of(float(np.rad2deg(found.axes_rad)), "°")
+    turn = "-" if np.isnan(chances.axes_rad) else size_of(float(np.rad2deg(chances.axes_rad)), "°")
     rows: list[tuple[str, ...]] = [(body.body, "axes of all beams together", turn, turn, "all points")]
-    for one, two, distance, chance in found.pairs:
-        said = "found in > 99.9 %" if chance > 0.999 else f"found in {100.0 * chance:.3g} %"
+    for one, two, distance, chance in chances.pairs:
+        words = "found in > 99.9 %" if chance > 0.999 else f"found in {100.0 * chance:.3g} %"
         where = f"{one} and {two}, {distance:.2g} mm apart"
-        rows.append((body.body, "names of two points exchanged", said, said, where))
+        rows.append((body.body, "names of two points exchanged", words, words, where))
     return rows
 
 
@@ -132,7 +132,7 @@ def size_of(value: float, unit: str) -> str:
 
     Notes
     -----
-    An angle is that of a small tilt, sin(angle) = angle; what follows for large ones is told as a bound.
+    An angle is that of a small tilt, sin(angle) = angle; for large ones the result is given as a bound.
     """
     if unit == "°" and value > _MOST_DEG:
         return f"> {_MOST_DEG:g} °"

@@ -277,7 +277,7 @@ def _margin(view: Axes, verdicts: list[ChannelVerdict], height: float) -> None:
 
 def _joined(rows: list[int], verdicts: list[ChannelVerdict]) -> list[tuple[float, str]]:
     """Return middle and words of every stretch of neighbouring rows with the same verdict."""
-    found: list[tuple[float, str]] = []
+    groups: list[tuple[float, str]] = []
     start = 0
     while start < len(rows):
         end = start
@@ -287,9 +287,9 @@ def _joined(rows: list[int], verdicts: list[ChannelVerdict]) -> list[tuple[float
             and _words(verdicts[rows[end + 1]]) == _words(verdicts[rows[start]])
         ):
             end += 1
-        found.append((0.5 * (rows[start] + rows[end]) + 0.5, _words(verdicts[rows[start]])))
+        groups.append((0.5 * (rows[start] + rows[end]) + 0.5, _words(verdicts[rows[start]])))
         start = end + 1
-    return found
+    return groups
 
 
 def _words(verdict: ChannelVerdict) -> str:

@@ -71,7 +71,7 @@ class Group:
 
 def groups_of(result: Points2Dof) -> list[Group]:
     """Return the verdicts other than ok, the most severe first: by their residual beyond noise."""
-    made = []
+    groups = []
     for run, run_name in enumerate(result.motion.runs):
         for number, body in enumerate(result.measurement.bodies):
             own = [v for v in result.channels if v.run == run_name and v.body == body.body]
@@ -87,16 +87,16 @@ def groups_of(result: Points2Dof) -> list[Group]:
                 size = rms[channels]
                 excess = float(np.nansum(2.0 * lines[channels] * (size**2 - 1.0)))
                 worst = float(np.nanmax(size)) if np.any(np.isfinite(size)) else float("nan")
-                made.append(Group(own[channels[0]], _names(body, own, channels), excess, worst))
-    return sorted(made, key=lambda group: (np.isnan(group.rms), -group.excess))
+                groups.append(Group(own[channels[0]], _names(body, own, channels), excess, worst))
+    return sorted(groups, key=lambda group: (np.isnan(group.rms), -group.excess))
 
 
 def verdict_section(result: Points2Dof) -> Section:
     """Return the table of verdicts, the most severe first, and all channels behind a fold."""
     section = Section("Verdict on every channel", key="verdicts")
     counts = Counter(v.verdict for v in result.channels)
-    said = ", ".join(f"{number} {name}" for name, number in counts.most_common())
-    section.add(page.text(f"{channel_count(result)}: {said}."))
+    counted = ", ".join(f"{number} {name}" for name, number in counts.most_common())
+    section.add(page.text(f"{channel_count(result)}: {counted}."))
     groups = groups_of(result)
     several = len(result.motion.runs) > 1
     if groups:
@@ -129,7 +129,7 @@ def clean_words(result: Points2Dof) -> str:
     if "noise_level" in codes:
         return "None stands out, but all err by more than their stated noise (warning noise_level)."
     if "neglected_motion" in codes:
-        return "None stands out; what the fit leaves out is told by the warning neglected_motion."
+        return "None is significant; the warning neglected_motion reports motion that the fit leaves out."
     return "Every one agrees with the rigid motion of its body within its noise."
 
 
@@ -165,17 +165,17 @@ def _listed(names: Sequence[str], most: int = 6) -> str:
 
 def _names(body: BodyChannels, own: Sequence[ChannelVerdict], channels: Sequence[int]) -> tuple[str, ...]:
     """Name channels by point; of a point with several beams say which of them, in the order of the file."""
-    made = []
+    names = []
     for point in dict.fromkeys(body.points[c] for c in channels):
         beams = [c for c, name in enumerate(body.points) if name == point]
         mine = [c for c in channels if body.points[c] == point]
         if len(mine) == len(beams):
-            made.append(point if len(beams) == 1 else f"{point}, all {len(beams)} beams")
+            names.append(point if len(beams) == 1 else f"{point}, all {len(beams)} beams")
             continue
         which = ", ".join(str(beams.index(c) + 1) for c in mine)
         where = f" ({direction_name(own[mine[0]].direction)})" if len(mine) == 1 else ""
-        made.append(f"{point}, beam{'s' if len(mine) > 1 else ''} {which}{where}")
-    return tuple(made)
+        names.append(f"{point}, beam{'s' if len(mine) > 1 else ''} {which}{where}")
+    return tuple(names)
 
 
 def plus_minus(estimate: str) -> str:

@@ -1,4 +1,4 @@
-"""What is told of registration, surfaces and calibration: on the terminal, in JSON, on the page."""
+"""The report on registration, surfaces and calibration: on the terminal, in JSON, on the page."""
 
 from __future__ import annotations
 
@@ -28,43 +28,48 @@ def centre_error(result: Points2Dof) -> float | None:
 
 def rows(result: Points2Dof) -> list[tuple[str, str]]:
     """Return the rows of the command's table."""
-    made = []
+    entries = []
     fit = result.placement.registration
     error = centre_error(result)
     if fit is not None and error is not None:
         text = f"{len(fit.residuals_mm)} {fit.kind}, residual {fit.rms_mm * 1e3:.3g} µm rms"
-        made.append(("registration", f"{text}, footplate centre ± {error * 1e3:.3g} µm"))
+        entries.append(("registration", f"{text}, footplate centre ± {error * 1e3:.3g} µm"))
     for check in result.placement.checks:
-        made.append((f"{check.body} on the {check.surface}", _check_words(check)))
+        entries.append((f"{check.body} on the {check.surface}", _check_words(check)))
     if result.calibration is not None:
-        made.append(("calibration", _calibration_words(result.calibration)))
-    return made
+        entries.append(("calibration", _calibration_words(result.calibration)))
+    return entries
 
 
 def _check_words(check: SurfaceCheck) -> str:
     rms = float(np.sqrt(np.mean(check.distance_mm**2)))
-    said = [f"{len(check.points)} points {rms * 1e3:.3g} µm rms off it"]
+    sentences = [f"{len(check.points)} points {rms * 1e3:.3g} µm rms off it"]
     if np.isfinite(check.chi2):
-        said.append(f"p {check.p_value:.2g}")
-    return ", ".join(said)
+        sentences.append(f"p {check.p_value:.2g}")
+    return ", ".join(sentences)
 
 
-def _calibration_words(made: Calibration) -> str:
-    text = f"{int(np.sum(made.seen))} of {len(made.seen)} parameters told by the data"
-    axes = [k for k, name in enumerate(made.model.names) if name.startswith("axes.")]
+def _calibration_words(calibration: Calibration) -> str:
+    text = f"{int(np.sum(calibration.seen))} of {len(calibration.seen)} parameters determined by the data"
+    axes = [k for k, name in enumerate(calibration.model.names) if name.startswith("axes.")]
     if axes:
-        turn = float(np.rad2deg(np.linalg.norm(made.values[axes])))
-        sd = float(np.rad2deg(np.max(made.sd[axes])))
+        turn = float(np.rad2deg(np.linalg.norm(calibration.values[axes])))
+        sd = float(np.rad2deg(np.max(calibration.sd[axes])))
         text += f", axes turned {turn:.2g} ± {sd:.2g}°"
-    return f"{text}, p {made.p_value:.2g} against the priors"
+    return f"{text}, p {calibration.p_value:.2g} against the priors"
 
 
 def as_json(result: Points2Dof) -> dict[str, Any]:
     """Return the keys ``registration``, ``surface_checks``, ``calibration`` and ``lasers`` of the JSON."""
     fit = result.placement.registration
-    made: dict[str, Any] = {"registration": None, "surface_checks": [], "calibration": None, "lasers": None}
+    content: dict[str, Any] = {
+        "registration": None,
+        "surface_checks": [],
+        "calibration": None,
+        "lasers": None,
+    }
     if fit is not None:
-        made["registration"] = {
+        content["registration"] = {
             "kind": fit.kind,
             "points": len(fit.residuals_mm),
             "residual_rms_mm": fit.rms_mm,
@@ -74,7 +79,7 @@ def as_json(result: Points2Dof) -> dict[str, Any]:
             f"{fit.transform.to}_from_{fit.transform.source}": fit.transform.matrix.tolist(),
             "pose_covariance_si": fit.covariance_si.tolist(),
         }
-    made["surface_checks"] = [
+    content["surface_checks"] = [
         {
             "body": check.body,
             "surface": check.surface,
@@ -93,38 +98,38 @@ def as_json(result: Points2Dof) -> dict[str, Any]:
         for check in result.placement.checks
     ]
     if result.calibration is not None:
-        found = result.calibration
-        made["calibration"] = {
-            "names": list(found.model.names),
-            "values_si": found.values.tolist(),
-            "sd_si": found.sd.tolist(),
-            "prior_sd_si": found.model.prior_sd.tolist(),
-            "told_by_the_data": found.seen.tolist(),
-            "chi2": found.chi2,
-            "n_dof": found.n_dof,
-            "p_value": found.p_value,
+        calibration = result.calibration
+        content["calibration"] = {
+            "names": list(calibration.model.names),
+            "values_si": calibration.values.tolist(),
+            "sd_si": calibration.sd.tolist(),
+            "prior_sd_si": calibration.model.prior_sd.tolist(),
+            "told_by_the_data": calibration.seen.tolist(),
+            "chi2": calibration.chi2,
+            "n_dof": calibration.n_dof,
+            "p_value": calibration.p_value,
         }
     if result.lasers is not None:
-        made["lasers"] = {
+        content["lasers"] = {
             "names": list(result.lasers.names),
             "values_si": result.lasers.estimate.values.tolist(),
             "sd_si": result.lasers.sd.tolist(),
             "prior_sd_si": result.lasers.prior_sd.tolist(),
             "directions": result.lasers.directions.tolist(),
         }
-    return made
+    return content
 
 
 def sections(result: Points2Dof) -> list[Section]:
     """Return the sections on measured points against the scan's surfaces and on the calibration."""
-    made = []
+    parts = []
     if result.placement.checks:
-        made.append(_surfaces(result.placement.checks))
+        parts.append(_surfaces(result.placement.checks))
     if result.calibration is not None:
-        made.append(_calibration(result.calibration))
+        parts.append(_calibration(result.calibration))
     if result.lasers is not None:
-        made.append(_lasers(result.lasers))
-    return made
+        parts.append(_lasers(result.lasers))
+    return parts
 
 
 def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
@@ -140,11 +145,11 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
             "measurement, or that the registration is wrong; along the motions named last it would not show."
         )
     )
-    told = []
+    entries = []
     for check in checks:
         rms = float(np.sqrt(np.mean(check.distance_mm**2)))
         expected = float(np.sqrt(np.mean(check.expected_sd_mm**2)))
-        told.append(
+        entries.append(
             (f"{check.body} on the {check.surface}", len(check.points), f"{rms * 1e3:.3g}",
              f"{expected * 1e3:.3g}", f"{check.p_value:.2g}", shift_words(check),
              "; ".join(check.open_motions) or "none")
@@ -158,11 +163,11 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
         "best rigid shift, footplate axes",
         "motions not seen",
     )
-    section.add(page.table(head, told, words=True))
+    section.add(page.table(head, entries, words=True))
     return section
 
 
-def _calibration(made: Calibration) -> Section:
+def _calibration(calibration: Calibration) -> Section:
     from stapeskit.page import page
     from stapeskit.page.page import Section
 
@@ -170,24 +175,26 @@ def _calibration(made: Calibration) -> Section:
     section.add(
         page.text(
             "Most probable errors of the stated geometry, all lines together, the motion at every line left "
-            f"free. Against the stated errors: chi2 {made.chi2:.3g} for {made.n_dof} seen directions, "
-            f"p {made.p_value:.2g}. Rows without a mark are known from the statement alone. A shift of all "
-            "points of a body together, a turn of positions and beams together, and one gain common to all "
-            "lasers leave no residual: they rest on fiducials and references."
+            "free. Against the stated errors: "
+            f"chi2 {calibration.chi2:.3g} for {calibration.n_dof} seen directions, "
+            f"p {calibration.p_value:.2g}. "
+            "Rows without a mark are known from the statement alone. "
+            "A shift of all points of a body together, a turn of positions and beams together, and one gain "
+            "common to all lasers leave no residual: they rest on fiducials and references."
         )
     )
-    told = []
-    for place, name in enumerate(made.model.names):
+    entries = []
+    for place, name in enumerate(calibration.model.names):
         factor, unit = _unit(name)
-        told.append(
-            (name, f"{made.values[place] * factor:+.3g}", f"{made.sd[place] * factor:.2g}",
-             f"{made.model.prior_sd[place] * factor:.2g}", unit, "seen" if made.seen[place] else "")
-        )  # fmt: skip
-    head = ("parameter", "estimate", "sd", "stated sd", "unit", "told by the data")
+        value, sd, prior = calibration.values[place], calibration.sd[place], calibration.model.prior_sd[place]
+        seen = "seen" if calibration.seen[place] else ""
+        numbers = (f"{value * factor:+.3g}", f"{sd * factor:.2g}", f"{prior * factor:.2g}")
+        entries.append((name, *numbers, unit, seen))
+    head = ("parameter", "estimate", "sd", "stated sd", "unit", "determined by the data")
     most = 60
-    section.add(page.table(head, told[:most]))
-    if len(told) > most:
-        section.add(page.text(f"... and {len(told) - most} more in the JSON result."))
+    section.add(page.table(head, entries[:most]))
+    if len(entries) > most:
+        section.add(page.text(f"... and {len(entries) - most} more in the JSON result."))
     return section
 
 

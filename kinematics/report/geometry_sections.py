@@ -1,4 +1,4 @@
-"""Report: where points and beams are, what they cannot see, and how the frames were tied."""
+"""Report: positions of points and beams, motions that they cannot observe, registration of the frames."""
 
 from __future__ import annotations
 

@@ -102,8 +102,8 @@ def motion_section(result: Points2Dof) -> Section:
         section.add(
             page.text(
                 "Change of each coordinate for one standard deviation of the source, root mean square over "
-                "lines, of its own rms. The bands do not contain these; they enter stiffness and damping as "
-                "a whole."
+                "lines, of the rms of the motion. The bands do not contain these; they enter stiffness "
+                "and damping as a whole."
             )
         )
     return section

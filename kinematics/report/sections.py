@@ -47,7 +47,7 @@ def sections(result: Points2Dof, scenery: Scenery | None = None, interactive: bo
         Add the moving picture with its script.
     """
     scenery = scenery or Scenery()
-    made = [
+    parts = [
         points_section(result, scenery),
         moving_section(result, scenery, interactive),
         motion_section(result),
@@ -55,11 +55,11 @@ def sections(result: Points2Dof, scenery: Scenery | None = None, interactive: bo
         residual_section(result),
     ]
     if result.repeats:
-        made.append(repeats_section(result))
+        parts.append(repeats_section(result))
     if result.placement.registration is not None:
-        made.append(registration_section(result))
-    made += geometry_report.sections(result)
-    return made
+        parts.append(registration_section(result))
+    parts += geometry_report.sections(result)
+    return parts
 
 
 def write_report(path: Path, result: Points2Dof, scenery: Scenery | None = None) -> None:
@@ -85,11 +85,11 @@ def write_report(path: Path, result: Points2Dof, scenery: Scenery | None = None)
         f"{', '.join(motion.dof)}{per} "
         "about the footplate centre in footplate axes, displacement amplitudes (peak) of e^{+iωt}."
     )
-    made = Page("Points to degrees of freedom", lead)
-    made.section("Warnings", page.text(_in_short(result)), *grouped_notices(result.notices))
-    made.sections += sections(result, scenery, interactive=True)
-    made.section("Inputs", *_inputs(result))
-    made.write(path)
+    report = Page("Points to degrees of freedom", lead)
+    report.section("Warnings", page.text(_in_short(result)), *grouped_notices(result.notices))
+    report.sections += sections(result, scenery, interactive=True)
+    report.section("Inputs", *_inputs(result))
+    report.write(path)
 
 
 def _in_short(result: Points2Dof) -> str:

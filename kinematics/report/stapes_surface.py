@@ -1,4 +1,4 @@
-"""What is drawn around the points: the surface of the stapes, its footplate, and what the axes are called."""
+"""The scenery around the points: the surface of the stapes, its footplate, and the names of the axes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Scenery:
     z_is : str
         ``superior``, ``inferior``, or empty when the side of the ear was not given.
     anterior_known : bool
-        Whether the sign of x was told by a hint.
+        Whether a hint gave the sign of x.
     """
 
     vertices_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
@@ -60,14 +60,14 @@ class Scenery:
 
 
 def scenery_of(
-    frames: Mapping[str, Any], found: Mapping[str, Any], vertices_mm: Array, faces: Faces
+    frames: Mapping[str, Any], frame: Mapping[str, Any], vertices_mm: Array, faces: Faces
 ) -> Scenery:
     """Build the scenery from parts of a mass.json and a surface in scan coordinates.
 
     Parameters
     ----------
     frames, found : mapping
-        ``frames`` and ``found`` of mass.json.
+        ``frames`` and ``frame`` of mass.json.
     vertices_mm : ndarray, (n, 3)
         Scan coordinates, mm.
     faces : ndarray, (m, 3), int
@@ -78,7 +78,7 @@ def scenery_of(
     )
     matrix = np.asarray(frames["scan_from_footplate"], dtype=float)
     placed = (vertices_mm - matrix[:3, 3]) @ matrix[:3, :3]
-    outline = np.asarray(found.get("footplate_outline_in_footplate_mm") or np.empty((0, 3)), dtype=float)
+    outline = np.asarray(frame.get("footplate_outline_in_footplate_mm") or np.empty((0, 3)), dtype=float)
     z_is = str(frames.get("z_is", ""))
     return Scenery(
         placed,

@@ -1,4 +1,4 @@
-"""The result of a fit of motion in a few rows, for terminal and notebook, and by body as JSON."""
+"""The result of a fit of motion in a few rows, for terminal and notebook, and as JSON for each body."""
 
 from __future__ import annotations
 

@@ -347,11 +347,11 @@ def checked_records(records: Records, sample_rate_hz: float, where: str) -> list
     """
     if not records:
         raise KinematicsError(Fault("the records", "one at least", "none", where))
-    made = []
+    arrays = []
     for reference, responses in records:
         x, y = np.asarray(reference, dtype=float), np.asarray(responses, dtype=float)
         check_signals(x, y, sample_rate_hz, where)
-        made.append((x, y))
-    if len({len(y) for _, y in made}) != 1:
+        arrays.append((x, y))
+    if len({len(y) for _, y in arrays}) != 1:
         raise KinematicsError(Fault("the records", "of the same channels", "others", where))
-    return made
+    return arrays

@@ -1,4 +1,4 @@
-"""What a frequency response estimate carries, and its noise: each channel's own and what all share."""
+"""Estimates of frequency responses and their noise: of each channel, and common to all channels."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Frf:
 def split_noise(
     residuals: Callable[[], Iterable[ComplexArray]], spectrum: Array, response: ComplexArray, dof: float
 ) -> tuple[Array, Array]:
-    """Tell each channel's own noise from what the noise of the reference puts into all of them.
+    """Separate the noise of each channel from the noise of the reference, which all channels share.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def common_notice(common_sd: Array, more: str = "") -> list[Notice]:
         return []
     text = (
         f"the noise of the reference moves all channels recorded together alike, by "
-        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was told apart from the "
-        "noise of each channel, does not touch ratios of motions, K and D, and stands in the covariance of "
+        f"{100.0 * float(np.median(common_sd)):.2g} % (median sd over the lines): it was separated from the "
+        "noise of each channel, does not change ratios of motions, K and D, and is part of the covariance of "
         f"the motion itself.{more}"
     )
     return [Notice("reference_noise", text)]

@@ -35,7 +35,7 @@ class Periodic:
         Periods at the start of every record left out while the response settles.
     threshold : float
         Lines count as excited when the reference reaches this share of its largest amplitude and stands
-        out of its own noise.
+        clearly out of its noise.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Is a response so sharp, or a segment so abrupt, that its spectrum is wrong by more than the noise?"""
+"""Leakage: warn where sharp responses or abrupt segments bias a spectrum by more than its noise."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def bend_notice(freq_hz: Array, value: ComplexArray, sd: Array, taper: Array, po
     of the window: H + H'' m / 2 with the second moment m of |W|^2, H'' by second differences (Bendat and
     Piersol 2010, sec. 8.5). Noise puts (6 - 8 r1 + 2 r2) of its variance into the differences, r1 and r2 the
     correlation of the noise of H at lines one and two apart, which is the square of that of the spectra
-    (``kinematics.signals.frf.line_spread``); it is taken off the mean over the channels.
+    (``kinematics.signals.frf.line_spread``); it is subtracted from the mean over the channels.
     """
     if value.shape[1] < 3 or not np.ptp(taper) > 0.0:
         return []

@@ -150,10 +150,10 @@ def fit_sine(
         freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
     base = _base(count, sample_rate_hz, freq_hz, how, run_hz)
-    found = _solved(base, signals.T)
-    left = signals - (base @ found).T
+    coefficients = _solved(base, signals.T)
+    left = signals - (base @ coefficients).T
     orders = _orders(sample_rate_hz, freq_hz, how)
-    pairs = (found[0 : 2 * orders : 2] - 1j * found[1 : 2 * orders : 2]).T
+    pairs = (coefficients[0 : 2 * orders : 2] - 1j * coefficients[1 : 2 * orders : 2]).T
     residual = _near(left, sample_rate_hz, freq_hz)
     variance = np.mean(np.abs(residual) ** 2, axis=1) / 2.0
     sd = np.sqrt(variance)
@@ -207,28 +207,28 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
     level = signals - np.mean(signals, axis=1, keepdims=True)
     level = level / np.maximum(np.std(level, axis=1, keepdims=True), np.finfo(float).tiny)
     waves = np.exp(-2j * np.pi * np.outer(np.arange(count) / rate, near)) * np.hanning(count)[:, None]
-    found = float(near[np.argmax(np.sum(np.abs(level @ waves) ** 2, axis=0))])
+    coarse = float(near[np.argmax(np.sum(np.abs(level @ waves) ** 2, axis=0))])
     half = count // 2
     plain = replace(how, harmonics=1)
     for _ in range(6):
-        base = _base(half, rate, found, plain)
+        base = _base(half, rate, coarse, plain)
         halves, left = [], np.full(len(level), 1e-20)
         for part in (level[:, :half].T, level[:, half : 2 * half].T):
             fitted = _solved(base, part)
             halves.append(fitted[0] - 1j * fitted[1])
             left += np.mean((part - base @ fitted) ** 2, axis=0)
-        turn = np.sum(halves[1] * np.conj(halves[0]) / left) * np.exp(-2j * np.pi * found * half / rate)
+        turn = np.sum(halves[1] * np.conj(halves[0]) / left) * np.exp(-2j * np.pi * coarse * half / rate)
         if turn == 0.0:
             break
         change = float(np.angle(turn)) / (2.0 * np.pi) * rate / half
-        found += change
+        coarse += change
         if abs(change) < 1e-9 * apart:
             break
-    if abs(found - freq) > 4.0 * apart:
+    if abs(coarse - freq) > 4.0 * apart:
         step = "Correct the table of steps"
         want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
-        raise KinematicsError(Fault("the sine of a step", want, f"{found:.6g} Hz", where, step))
-    return found
+        raise KinematicsError(Fault("the sine of a step", want, f"{coarse:.6g} Hz", where, step))
+    return coarse
 
 
 def _run(signals: Array, rate: float, freq: float, how: SteppedSine) -> float:

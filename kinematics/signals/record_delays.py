@@ -1,4 +1,4 @@
-"""Do the records of one measurement agree in the time between reference and responses?"""
+"""Compare the time between reference and responses over the records of one measurement."""
 
 from __future__ import annotations
 

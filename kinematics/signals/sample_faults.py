@@ -1,4 +1,4 @@
-"""What is wrong with samples themselves: clipped tops, lone spikes, stretches that stand still."""
+"""Faults of samples: clipping, single spikes, constant stretches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STILL, _BESIDE, _MOVING = 8, 16, 20.0
 
 
 def sample_notices(channels: Mapping[str, Iterable[Array]], leads: Iterable[str], file: str) -> list[Notice]:
-    """Warn of channels whose samples cannot be what was there.
+    """Warn of channels with clipped, spiky or constant samples.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def count_spikes(row: Array) -> int:
 
 
 def still_samples(leads: list[Array], record: int) -> NDArray[np.bool_] | None:
-    """Return where the reference of a record stands still, (sample - 1,); None without one."""
+    """Return where the reference of a record is constant, (sample - 1,); None without one."""
     if not leads:
         return None
     return np.asarray(np.diff(leads[record if record < len(leads) else 0]) == 0.0)
@@ -157,7 +157,7 @@ def count_still(row: Array, resting: NDArray[np.bool_] | None = None) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (steps == 0.0).astype(np.int8), [0]])))
     starts, stops = edges[::2], edges[1::2]
     extremes = (float(np.min(row)), float(np.max(row)))
-    found = 0
+    count = 0
     for start, stop in zip(starts, stops, strict=True):
         if stop - start + 1 < _STILL or row[start] in extremes:
             continue
@@ -166,5 +166,5 @@ def count_still(row: Array, resting: NDArray[np.bool_] | None = None) -> int:
         before, after = row[max(0, start - _BESIDE) : start], row[stop + 1 : stop + 1 + _BESIDE]
         if len(before) == len(after) == _BESIDE:
             beside = min(float(np.std(before)), float(np.std(after)))
-            found += beside > max(_MOVING * fine, 0.05 * float(np.std(row)))
-    return found
+            count += beside > max(_MOVING * fine, 0.05 * float(np.std(row)))
+    return count

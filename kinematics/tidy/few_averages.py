@@ -1,4 +1,4 @@
-"""Steady standard deviations that were themselves estimated from few averages, over neighbouring lines."""
+"""Smooth standard deviations that were estimated from few averages over neighbouring lines."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _TREND_FROM = 100
 _MOTION = 6
 
 
-def steadied(
+def steady_noise(
     sd: Array, n_avg: Array | float, body: str, *, from_coherence: bool = True
 ) -> tuple[Array, list[Notice]]:
-    """Return standard deviations that share what neighbouring lines of each channel know of the noise.
+    """Return standard deviations smoothed over neighbouring lines of each channel.
 
     Parameters
     ----------
@@ -70,31 +70,31 @@ def steadied(
     """
     shape = sd.shape if sd.ndim == 3 else (1, *sd.shape)
     counts = np.broadcast_to(np.asarray(n_avg, dtype=float), sd.shape).reshape(shape)
-    made, good, width = np.array(sd.reshape(shape)), np.zeros(shape, dtype=bool), 0
+    steady, good, width = np.array(sd.reshape(shape)), np.zeros(shape, dtype=bool), 0
     for run in range(shape[0]):
-        count, variance = counts[run], made[run] ** 2
+        count, variance = counts[run], steady[run] ** 2
         usable = np.isfinite(variance) & (variance > 0.0)
         usable &= (count >= _LEAST_AVERAGES) & (count <= _MOST_AVERAGES)
         usable &= np.sum(usable, axis=1, keepdims=True) >= _LEAST_LINES
         freedom = np.where(usable, 2.0 * (count - 1.0), 4.0)
-        found = _steadied(np.where(usable, variance, 1.0), freedom, usable) if np.any(usable) else None
-        if found is None:
+        result = _steady(np.where(usable, variance, 1.0), freedom, usable) if np.any(usable) else None
+        if result is None:
             continue
-        good[run], width = usable, found[1]
+        good[run], width = usable, result[1]
         small = count / np.maximum(count - 1.0, 1.0) if from_coherence else 1.0
-        made[run] = np.where(usable, np.sqrt(found[0] * small), made[run])
+        steady[run] = np.where(usable, np.sqrt(result[0] * small), steady[run])
     if not np.any(good):
         return sd, []
     typical = float(np.median(counts[good]))
     text = (
         f"the standard deviations of body {body} are estimates from {typical:.3g} averages: each was "
-        f"steadied by those of {width} neighbouring lines of its channel."
+        f"smoothed by those of {width} neighbouring lines of its channel."
     )
-    return np.asarray(made.reshape(sd.shape)), [Notice("noise_steadied", text)]
+    return np.asarray(steady.reshape(sd.shape)), [Notice("noise_steadied", text)]
 
 
-def _steadied(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | None:
-    """Return steadied variances (channel, freq) and the width; None when their scatter is another."""
+def _steady(variance: Array, freedom: Array, good: Mask) -> tuple[Array, int] | None:
+    """Return smoothed variances (channel, freq) and the width; None when their scatter is another."""
     from scipy.special import chdtr, chdtrc, digamma, polygamma
 
     half_freedom, place = np.unique(freedom / 2.0, return_inverse=True)
@@ -158,7 +158,7 @@ def _local_scatter(logs: Array, expected: Array, good: Mask) -> float:
 
 
 def _common(logs: Array, expected: Array, good: Mask) -> tuple[Array, Array]:
-    """Return what all channels of a line share (freq,), as with an excitation that is rough over frequency.
+    """Return the factor that all channels of a line share (freq,), as with a rough excitation.
 
     It is their mean, shrunk to what its scatter from line to line has beyond that of the estimates. With it
     comes a factor (freq,) for the variances: what is left unknown of the shared part spreads chi2 of a line
@@ -204,8 +204,8 @@ def _around(values: Array, weight: Array, half: int, without: bool) -> tuple[Arr
 
     def summed(terms: Array) -> Array:
         total = np.cumsum(np.pad(terms, ((0, 0), (1, 0))), axis=1)
-        made = total[:, stop] - total[:, start]
-        return made - (total[:, outer] - total[:, inner]) if without else made
+        total_of = total[:, stop] - total[:, start]
+        return total_of - (total[:, outer] - total[:, inner]) if without else total_of
 
     number = np.maximum(summed(weight), 0.0)
     total = summed(np.where(weight > 0.0, values * weight, 0.0))

@@ -1,4 +1,4 @@
-"""Which frequencies are one line: equal ones, and those of grids that differ by less than they could tell."""
+"""Assign frequencies to lines: equal ones, and those that differ by less than their grids resolve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a row of a vibrometer table can have wrong in its own cells."""
+"""Check the cells of each row of a vibrometer table."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def check_frequencies(table: Table, faults: list[Fault]) -> NDArray[np.bool_]:
         want = f"{LOWEST_HZ:g} Hz or more"
         each(low, "freq_hz", want, lambda row: _cell(float(freq[row])), table, faults, step)
         each(
-            ~usable & ~high & ~low & ~(table.told_rows("freq_hz") & np.isnan(freq)),
+            ~usable & ~high & ~low & ~(table.invalid_rows("freq_hz") & np.isnan(freq)),
             "freq_hz",
             "positive and finite",
             lambda row: _cell(float(freq[row])),
@@ -81,7 +81,12 @@ def check_values(table: Table, columns: Columns, faults: list[Fault]) -> None:
         sd = numbers[columns.sd]
         check((sd < 0.0) | np.isinf(sd), columns.sd, "positive and finite")
         check((sd > LARGEST) & ~np.isinf(sd), columns.sd, f"below {LARGEST:g}")
-        if len(sd) and np.isnan(sd[0]) and np.all(np.isnan(sd)) and not np.any(table.told_rows(columns.sd)):
+        if (
+            len(sd)
+            and np.isnan(sd[0])
+            and np.all(np.isnan(sd))
+            and not np.any(table.invalid_rows(columns.sd))
+        ):
             step = "Leave the column out to have the noise estimated from the residuals"
             got = "NaN or empty cells throughout"
             where = f"{table.file}, lines {table.lines[0]} to {table.lines[-1]}, {columns.sd}"
@@ -105,8 +110,8 @@ def check_takes(table: Table, columns: Columns, faults: list[Fault]) -> None:
     """Add the faults of runs, repeats and levels that some rows name and others do not."""
     empty = {name: table.texts[name].codes < 0 for name in ("run", "repeat") if name in table.texts}
     if columns.level:
-        told = table.told_rows(columns.level)
-        empty[columns.level] = np.isnan(table.numbers[columns.level]) & ~told
+        reported = table.invalid_rows(columns.level)
+        empty[columns.level] = np.isnan(table.numbers[columns.level]) & ~reported
     for name, rows in empty.items():
         if np.any(rows) and not np.all(rows):
             expected = "given in every row, or in none"
@@ -135,11 +140,11 @@ def check_directions(table: Table, columns: Columns, faults: list[Fault]) -> tup
         length = np.linalg.norm(parts[first], axis=1)
         bad = ~(np.abs(length - 1.0) <= 1e-3)
     if np.any(bad):
-        told = np.zeros(len(table), dtype=bool)
+        reported = np.zeros(len(table), dtype=bool)
         for name in DIRECTION:
-            told |= table.told_rows(name)
+            reported |= table.invalid_rows(name)
         each(
-            bad[code] & ~told,
+            bad[code] & ~reported,
             "dir_x, dir_y, dir_z",
             "a unit vector (within 1e-3)",
             lambda r: _vector(parts[r]),

@@ -1,4 +1,4 @@
-"""Which columns of a vibrometer table mean what; everything a header can have wrong."""
+"""The meaning of the columns of a vibrometer table, and the faults of its header."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     Raises
     ------
     KinematicsError
-        A column is missing, has an unknown unit, or stands beside one that contradicts it.
+        A column is missing, has an unknown unit, or contradicts another one.
     """
     place = Place(file, "line", (1,))
     faults: list[Fault] = []
@@ -127,7 +127,7 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
         missing += [name for name in POSITION if name not in header]
     if missing:
         step = "Add the column, or correct its name in the header (points2dof --help lists them)"
-        meant = _meant(missing, header)
+        meant = _resembling(missing, header)
         if set(header).isdisjoint(KNOWN) and any(_WIDE.search(name) for name in header):
             step = (
                 "It seems to have one column per channel. Write one row per point, beam and frequency: body, "
@@ -164,34 +164,36 @@ def columns_of(header: Sequence[str], file: str, points_given: bool) -> Columns:
     return replace(columns, ignored=tuple(name for name in header if name not in used))
 
 
-def _meant(missing: Sequence[str], header: Sequence[str]) -> str:
+def _resembling(missing: Sequence[str], header: Sequence[str]) -> str:
     """Return the missing columns that seem to have another name in the header: ``dir for direction``."""
-    found = []
+    resembling = []
     for name in header:
         wanted = _OTHER_NAMES.get(name.replace(" ", "_"))
         fixed = name in KNOWN or name.startswith("freq_")
         near = [] if fixed else get_close_matches(name, missing, 1, 0.75)
         if wanted == "dir" and DIRECTION[0] in missing:
-            found.append(f"dir for {name}")
+            resembling.append(f"dir for {name}")
         elif wanted in missing:
-            found.append(f"{wanted} for {name}")
+            resembling.append(f"{wanted} for {name}")
         elif near:
-            found.append(f"{near[0]} for {name}")
-    return ", ".join(found)
+            resembling.append(f"{near[0]} for {name}")
+    return ", ".join(resembling)
 
 
 def ignored_notice(columns: Columns, file: str) -> list[Notice]:
-    """Tell which columns are not used, and which known name one of them resembles."""
+    """Report the columns that are not used, and the known names that they resemble."""
     if not columns.ignored:
         return []
     known = [*KNOWN, columns.first, columns.second, f"sd_{columns.first.split('_', 1)[1]}"]
-    said = []
+    sentences = []
     for name in columns.ignored:
         free = [other for other in known if other not in columns.numbers | columns.texts]
         near = get_close_matches(name, free, 1, 0.75)
-        said.append(name + (f" (did you mean {near[0]}?)" if near else ""))
-    more = f" and {len(said) - 6} more" if len(said) > 6 else ""
-    return [Notice("columns_ignored", f"columns of {file} that are not used: {', '.join(said[:6])}{more}.")]
+        sentences.append(name + (f" (did you mean {near[0]}?)" if near else ""))
+    more = f" and {len(sentences) - 6} more" if len(sentences) > 6 else ""
+    return [
+        Notice("columns_ignored", f"columns of {file} that are not used: {', '.join(sentences[:6])}{more}.")
+    ]
 
 
 def _level(header: Sequence[str], place: Place, faults: list[Fault]) -> str:
@@ -203,11 +205,11 @@ def _level(header: Sequence[str], place: Place, faults: list[Fault]) -> str:
 
 
 def _units(header: Sequence[str], place: Place, faults: list[Fault]) -> dict[str, Unit]:
-    found: dict[str, Unit] = {}
+    units: dict[str, Unit] = {}
     for name in header:
         unit = unit_of(name)
         if unit is not None:
-            found[name] = unit
+            units[name] = unit
         elif name.startswith(("re_", "im_", "amp_", "sd_")) or name in ("re", "im", "amp", "sd"):
             step = "Convert the values, and name their unit in the header"
             thing = f"the unit of column {name}"
@@ -220,7 +222,7 @@ def _units(header: Sequence[str], place: Place, faults: list[Fault]) -> dict[str
             faults.append(
                 Fault(f"the phase column {name}", "phase_deg", "an unknown unit", place, "Give degrees")
             )
-    return found
+    return units
 
 
 def _value_pair(

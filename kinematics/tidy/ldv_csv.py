@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.tidy.few_averages import steadied
+from kinematics.tidy.few_averages import steady_noise
 from kinematics.tidy.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tidy.ldv_rows import Rows, rows_of
 from kinematics.tidy.points_csv import read_points
@@ -114,8 +114,8 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
         points = tuple(table.texts["point"].names[place] for place in rows.point[mine])
         own = None if sd is None else sd[:, mine]
         if own is not None and counts is not None:
-            own, said = steadied(own, counts[:, mine], name, from_coherence=not columns.sd)
-            notices += said
+            own, steady_notices = steady_noise(own, counts[:, mine], name, from_coherence=not columns.sd)
+            notices += steady_notices
         bodies.append(
             BodyChannels(
                 name,
@@ -140,7 +140,7 @@ def _assembled(rows: Rows, columns: Columns, table: Table, frame: str) -> Measur
 
 
 def _absent(rows: Rows, table: Table, at: Index, shape: tuple[int, int, int]) -> list[Notice]:
-    """Tell which channels have no row at lines that other channels of their body have in the same run."""
+    """Report channels without rows at lines that other channels of their body have in the same run."""
     if len(at) == np.prod(shape):
         return []
     present = np.zeros(shape, dtype=bool)

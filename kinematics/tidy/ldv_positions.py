@@ -1,4 +1,4 @@
-"""Where the points of a vibrometer table lie: in the table itself, in a points file, or in both."""
+"""Positions of the points of a vibrometer table, from the table, a points file, or both."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def check_positions(
         bad = ~np.all(np.isfinite(rows), axis=1)
         if np.any(bad):
             for axis, name in enumerate(POSITION):
-                empty = ~np.isfinite(rows[:, axis]) & ~table.told_rows(name)
+                empty = ~np.isfinite(rows[:, axis]) & ~table.invalid_rows(name)
                 step = "Give all three coordinates"
                 _each_position(empty, name, rows, table, faults, step)
         good = np.flatnonzero(~bad)
@@ -85,7 +85,7 @@ def check_positions(
 
 
 def unmeasured_notice(table: Table, listed: Points | None) -> list[Notice]:
-    """Tell which bodies of the points file have no row in the table."""
+    """Report bodies of the points file that have no row in the table."""
     if listed is None:
         return []
     absent = sorted({body for body, _ in listed.positions} - set(table.texts["body"].names))
@@ -96,14 +96,14 @@ def unmeasured_notice(table: Table, listed: Points | None) -> list[Notice]:
 
 
 def alike_notice(table: Table) -> list[Notice]:
-    """Tell which names of bodies differ in upper and lower case only."""
+    """Report names of bodies that differ in upper and lower case only."""
     groups: dict[str, list[str]] = {}
     for name in table.texts["body"].names:
         groups.setdefault(name.casefold(), []).append(name)
-    said = [" and ".join(names) for names in groups.values() if len(names) > 1]
-    if not said:
+    listed = [" and ".join(names) for names in groups.values() if len(names) > 1]
+    if not listed:
         return []
-    text = f"{'; '.join(said)} differ in upper and lower case only and were taken as different bodies."
+    text = f"{'; '.join(listed)} differ in upper and lower case only and were taken as different bodies."
     return [Notice("names_alike", text)]
 
 

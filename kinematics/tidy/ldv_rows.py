@@ -1,4 +1,4 @@
-"""Check every row of a vibrometer table and give it its place: take, channel, line."""
+"""Check every row of a vibrometer table and assign its take, channel and line."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
     listed : Points or None
         What a points file says of positions.
     others : sequence of str
-        Faults of other files, told in the same message.
+        Faults of other files, reported in the same message.
 
     Raises
     ------
@@ -89,11 +89,11 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
     faults = list(table.faults)
     usable = check_frequencies(table, faults)
     check_values(table, columns, faults)
-    told = len(faults)
+    before = len(faults)
     blocks = _blocks(table, columns)
     rows = _placed(table, columns, listed, blocks, usable, faults)
-    if len(faults) > told and len(blocks.starts) < len(table):
-        del faults[told:]
+    if len(faults) > before and len(blocks.starts) < len(table):
+        del faults[before:]
         blocks = _Blocks(table, np.arange(len(table)), np.arange(len(table)))
         rows = _placed(table, columns, listed, blocks, usable, faults)
     raise_all(KinematicsError, [*faults, *others])
@@ -103,7 +103,7 @@ def rows_of(table: Table, columns: Columns, listed: Points | None, others: Seque
 
 
 def _blocks(table: Table, columns: Columns) -> _Blocks:
-    """Find the stretches; every row is one of its own where they are short."""
+    """Find the stretches; where they are short, every row is one stretch."""
     count = len(table)
     new = np.zeros(count, dtype=bool)
     new[:1] = True

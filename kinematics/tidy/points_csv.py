@@ -96,11 +96,11 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
 
 
 def finite_faults(table: Table, columns: Sequence[str]) -> list[Fault]:
-    """List the cells of number columns that are empty, infinite or, in mm, no place on earth."""
+    """List the cells of number columns that are empty, infinite or, in mm, impossibly far."""
     faults = []
     for name in columns:
-        told = table.told_rows(name)
-        for row in np.flatnonzero(~np.isfinite(table.numbers[name]) & ~told):
+        reported = table.invalid_rows(name)
+        for row in np.flatnonzero(~np.isfinite(table.numbers[name]) & ~reported):
             value = table.numbers[name][row]
             got = "an empty or NaN cell" if np.isnan(value) else f"{value:g}"
             step = "Give the number, or leave the row out"

@@ -1,4 +1,4 @@
-"""What a study file says of an ear beside its files."""
+"""What a study file says about an ear besides its files."""
 
 from __future__ import annotations
 

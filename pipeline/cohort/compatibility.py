@@ -63,7 +63,7 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
         ("the same identifier [study] ear", [str(ear.about.get("ear", "")) for ear in ears]),
         ("the same subject and side", [_subject_side(ear) for ear in ears]),
     ]
-    told: set[frozenset[str]] = {frozenset()}
+    reported: set[frozenset[str]] = {frozenset()}
     for what, keys in alike:
         groups = defaultdict(list)
         for ear, key in zip(ears, keys, strict=True):
@@ -71,8 +71,8 @@ def _repeated_ears(ears: Sequence[Ear]) -> list[Fault]:
                 groups[key].append(ear)
         for members in groups.values():
             names = frozenset(ear.folder for ear in members)
-            if len(names) > 1 and names not in told:
-                told.add(names)
+            if len(names) > 1 and names not in reported:
+                reported.add(names)
                 listed = ", ".join(f"{ear.name} ({ear.folder})" for ear in members)
                 faults.append(Fault("an ear", "in a cohort once", f"{what} in {listed}", "", _LEAVE_OUT))
     return faults

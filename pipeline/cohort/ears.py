@@ -121,7 +121,7 @@ def read_ear(folder: Path, name: str) -> Ear:
 def quantities(ears: Sequence[Ear]) -> list[Quantity]:
     """Return mass, K, D and modes of all ears."""
     common = _common_sources(ears)
-    found = [
+    rows = [
         _quantity(
             ears,
             "mass",
@@ -136,7 +136,7 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
         for row, first in enumerate(dof):
             for second in dof[row:]:
                 unit = unit_of_entry(letter, first, second)
-                found.append(
+                rows.append(
                     _quantity(
                         ears,
                         f"{letter}_{first}_{second}",
@@ -151,7 +151,7 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
         for name, unit in (("frequency", "Hz"), ("damping_ratio", "")):
             key = "frequency_hz" if unit else name
             spread = "frequency_sd_hz" if unit else "damping_ratio_sd"
-            found.append(
+            rows.append(
                 _quantity(
                     ears,
                     f"mode{mode + 1}_{name}",
@@ -160,7 +160,7 @@ def quantities(ears: Sequence[Ear]) -> list[Quantity]:
                     lambda ear, m=mode, k=spread: _mode(ear.kd, m, k),
                 )
             )
-    return found
+    return rows
 
 
 def source_id(ear: Ear, source: str) -> str:

@@ -191,9 +191,9 @@ class Profile:
         inner, width, near = 0.0, 2.0 * self.standard_error + 1e-6, self.best.point[:0]
         centre = float(self.best.point[1])
         for _ in range(_WIDENINGS):
-            found = self.at(centre + sign * width)
-            near = found.point
-            if 2.0 * (found.value - self.best.value) > limit:
+            point = self.at(centre + sign * width)
+            near = point.point
+            if 2.0 * (point.value - self.best.value) > limit:
                 break
             inner, width = width, 1.7 * width
         else:

@@ -108,12 +108,12 @@ def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Any:
     return drawing
 
 
-def components_figure(names: Sequence[str], found: Components, count: int) -> Any:
+def components_figure(names: Sequence[str], components: Components, count: int) -> Any:
     """Draw what one standard deviation of each component changes in every quantity."""
     drawing = page.new_figure(7.5, 1.2 + 1.5 * count)
     panels = drawing.subplots(count, 1, squeeze=False, sharex=True).ravel()
     for k, panel in enumerate(panels):
-        panel.bar(range(len(names)), np.exp(found.loadings[k]) - 1.0, bottom=1.0, color=_BLUE, width=0.6)
+        panel.bar(range(len(names)), np.exp(components.loadings[k]) - 1.0, bottom=1.0, color=_BLUE, width=0.6)
         panel.axhline(1.0, color=_GREY, lw=1)
         panel.set(ylabel=f"component {k + 1}", xticks=range(len(names)), xticklabels=names)
         panel.tick_params(labelsize=8)

@@ -144,24 +144,24 @@ def _normal_section(cohort: CohortLaws) -> list[Section]:
 
 def _component_section(cohort: CohortLaws) -> list[Section]:
     """Return what is known of the number of independent parameters."""
-    found, table = cohort.components, cohort.table
-    if found is None or table is None:
+    components, table = cohort.components, cohort.table
+    if components is None or table is None:
         return []
-    low, high = found.interval
+    low, high = components.interval
     names = [name for name in table.responses if "principal" not in name]
     shown = max(high, 1)
     rows = [
-        (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in found.loadings[k]))
-        for k, size in enumerate(found.sd[:shown])
+        (str(k + 1), f"{size:.3f}", *(f"{value:+.3f}" for value in components.loadings[k]))
+        for k, size in enumerate(components.sd[:shown])
     ]
-    plural = "" if found.estimate == 1 else "s"
+    plural = "" if components.estimate == 1 else "s"
     words = (
-        f"The ears vary in {found.estimate} independent way{plural} by more than 5 % beyond their errors "
-        f"(95 %: {low} to {high}). Rows: what one standard deviation of each changes in the logarithms. "
-        "Quantities that change together could be one parameter of a model."
+        f"The ears vary in {components.estimate} independent way{plural} by more than 5 % beyond their "
+        f"errors (95 %: {low} to {high}). Rows: what one standard deviation of each changes in the "
+        "logarithms. Quantities that change together could be one parameter of a model."
     )
     figure = page.figure(
-        components_figure(names, found, max(low, 1)),
+        components_figure(names, components, max(low, 1)),
         "What one standard deviation of each component changes, as a factor.",
         "loadings of the components",
     )

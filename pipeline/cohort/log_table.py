@@ -1,4 +1,4 @@
-"""Logarithms of what laws relate, for every ear, with errors of its own and errors that ears share."""
+"""Logarithms of the quantities in laws, for every ear, with independent errors and errors that ears share."""
 
 from __future__ import annotations
 
@@ -226,12 +226,12 @@ def _derivative(function: Callable[[Array], Array], at: Array) -> Array:
 
 def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, ...]]:
     """Return ln of the lengths that the scan shows, and their covariance."""
-    found = mass.get("found") or {}
+    lengths = mass.get("found") or {}
     voxels = (mass.get("segmentation") or {}).get("voxel_size_mm")
     values, variances = [], []
     length_sd_mm = 0.0 if voxels is None else _LENGTH_SD_VOXELS * float(np.mean(voxels))
     for name, (key, factor) in _LENGTHS.items():
-        value = found.get(key)
+        value = lengths.get(key)
         values.append(np.log(float(value) * factor) if value is not None and float(value) > 0.0 else np.nan)
         size = float(np.sqrt(value)) if name.endswith("area_m2") and value else float(value or np.inf)
         variances.append((length_sd_mm / size * _VOXEL_POWERS[name]) ** 2)

@@ -60,9 +60,9 @@ def minimise(
     """
     best: Minimum | None = None
     for start in np.atleast_2d(starts):
-        found = _descend(function, np.clip(start, low, high), scales, low, high, steps, tolerance)
-        if best is None or found.value < best.value:
-            best = found
+        minima = _descend(function, np.clip(start, low, high), scales, low, high, steps, tolerance)
+        if best is None or minima.value < best.value:
+            best = minima
     if best is None:
         raise ValueError("at least one start must be given")
     return best

@@ -26,12 +26,12 @@ def write_cohort_page(
     path: Path, ears: Sequence[Ear], faults: Mapping[str, str], cohort: CohortLaws | None = None
 ) -> None:
     """Write cohort.html: the ears side by side, and a plain comparison."""
-    found = quantities(ears)
+    entries = quantities(ears)
     count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units."
     lost = f" {len(faults)} more failed." if faults else ""
-    made = Page("Cohort", count + lost)
+    report = Page("Cohort", count + lost)
     if faults:
-        made.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
+        report.section("Studies that failed", page.table(("study", "why"), list(faults.items()), words=True))
     rows = [
         (
             ear.name,
@@ -45,24 +45,24 @@ def write_cohort_page(
     ]
     header = ("study", "folder", "side", "degrees of freedom", "estimator", "warnings")
     table = page.table(header, rows, words=True)
-    made.section("Studies", table if len(ears) <= _SOME else page.folded(f"All {len(ears)} studies", table))
-    made.sections.extend([] if cohort is None else law_sections(cohort))
-    made.section("Side by side", *_side_by_side(ears, found))
-    made.section("Do the ears differ?", *_comparison(ears, found))
-    made.write(path)
+    report.section("Studies", table if len(ears) <= _SOME else page.folded(f"All {len(ears)} studies", table))
+    report.sections.extend([] if cohort is None else law_sections(cohort))
+    report.section("Side by side", *_side_by_side(ears, entries))
+    report.section("Do the ears differ?", *_comparison(ears, entries))
+    report.write(path)
 
 
-def _side_by_side(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
+def _side_by_side(ears: Sequence[Ear], rows: Sequence[Quantity]) -> list[Any]:
     """Return a picture and tables: a column per ear when there are few, else a row per ear."""
     blocks = [
         page.figure(
-            _figure(ears, [quantity for quantity in found if _on_diagonal(quantity)]),
-            "Each ear with two standard deviations of its own; line: plain mean.",
+            _figure(ears, [quantity for quantity in rows if _on_diagonal(quantity)]),
+            "Each ear with two of its standard deviations; line: plain mean.",
             "values of all ears with error bars",
             vector=len(ears) <= MOST_AS_PATHS,
         )
     ]
-    for heading, part in _groups(found):
+    for heading, part in _groups(rows):
         if len(ears) <= _FEW:
             cells = [(_headed(one), *(_cell(one, k) for k in range(len(ears)))) for one in part]
             table = page.table(("", *labels(ears)), cells)
@@ -115,10 +115,10 @@ def _narrow(name: str) -> str:
     return "\n".join(textwrap.wrap(plain(name), 14))
 
 
-def _groups(found: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
+def _groups(rows: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
     titles = (("Mass and modes", ("mass", "mode")), ("Stiffness K", ("K_",)), ("Damping D", ("D_",)))
     return [
-        (title, [quantity for quantity in found if quantity.name.startswith(starts)])
+        (title, [quantity for quantity in rows if quantity.name.startswith(starts)])
         for title, starts in titles
     ]
 
@@ -142,7 +142,7 @@ def _cell(one: Quantity, place: int) -> str:
     return plus_minus(float(value), float(sd)) if np.isfinite(sd) else f"{value:.4g}"
 
 
-def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
+def _comparison(ears: Sequence[Ear], tests: Sequence[Quantity]) -> list[Any]:
     """Compare the scatter between the ears with what their own uncertainty would make of equal ears."""
     if len(ears) < 2:
         return [page.text("One ear alone cannot be compared.")]
@@ -150,7 +150,7 @@ def _comparison(ears: Sequence[Ear], found: Sequence[Quantity]) -> list[Any]:
     known = set(sides) <= {"left", "right"}
     right = np.array([side == "right" for side in sides])
     rows = []
-    for one in (quantity.mirrored(right) for quantity in found):
+    for one in (quantity.mirrored(right) for quantity in tests):
         if one.turns and not known:
             continue
         q, count, p = one.homogeneity()

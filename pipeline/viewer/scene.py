@@ -49,7 +49,7 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
     """Return surfaces, lines and modes in the footplate frame, mm, JSON-able."""
     from kinematics.registration.scan_surfaces import ScanSurfaces
 
-    frames, found = mass.record.raw["frames"], mass.record.raw.get("found", {})
+    frames, landmarks = mass.record.raw["frames"], mass.record.raw.get("found", {})
     scan_from_footplate = np.asarray(frames["scan_from_footplate"], dtype=float)
     surfaces = ScanSurfaces.of(mass)
     meshes = []
@@ -61,7 +61,7 @@ def scene(mass: MeasuredMass, kd: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "meshes": meshes,
         "lines": _lines(frames, scan_from_footplate, kd),
-        "outline": found.get("footplate_outline_in_footplate_mm") or [],
+        "outline": landmarks.get("footplate_outline_in_footplate_mm") or [],
         "z_is": frames.get("z_is", ""),
         "modes": [_mode(mode, kd["dof"]) for mode in kd["modes"]],
     }
@@ -76,7 +76,7 @@ def _lines(
     frames: Mapping[str, Any], scan_from_footplate: Array, kd: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Return the axes of the frames and of the stiffness: name, ends, colour key."""
-    made = [
+    lines = [
         {
             "name": name,
             "from": [0.0, 0.0, 0.0],
@@ -91,7 +91,7 @@ def _lines(
         origin = _mapped_back(scan_from_footplate, plate[:3, 3])
         for name, axis in zip("xyz", plate[:3, :3].T, strict=True):
             end = origin + _AXIS_MM * (scan_from_footplate[:3, :3].T @ axis)
-            made.append(_line(f"{name}p", origin, end, name, "plate"))
+            lines.append(_line(f"{name}p", origin, end, name, "plate"))
     axes = kd.get("principal_axes")
     if axes:
         origin = np.array([axes["origin_x_mm"], 0.0, axes["origin_z_mm"]])
@@ -102,8 +102,8 @@ def _lines(
             ("stiffness axis 3", np.cross(long, [0.0, 1.0, 0.0])),
             ("stiffness axis 2", np.array([0.0, 1.0, 0.0])),
         ):
-            made.append(_line(name, origin - 0.9 * way, origin + 0.9 * way, "principal", "principal"))
-    return made
+            lines.append(_line(name, origin - 0.9 * way, origin + 0.9 * way, "principal", "principal"))
+    return lines
 
 
 def _line(name: str, start: Array, end: Array, colour: str, kind: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ Order = tuple[int, ...]
 # All orders of up to this many points are tried; of more, those that fit three of the points.
 _ALL_ORDERS = 7
 _MOST_POINTS = 40
-# Orders whose sum of squares is within this of the best are not told apart by it.
+# Orders whose sum of squares is within this of the best cannot be distinguished.
 _ALIKE = 6.0
 
 
@@ -34,19 +34,19 @@ def best_order(a: Array, b: Array, weights: Array) -> tuple[Order, float]:
     """
     count = len(a)
     same = tuple(range(count))
-    found = {same: _energy(a, b, weights, same)}
+    energies = {same: _energy(a, b, weights, same)}
     for order in _candidates(a, b, weights):
-        if order not in found:
-            found[order] = _energy(a, b, weights, order)
-    lowest = min(found.values())
-    alike = [order for order, energy in found.items() if energy < lowest + _ALIKE]
-    order = min(alike, key=lambda one: (sum(k != place for place, k in enumerate(one)), found[one]))
-    return order, found[order]
+        if order not in energies:
+            energies[order] = _energy(a, b, weights, order)
+    lowest = min(energies.values())
+    alike = [order for order, energy in energies.items() if energy < lowest + _ALIKE]
+    order = min(alike, key=lambda one: (sum(k != place for place, k in enumerate(one)), energies[one]))
+    return order, energies[order]
 
 
 def cycles(order: Order) -> list[tuple[int, ...]]:
     """Return the cycles of an order, points in their place left out."""
-    left, made = set(range(len(order))), []
+    left, cycles = set(range(len(order))), []
     while left:
         cycle = [min(left)]
         left.discard(cycle[0])
@@ -54,8 +54,8 @@ def cycles(order: Order) -> list[tuple[int, ...]]:
             cycle.append(following)
             left.discard(following)
         if len(cycle) > 1:
-            made.append(tuple(cycle))
-    return made
+            cycles.append(tuple(cycle))
+    return cycles
 
 
 def _candidates(a: Array, b: Array, weights: Array) -> list[Order]:
@@ -71,13 +71,13 @@ def _candidates(a: Array, b: Array, weights: Array) -> list[Order]:
     corners = max(combinations(range(count), 3), key=lambda one: _area(a[list(one)]))
     triples = np.array(list(permutations(range(count), 3)))
     rough = _energies(a[list(corners)], b, weights[list(corners)], triples)
-    made = []
+    candidates = []
     for place in np.argsort(rough)[:200]:
         chosen = triples[place]
         rotation, shift, _ = kabsch(a[list(corners)], b[chosen], weights[list(corners)])
         gaps = np.sum(((a @ rotation.T + shift)[:, None] - b[None]) ** 2, axis=2)
-        made.append(tuple(linear_sum_assignment(gaps)[1].tolist()))
-    return made
+        candidates.append(tuple(linear_sum_assignment(gaps)[1].tolist()))
+    return candidates
 
 
 def _area(corners: Array) -> float:

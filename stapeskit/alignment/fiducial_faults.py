@@ -69,7 +69,7 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
     """
     count = len(a)
     free = 3 * count - 6
-    made = []
+    suspects = []
     for out in range(count):
         keep = np.arange(count) != out
         rotation, shift, _ = kabsch(a[keep], b[keep], weights[keep])
@@ -77,30 +77,30 @@ def explanations(a: Array, b: Array, weights: Array) -> list[Explanation]:
         energy = float(np.sum(weights[keep, None] * rest[keep] ** 2))
         cost = 3.0 + 2.0 * np.log(count)
         size = float(np.linalg.norm(rest[out]))
-        made.append(Explanation("wrong", (out,), energy, free - 3, cost, size, -rest[out]))
+        suspects.append(Explanation("wrong", (out,), energy, free - 3, cost, size, -rest[out]))
     pairs = list(combinations(range(count), 2))
     for i, j in pairs:
         order = np.arange(count)
         order[[i, j]] = j, i
         energy = _energy(a, b[order], weights)
         size = float(np.linalg.norm(b[i] - b[j]))
-        made.append(Explanation("swapped", (i, j), energy, free, 2.0 * np.log(len(pairs)), size))
-    made.append(Explanation("mirrored", (), _energy(a * [1.0, 1.0, -1.0], b, weights), free, 1.0))
+        suspects.append(Explanation("swapped", (i, j), energy, free, 2.0 * np.log(len(pairs)), size))
+    suspects.append(Explanation("mirrored", (), _energy(a * [1.0, 1.0, -1.0], b, weights), free, 1.0))
     scale, energy = _scaled(a, b, weights)
-    made.append(Explanation("scaled", (), energy, free - 1, 1.0, scale))
-    return made
+    suspects.append(Explanation("scaled", (), energy, free - 1, 1.0, scale))
+    return suspects
 
 
-def best(found: Sequence[Explanation], stated: bool) -> tuple[Explanation, list[Explanation]]:
+def best(suspects: Sequence[Explanation], stated: bool) -> tuple[Explanation, list[Explanation]]:
     """Return the explanation of the greatest likelihood and those that the data cannot tell from it."""
-    freedom = float(max(explanation.n_dof for explanation in found))
+    freedom = float(max(explanation.n_dof for explanation in suspects))
 
     def score(one: Explanation) -> float:
         if stated:
             return one.energy + one.cost
         return float(freedom * np.log(max(one.energy, _ROUNDING) / one.n_dof) + one.cost)
 
-    ordered = sorted(found, key=score)
+    ordered = sorted(suspects, key=score)
     alike = [one for one in ordered if score(one) < score(ordered[0]) + _ALIKE]
     return ordered[0], alike
 
@@ -126,7 +126,8 @@ def check_size(a: Array, b: Array, source: str, to: str) -> None:
     Raises
     ------
     StapeskitError
-        The median ratio of distances is beyond 1.5 or below 1 / 1.5; a factor of 1000 is told as such.
+        The median ratio of distances is beyond 1.5 or below 1 / 1.5; a factor of 1000 is reported as mm and m
+        mixed.
     """
     pairs = np.array(list(combinations(range(len(a)), 2)))
     first = np.linalg.norm(a[pairs[:, 0]] - a[pairs[:, 1]], axis=1)
@@ -159,7 +160,7 @@ def unit_hint(ratio: float, source: str, to: str) -> str:
 
 
 def fault_notices(
-    found: Sequence[Explanation],
+    suspects: Sequence[Explanation],
     rotation: Array,
     energy: float,
     names: Sequence[str],
@@ -169,7 +170,7 @@ def fault_notices(
 
     Parameters
     ----------
-    found : sequence of Explanation
+    suspects : sequence of Explanation
     rotation : ndarray, (3, 3)
         Of the fit of all.
     energy : float
@@ -184,9 +185,9 @@ def fault_notices(
     of the three coordinates of one fiducial (or of the improvement by an exchange), corrected for the number
     of candidates (Cook and Weisberg 1982, Residuals and Influence in Regression, section 2.2).
     """
-    free = 3 * sum(explanation.kind == "wrong" for explanation in found) - 6
+    free = 3 * sum(explanation.kind == "wrong" for explanation in suspects) - 6
     usable = [
-        explanation for explanation in found if explanation.kind != "mirrored" and explanation.n_dof > 0
+        explanation for explanation in suspects if explanation.kind != "mirrored" and explanation.n_dof > 0
     ]
     if not usable:
         return []
@@ -249,12 +250,12 @@ def refuse_exchanged(
             return
     elif after * _FAR_BETTER > energy:
         return
-    said = "; ".join(_cycle_words(cycle, names) for cycle in moved)
+    listed = "; ".join(_cycle_words(cycle, names) for cycle in moved)
     raise StapeskitError(
         Fault(
             "the names of the fiducials",
             "those of the same points in both frames",
-            f"{said} (residual {np.sqrt(energy / np.sum(weights)):.3g} mm as given, "
+            f"{listed} (residual {np.sqrt(energy / np.sum(weights)):.3g} mm as given, "
             f"{np.sqrt(after / np.sum(weights)):.3g} mm in that order)",
             next_step="Correct the names, or the order of the reference coordinates",
         )
@@ -328,7 +329,7 @@ def _cell(one: Explanation, rotation: Array) -> str:
 
 
 def refuse_mirrored(
-    found: Sequence[Explanation],
+    suspects: Sequence[Explanation],
     energy: float,
     total_weight: float,
     stated: bool,
@@ -342,7 +343,7 @@ def refuse_mirrored(
     StapeskitError
         One of the two frames is left-handed.
     """
-    usable = [explanation for explanation in found if explanation.n_dof > 0]
+    usable = [explanation for explanation in suspects if explanation.n_dof > 0]
     _, alike = best(usable, stated)
     mirror = next((one for one in alike if one.kind == "mirrored"), None)
     if mirror is None or mirror.energy > 0.25 * energy:

@@ -15,7 +15,7 @@ _ROUNDS = 50
 def kabsch(source_mm: Array, target_mm: Array, weights: Array) -> tuple[Array, Array, bool]:
     """Return the proper rotation (3, 3) and the translation (3,), mm, of the weighted least-squares fit.
 
-    The third value tells whether a reflection would have fitted better.
+    The third value is True where a reflection would have fitted better.
 
     Notes
     -----

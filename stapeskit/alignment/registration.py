@@ -113,7 +113,7 @@ def fit_rigid(
         Paired points, mm, in the frames ``source`` and ``to``; at least 3, not on a line.
     sd_mm : array_like, scalar, (n,) or (n, 3), optional
         Standard deviation of the source points, mm: per coordinate, or along each source axis. Alone, it
-        stands for the difference of a pair. Estimated from the residuals when no sd is given.
+        is that of the difference of a pair. Estimated from the residuals when no sd is given.
     to, source : str
         Names of the two frames.
     names : tuple of str, optional
@@ -153,13 +153,13 @@ def fit_rigid(
     else:
         matrices = np.broadcast_to(np.eye(3), (len(a), 3, 3))
     energy = float(np.einsum("ni,nij,nj->", residuals, matrices, residuals))
-    return _judged(
+    return _checked(
         a, b, RigidTransform.from_parts(rotation, shift, to, source), residuals, matrices, weights, energy,
         stated, mirrored, names or tuple(str(place + 1) for place in range(len(a))),
     )  # fmt: skip
 
 
-def _judged(
+def _checked(
     a: Array,
     b: Array,
     transform: RigidTransform,
@@ -178,12 +178,12 @@ def _judged(
     coplanar = len(a) < 4 or flat < max(_THIN * extent, 4.0 * float(np.median(sd)) if stated else 0.0)
     notices = [_coplanar_notice(len(a), flat)] if coplanar else []
     if len(a) > 3:
-        found = explanations(a, b, weights)
+        suspects = explanations(a, b, weights)
         if mirrored and not coplanar:
-            refuse_mirrored(found, energy, float(np.sum(weights)), stated, transform.source, names)
-        single = min(one.energy for one in found if one.kind == "wrong") if len(a) > 4 else np.inf
+            refuse_mirrored(suspects, energy, float(np.sum(weights)), stated, transform.source, names)
+        single = min(one.energy for one in suspects if one.kind == "wrong") if len(a) > 4 else np.inf
         refuse_exchanged(a, b, weights, energy, stated, names, single)
-        notices += fault_notices(found, transform.rotation, energy, names, stated)
+        notices += fault_notices(suspects, transform.rotation, energy, names, stated)
     elif stated and inconsistent(energy, n_dof):
         notices.append(_three_notice(energy, n_dof))
     scale = energy / n_dof if not stated or inconsistent(energy, n_dof) else 1.0

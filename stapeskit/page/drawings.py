@@ -43,7 +43,7 @@ def shortened(name: str, most: int = 16) -> str:
 
 
 def distinct(names: Sequence[str], most: int = 10) -> dict[str, str]:
-    """Return short forms of names that are still told apart: what all share is left out of long ones.
+    """Return short forms of names that remain distinct: long names lose what all of them share.
 
     Examples
     --------

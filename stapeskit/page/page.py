@@ -90,9 +90,9 @@ class Page:
 
     def section(self, heading: str, *blocks: Markup) -> Section:
         """Append a section."""
-        made = Section(heading, list(blocks))
-        self.sections.append(made)
-        return made
+        part = Section(heading, list(blocks))
+        self.sections.append(part)
+        return part
 
     def html(self) -> str:
         """Return the whole page."""
@@ -186,12 +186,12 @@ def table(
     )
 
 
-def notices(found: Iterable[Notice]) -> Markup:
+def notices(shown: Iterable[Notice]) -> Markup:
     """Return every warning as a block, or one line that says that there is none."""
     return _render(
         "{% for n in found %}<div class='notice'><code>{{ n.code }}</code> {{ n.text }}</div>{% else %}"
         "<div class='notice good'>No warnings.</div>{% endfor %}",
-        found=[replace(notice, text=printed(notice.text)) for notice in found],
+        found=[replace(notice, text=printed(notice.text)) for notice in shown],
     )
 
 
@@ -283,7 +283,7 @@ def _few_colours(png: bytes) -> bytes:
 
 
 def _shortened(svg: bytes) -> bytes:
-    """Round the coordinates of paths to hundredths of a point, which no eye and no printer tells apart."""
+    """Round the coordinates of paths to hundredths of a point, finer than any screen or printer shows."""
     path = re.compile(rb' d="[^"]*"')
     number = re.compile(rb"(\d+\.\d\d)\d+")
     return path.sub(lambda found: number.sub(rb"\1", found.group()), svg)

@@ -1,4 +1,4 @@
-"""HDF5 files that are written by way of memory: on a full disk the library would end the process."""
+"""Write HDF5 files in memory first: on a full disk the library would end the process."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def written_h5(path: Path) -> Iterator[Any]:
 
 def larger_than_file(group: Any, size: int) -> str:
     """Return the name of a data set that declares more bytes than the file has, or nothing."""
-    found: list[str] = []
+    names: list[str] = []
 
     def look(name: str, item: Any) -> None:
         count = getattr(item, "size", None)
-        if count is not None and not found and count * item.dtype.itemsize > size:
-            found.append(name)
+        if count is not None and not names and count * item.dtype.itemsize > size:
+            names.append(name)
 
     group.visititems(look)
-    return found[0] if found else ""
+    return names[0] if names else ""

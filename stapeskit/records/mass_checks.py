@@ -1,4 +1,4 @@
-"""Everything that a ``mass.json`` can have wrong: type and shape of what is read, signs, contradictions."""
+"""Check a ``mass.json``: types, shapes, signs, and contradictions between its parts."""
 
 from __future__ import annotations
 
@@ -214,50 +214,54 @@ def _differ(given: Array, wanted: Array) -> float:
     return float(np.max(np.abs(given - wanted) / np.outer(root, root)))
 
 
-def _frames(made: Checked) -> None:
+def _frames(checked: Checked) -> None:
     """Read the frames and their covariances; check that they fit together."""
     for name in (*_POSES, "plate_from_footplate"):
         to, source = name.split("_from_")
-        matrix = made.numbers(f"frames.{name}", (4, 4), optional=name != "scan_from_footplate")
+        matrix = checked.numbers(f"frames.{name}", (4, 4), optional=name != "scan_from_footplate")
         if matrix is None:
             continue
-        faults = transform_faults(matrix, f"frames.{name}", made.file)
-        made.faults += faults
+        faults = transform_faults(matrix, f"frames.{name}", checked.file)
+        checked.faults += faults
         if not faults:
-            made.transforms[name] = RigidTransform(matrix, to, source)
-    given = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(made, name)}
+            checked.transforms[name] = RigidTransform(matrix, to, source)
+    given = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(checked, name)}
     if len(given) == 1:
         one = given.pop()
         other = "plate_from_footplate" if one == "scan_from_plate" else "scan_from_plate"
-        made.fault(f"frames.{other}", f"given beside {one}", "none")
-    if len(made.transforms) == 3:
+        checked.fault(f"frames.{other}", f"given beside {one}", "none")
+    if len(checked.transforms) == 3:
         wanted = (
-            made.transforms["scan_from_plate"].inverse() @ made.transforms["scan_from_footplate"]
+            checked.transforms["scan_from_plate"].inverse() @ checked.transforms["scan_from_footplate"]
         ).matrix
-        off = np.abs(made.transforms["plate_from_footplate"].matrix - wanted)
-        lengths = [float(np.linalg.norm(transform.translation_mm)) for transform in made.transforms.values()]
+        off = np.abs(checked.transforms["plate_from_footplate"].matrix - wanted)
+        lengths = [
+            float(np.linalg.norm(transform.translation_mm)) for transform in checked.transforms.values()
+        ]
         if np.max(off[:, :3]) > _SAME or np.max(off[:, 3]) > _SAME * max([1.0, *lengths]):
             got = f"one that is {np.max(off[:, 3]):.3g} mm and {np.max(off[:, :3]):.3g} rad off"
-            made.fault("frames.plate_from_footplate", "inverse(scan_from_plate) @ scan_from_footplate", got)
+            checked.fault(
+                "frames.plate_from_footplate", "inverse(scan_from_plate) @ scan_from_footplate", got
+            )
     for name in _POSES:
         path = f"frames.pose_covariance.{name}"
-        if made.get(path, optional=True) is None:
+        if checked.get(path, optional=True) is None:
             continue
-        if made.get(f"{path}.names", optional=True) is not None:
-            made.listed(f"{path}.names", DOF_NAMES)
-        value = made.get(f"{path}.matrix_si")
-        matrix = None if value is None else made.covariance_of(value, f"{path}.matrix_si", _POSE_SCALE)
+        if checked.get(f"{path}.names", optional=True) is not None:
+            checked.listed(f"{path}.names", DOF_NAMES)
+        value = checked.get(f"{path}.matrix_si")
+        matrix = None if value is None else checked.covariance_of(value, f"{path}.matrix_si", _POSE_SCALE)
         if matrix is not None:
-            made.poses[name] = matrix
+            checked.poses[name] = matrix
 
 
-def _given(made: Checked, name: str) -> bool:
-    frames = made.raw.get("frames")
+def _given(checked: Checked, name: str) -> bool:
+    frames = checked.raw.get("frames")
     return isinstance(frames, Mapping) and frames.get(name) is not None
 
 
-def _notices(made: Checked) -> None:
-    warnings = made.raw.get("warnings", [])
+def _notices(checked: Checked) -> None:
+    warnings = checked.raw.get("warnings", [])
     good = isinstance(warnings, list) and all(
         isinstance(warning, Mapping)
         and isinstance(warning.get("code"), str)
@@ -265,74 +269,76 @@ def _notices(made: Checked) -> None:
         for warning in warnings
     )
     if not good:
-        made.fault("warnings", "a list of objects with code and text", short(warnings))
-    if not isinstance(made.raw.get("found") or {}, Mapping):
-        made.fault("found", "an object", short(made.raw["found"]))
+        checked.fault("warnings", "a list of objects with code and text", short(warnings))
+    if not isinstance(checked.raw.get("found") or {}, Mapping):
+        checked.fault("found", "an object", short(checked.raw["found"]))
 
 
-def _body(made: Checked) -> tuple[Array | None, Array | None, Array | None]:
+def _body(checked: Checked) -> tuple[Array | None, Array | None, Array | None]:
     """Return mass (kg), centre of mass (3,), mm, and central tensor (3, 3), kg m2; check density x volume."""
-    mass = made.numbers("mass_kg", ())
+    mass = checked.numbers("mass_kg", ())
     if mass is not None and not mass > 0.0:
-        made.fault("mass_kg", "positive", f"{mass:g}")
+        checked.fault("mass_kg", "positive", f"{mass:g}")
         mass = None
-    centre = made.numbers("center_of_mass_in_scan_mm", (3,))
-    tensor = made.numbers("inertia_about_center_of_mass_in_scan_axes_kg_m2", (3, 3), optional=True)
-    density = made.numbers("density_kg_m3", (), optional=True)
-    volume = made.numbers("volume_m3", (), optional=True)
+    centre = checked.numbers("center_of_mass_in_scan_mm", (3,))
+    tensor = checked.numbers("inertia_about_center_of_mass_in_scan_axes_kg_m2", (3, 3), optional=True)
+    density = checked.numbers("density_kg_m3", (), optional=True)
+    volume = checked.numbers("volume_m3", (), optional=True)
     for name, value in (("density_kg_m3", density), ("volume_m3", volume)):
         if value is not None and not value > 0.0:
-            made.fault(name, "positive", f"{value:g}")
-    found = made.raw.get("found")
-    added = isinstance(found, Mapping) and bool(found.get("added_masses"))
+            checked.fault(name, "positive", f"{value:g}")
+    landmarks = checked.raw.get("found")
+    added = isinstance(landmarks, Mapping) and bool(landmarks.get("added_masses"))
     if mass is not None and density is not None and volume is not None and not added:
         product = float(density * volume)
         if abs(product / float(mass) - 1.0) > _SAME_MASS:
             got = f"{product:g} kg against {mass:g} kg"
-            made.fault("density_kg_m3 times volume_m3", "mass_kg", got)
+            checked.fault("density_kg_m3 times volume_m3", "mass_kg", got)
     return mass, centre, tensor
 
 
-def _uncertainty(made: Checked, parameters: Array) -> None:
+def _uncertainty(checked: Checked, parameters: Array) -> None:
     """Read the covariance of the parameters and its parts, and compare the stated standard deviations."""
     mass, tensor = central_tensor(parameters)
     length = float(np.sqrt(np.trace(tensor) / mass))
     scale = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-    value = made.get("inertial_parameters.covariance_si")
+    value = checked.get("inertial_parameters.covariance_si")
     if value is not None:
-        made.covariance = made.covariance_of(value, "inertial_parameters.covariance_si", scale)
-    parts = made.get("inertial_parameters.contributions_si", optional=True) or {}
+        checked.covariance = checked.covariance_of(value, "inertial_parameters.covariance_si", scale)
+    parts = checked.get("inertial_parameters.contributions_si", optional=True) or {}
     if not isinstance(parts, Mapping):
-        made.fault("inertial_parameters.contributions_si", "an object", short(parts))
+        checked.fault("inertial_parameters.contributions_si", "an object", short(parts))
         parts = {}
     for name, part in parts.items():
-        matrix = made.covariance_of(part, f"inertial_parameters.contributions_si.{name}", scale)
+        matrix = checked.covariance_of(part, f"inertial_parameters.contributions_si.{name}", scale)
         if matrix is not None:
-            made.contributions[name] = matrix
-    covariance = made.covariance
+            checked.contributions[name] = matrix
+    covariance = checked.covariance
     if covariance is None:
         return
-    if parts and len(made.contributions) == len(parts):
+    if parts and len(checked.contributions) == len(parts):
         root = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), _FLOOR * scale)
-        total = sum(made.contributions.values(), np.zeros((10, 10)))
+        total = sum(checked.contributions.values(), np.zeros((10, 10)))
         if np.max(np.abs(total - covariance) / np.outer(root, root)) > _FLOOR:
-            made.fault("inertial_parameters.covariance_si", "the sum of contributions_si", "another matrix")
+            checked.fault(
+                "inertial_parameters.covariance_si", "the sum of contributions_si", "another matrix"
+            )
     basis = parameter_basis()
     wanted = np.sqrt(np.maximum(np.einsum("aij,ab,bij->ij", basis, covariance, basis), 0.0))
     root = np.sqrt(np.diag(matrix_from_parameters(parameters)))
     for block, size in (("mass_matrix", 6), ("mass_matrix_plate_axes", 6), ("mass_matrix_reduced", 0)):
-        dof = made.raw.get(block)
+        dof = checked.raw.get(block)
         if not isinstance(dof, Mapping) or dof.get("standard_deviation_si") is None:
             continue
         places = list(range(6)) if size else _places(dof.get("dof"))
         path = f"{block}.standard_deviation_si"
-        sd = made.numbers(path, (len(places), len(places)))
+        sd = checked.numbers(path, (len(places), len(places)))
         if sd is not None and np.any(sd < 0.0):
-            made.fault(path, "zero or positive", f"{np.min(sd):g}")
+            checked.fault(path, "zero or positive", f"{np.min(sd):g}")
         elif sd is not None and block != "mass_matrix_plate_axes":
             off = np.abs(sd - wanted[np.ix_(places, places)]) / np.outer(root[places], root[places])
             if np.max(off, initial=0.0) > _FLOOR:
-                made.fault(path, "that of inertial_parameters.covariance_si", "another one")
+                checked.fault(path, "that of inertial_parameters.covariance_si", "another one")
 
 
 def _places(names: Any) -> list[int]:
@@ -342,45 +348,47 @@ def _places(names: Any) -> list[int]:
 
 
 def _same_body(
-    made: Checked, parameters: Array, mass: Array | None, centre: Array | None, tensor: Array | None
+    checked: Checked, parameters: Array, mass: Array | None, centre: Array | None, tensor: Array | None
 ) -> None:
     """Compare every other statement about the body with its inertial parameters."""
     if mass is not None and abs(float(mass) / parameters[0] - 1.0) > _SAME:
-        made.fault("mass_kg", f"{parameters[0]:g} as in inertial_parameters", f"{mass:g}")
+        checked.fault("mass_kg", f"{parameters[0]:g} as in inertial_parameters", f"{mass:g}")
     own = matrix_from_parameters(parameters)
-    frame = made.transforms.get("scan_from_footplate")
+    frame = checked.transforms.get("scan_from_footplate")
     if frame is not None:
         com_mm = frame.points(parameters[1:4] / parameters[0] * 1e3)
         size = max(100.0, float(np.max(np.abs(com_mm))))
         if centre is not None and np.max(np.abs(com_mm - centre)) > _SAME * size:
             where = "where inertial_parameters and frames put it"
-            made.fault("center_of_mass_in_scan_mm", where, short(centre.tolist()))
+            checked.fault("center_of_mass_in_scan_mm", where, short(centre.tolist()))
         turned = frame.rotation @ central_tensor(parameters)[1] @ frame.rotation.T
         if tensor is not None and np.max(np.abs(tensor - turned)) > _SAME * np.trace(turned):
             name = "inertia_about_center_of_mass_in_scan_axes_kg_m2"
-            made.fault(name, "the tensor of inertial_parameters, turned by frames", "another one")
-    reduced = made.get("mass_matrix_reduced", optional=True)
+            checked.fault(name, "the tensor of inertial_parameters, turned by frames", "another one")
+    reduced = checked.get("mass_matrix_reduced", optional=True)
     if reduced is not None:
-        names = made.get("mass_matrix_reduced.dof")
+        names = checked.get("mass_matrix_reduced.dof")
         places = _places(names)
         if not places:
-            made.fault("mass_matrix_reduced.dof", f"names out of {', '.join(DOF_NAMES)}", short(names))
+            checked.fault("mass_matrix_reduced.dof", f"names out of {', '.join(DOF_NAMES)}", short(names))
         else:
-            given = made.numbers("mass_matrix_reduced.matrix_si", (len(places), len(places)))
+            given = checked.numbers("mass_matrix_reduced.matrix_si", (len(places), len(places)))
             root = np.sqrt(np.diag(own))[places]
             part = own[np.ix_(places, places)]
             if given is not None and np.max(np.abs(given - part) / np.outer(root, root)) > _SAME:
-                made.fault("mass_matrix_reduced", "the same entries as mass_matrix", "others")
-    if made.get("mass_matrix_plate_axes", optional=True) is None:
+                checked.fault("mass_matrix_reduced", "the same entries as mass_matrix", "others")
+    if checked.get("mass_matrix_plate_axes", optional=True) is None:
         return
-    made.word("mass_matrix_plate_axes.about", "footplate_centre")
-    made.word("mass_matrix_plate_axes.axes", "plate")
-    made.listed("mass_matrix_plate_axes.dof", DOF_NAMES)
-    given = made.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
-    plate = made.transforms.get("plate_from_footplate")
-    if plate is None and not _given(made, "plate_from_footplate"):
-        made.fault("mass_matrix_plate_axes", "null in a file without plate_from_footplate", "a matrix")
+    checked.word("mass_matrix_plate_axes.about", "footplate_centre")
+    checked.word("mass_matrix_plate_axes.axes", "plate")
+    checked.listed("mass_matrix_plate_axes.dof", DOF_NAMES)
+    given = checked.numbers("mass_matrix_plate_axes.matrix_si", (6, 6))
+    plate = checked.transforms.get("plate_from_footplate")
+    if plate is None and not _given(checked, "plate_from_footplate"):
+        checked.fault("mass_matrix_plate_axes", "null in a file without plate_from_footplate", "a matrix")
     elif plate is not None and given is not None:
         back = np.linalg.inv(twist_transfer(plate.rotation, np.zeros(3)))
         if _differ(given, back.T @ own @ back) > _SAME:
-            made.fault("mass_matrix_plate_axes", "mass_matrix turned into the plate axes", "another matrix")
+            checked.fault(
+                "mass_matrix_plate_axes", "mass_matrix turned into the plate axes", "another matrix"
+            )

@@ -1,4 +1,4 @@
-"""The mass matrix as every room reads it: from ``mass.json``, checked before it is believed."""
+"""The mass matrix as every room reads it: from ``mass.json``, after a check of its content."""
 
 from __future__ import annotations
 
@@ -210,22 +210,22 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _record(raw: dict[str, Any], name: str) -> MassRecord:
-    made = check(raw, name)
-    raise_all(StapeskitError, made.faults)
-    if made.parameters is None or made.covariance is None:
+    checked = check(raw, name)
+    raise_all(StapeskitError, checked.faults)
+    if checked.parameters is None or checked.covariance is None:
         raise StapeskitError(Fault("a mass.json", "complete", "a part of it", name, MADE_BY))
     return MassRecord(
         MassMatrix(
             "footplate_centre",
             "footplate",
-            made.parameters,
-            made.contributions or {"unspecified": made.covariance},
+            checked.parameters,
+            checked.contributions or {"unspecified": checked.covariance},
         ),
-        made.transforms["scan_from_footplate"],
-        made.transforms.get("plate_from_footplate"),
-        made.poses.get("scan_from_footplate", np.zeros((6, 6))),
-        made.poses.get("scan_from_plate", np.zeros((6, 6)))
-        if "plate_from_footplate" in made.transforms
+        checked.transforms["scan_from_footplate"],
+        checked.transforms.get("plate_from_footplate"),
+        checked.poses.get("scan_from_footplate", np.zeros((6, 6))),
+        checked.poses.get("scan_from_plate", np.zeros((6, 6)))
+        if "plate_from_footplate" in checked.transforms
         else None,
         from_json(raw.get("warnings", [])),
         raw,

@@ -70,7 +70,7 @@ class MeasuredMass:
 
     @property
     def provenance_input(self) -> Path | Mapping[str, Any] | None:
-        """The file, or what is known of a mass in memory; an input of `stapeskit.provenance.record`."""
+        """The file, or a description of a mass in memory; an input of `stapeskit.provenance.record`."""
         return self.file or self.source or None
 
 

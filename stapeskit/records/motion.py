@@ -26,7 +26,7 @@ class SharedErrors:
     names : tuple of str, (p,)
         ``<source>.<parameter>``, e.g. ``registration.alpha``. The source ``footplate_frame`` (x, y, z,
         alpha, beta, gamma: displacement of the footplate frame in its own axes, m and rad) is the same
-        error that stands in mass.json, so that fitting can join both.
+        error as in mass.json, so that fitting can join both.
     covariance : ndarray, (p, p)
         SI.
     derivatives : ndarray, (p, run, body, freq, dof), complex
@@ -69,7 +69,7 @@ class RigidMotion:
         Sum of squared normalised residuals over real and imaginary parts, and its degrees of freedom.
     common_sd : ndarray, (run, freq), or None
         Standard deviation of the real (= imaginary) part of a relative error that all motions of a line
-        share: noise of the signal that the readings refer to. It stands in ``covariance`` as 2 s^2 q q^H.
+        share: noise of the signal that the readings refer to. ``covariance`` contains it as 2 s^2 q q^H.
     reference : str
         ``BODY:DOF`` when q is per unit of that motion, else empty.
     about, axes : str

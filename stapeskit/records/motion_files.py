@@ -288,9 +288,9 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
 
 def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[Fault]:
     faults = []
-    told = table.told_rows("freq_hz")
+    reported = table.invalid_rows("freq_hz")
     for row in np.flatnonzero(~(freq >= LOWEST_HZ) | (freq > HIGHEST_HZ)):
-        if not (told[row] and np.isnan(freq[row])):
+        if not (reported[row] and np.isnan(freq[row])):
             finite = 0.0 < freq[row] < np.inf
             want = f"from {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz" if finite else "positive and finite"
             faults.append(Fault("freq_hz", want, f"{freq[row]:g}", table.where(int(row))))

@@ -57,7 +57,7 @@ def read_cells(sheet: Sheet, numbers: set[str], texts: set[str]) -> Cells:
             break
         except csv.Error as fault:
             where = Place(sheet.file, "line", (begun,))
-            faults.append(Fault("a row", "text that can be parted into cells", fault, where, "Correct it"))
+            faults.append(Fault("a row", "text that can be split into cells", fault, where, "Correct it"))
             break
         line, begun = begun, sheet.line + reader.line_num
         if not any(cell.strip() for cell in row):

@@ -1,4 +1,4 @@
-"""Read a CSV table fast, and name every malformed row when it is not as it should be.
+"""Read a CSV table fast, and report every malformed row.
 
 Commas, semicolons or tabs between columns; decimal commas with the latter two; UTF-8 and UTF-16, byte order
 marks, any line ends, quoted cells, ``#`` comments and the ``sep=;`` line of spreadsheets are fine.
@@ -58,8 +58,8 @@ class Table:
     def __len__(self) -> int:
         return len(self.lines)
 
-    def told_rows(self, column: str = "") -> NDArray[np.bool_]:
-        """Return which rows (rows,) have a cell, of one column or of any, that was told to be no number."""
+    def invalid_rows(self, column: str = "") -> NDArray[np.bool_]:
+        """Return which rows (rows,) have a cell, in one column or in any, that was reported as no number."""
         if not self.faults:
             return np.zeros(len(self), dtype=bool)
         lines = [

@@ -1,4 +1,4 @@
-"""The bytes of a CSV file: encoding, line ends, separator, and where its header stands."""
+"""The bytes of a CSV file: encoding, line ends, separator, and the line of its header."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def decoded(data: bytes, name: str, line: int = 1) -> str:
 
 
 def no_rows(name: str, got: str = "the header alone") -> Fault:
-    """Return the sentence on a table in which nothing stands."""
+    """Return the fault of a table without rows."""
     return Fault(name, "a table with rows below its header", got, "", "Export it again")
 
 

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from pipeline.records import Told
+from pipeline.records import StageReport
 from pipeline.report import ordered
 from stapeskit.page.page import Section
 
@@ -112,9 +112,11 @@ def test_texts_name_the_keys_of_the_study_file(page):
 
 def test_sections_of_all_stages_are_ordered_by_key():
     told = {
-        "scan": Told((Section("A", key="mass_uncertainty"), Section("B"), Section("C", key="segmentation"))),
-        "fit": Told((Section("D", key="modes"), Section("E", key="stiffness_and_damping"))),
-        "other": Told((Section("F", key="of_no_page"),)),
+        "scan": StageReport(
+            (Section("A", key="mass_uncertainty"), Section("B"), Section("C", key="segmentation"))
+        ),
+        "fit": StageReport((Section("D", key="modes"), Section("E", key="stiffness_and_damping"))),
+        "other": StageReport((Section("F", key="of_no_page"),)),
     }
     assert [(section.group, section.heading) for section in ordered(told)] == [
         ("Scan and mass", "Segmentation"),

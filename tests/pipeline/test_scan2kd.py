@@ -12,7 +12,7 @@ import pytest
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from pipeline import scan2kd, stages
 from pipeline.progress import Progress
-from pipeline.records import Told
+from pipeline.records import StageReport
 from pipeline.scan2kd import output_set, run_study
 from pipeline.study import read_study
 from stapeskit.faults import StapeskitError
@@ -210,7 +210,7 @@ def test_an_interrupted_run_leaves_nothing(ear, tmp_path, monkeypatch, fault, wh
         def scan(_study, work):
             (work.fresh / "mass.json").write_text(json.dumps(fake))
             (work.fresh / "stapes.ply").write_bytes((out / "stapes.ply").read_bytes())
-            return ["mass.json", "stapes.ply"], Told()
+            return ["mass.json", "stapes.ply"], StageReport()
 
         set_run(monkeypatch, "scan", scan)
     set_run(monkeypatch, stages.STAGES[where].name, stop)

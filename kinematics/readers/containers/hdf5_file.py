@@ -84,7 +84,7 @@ def text_of(value: Any) -> str:
 
 
 def texts_of(values: np.ndarray[Any, Any]) -> list[str]:
-    """Return a data set of strings as a list; padding is taken off."""
+    """Return a data set of strings as a list, without their padding."""
     return [text_of(value).strip().strip("\0") for value in np.asarray(values).reshape(-1)]
 
 

@@ -53,7 +53,7 @@ def read_mat5(path: Path) -> dict[str, Any]:
     path = Path(path)
     data = memoryview(path.read_bytes())
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
-    found: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
     faults: list[Fault] = []
     place, number = _HEADER, 0
     while place + 8 <= len(data) and bytes(data[place : place + 8]) != b"\0" * 8:
@@ -69,7 +69,7 @@ def read_mat5(path: Path) -> dict[str, Any]:
                 raise _DamageError(f"an element of type {kind} at byte {place}")
             name, value = _matrix(_Elements(body, order), 0)
             if name and value is not None:
-                found[name] = value
+                variables[name] = value
         except _DAMAGE as fault:
             faults.append(_fault(path, f"{fault} in variable {number}"))
             if kind not in (_MATRIX, _COMPRESSED):
@@ -78,7 +78,7 @@ def read_mat5(path: Path) -> dict[str, Any]:
     if not faults and place < len(data) and any(data[place:]):
         faults.append(_fault(path, "bytes that are no variable at its end"))
     raise_all(KinematicsError, faults)
-    return found
+    return variables
 
 
 def _fault(path: Path, got: str) -> Fault:
@@ -203,8 +203,8 @@ def _structs(elements: _Elements, count: int, is_object: bool, depth: int) -> An
         raise _DamageError("field names of no length")
     names = [raw[k : k + width].split(b"\0")[0].decode("utf-8", "replace") for k in range(0, len(raw), width)]
     _possible(count * len(names), elements)
-    made = [{name: _inner(elements, depth) for name in names} for _ in range(count if names else 0)]
-    return made[0] if len(made) == 1 else made
+    structs = [{name: _inner(elements, depth) for name in names} for _ in range(count if names else 0)]
+    return structs[0] if len(structs) == 1 else structs
 
 
 def _text(elements: _Elements, shape: tuple[int, ...]) -> str | list[str]:

@@ -1,4 +1,4 @@
-"""Which variable of a MATLAB file is what: read from a small TOML file, or told from the names.
+"""The meaning of the variables of a MATLAB file: read from a small TOML file, or guessed from their names.
 
 The file beside ``scan.mat`` (``--mapping FILE``, or ``scan.mat.toml`` found by itself)::
 
@@ -124,41 +124,41 @@ def read_mapping(path: Path) -> Layout:
     if not path.is_file():
         raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
     try:
-        found = parse_toml(path.read_bytes().decode("utf-8-sig"))
+        document = parse_toml(path.read_bytes().decode("utf-8-sig"))
     except ValueError as fault:
         raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
     faults: list[Fault] = []
-    signals = found.pop("signal", [])
+    signals = document.pop("signal", [])
     if not isinstance(signals, list) or not all(isinstance(signal, dict) for signal in signals):
         faults.append(Fault("signal", "tables [[signal]]", "something else", path.name))
         signals = []
-    layout = _checked(Layout, found, path.name, faults)
-    made = tuple(
+    layout = _checked(Layout, document, path.name, faults)
+    signal_tables = tuple(
         _checked(Signal, one, f"{path.name}, signal {k}", faults) for k, one in enumerate(signals, 1)
     )
-    if not made:
+    if not signal_tables:
         faults.append(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
-    for number, one in enumerate(made, 1):
+    for number, one in enumerate(signal_tables, 1):
         if not one.value and not (one.value_re and one.value_im):
             want = "given as value, or as value_re and value_im"
             faults.append(Fault("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
-    if not found.get("frequency"):
+    if not document.get("frequency"):
         faults.append(Fault("frequency", "the name of a variable", "none", path.name))
     for key, values in (("amplitude", ("peak", "rms")), ("convention", ("+", "-"))):
-        if found.get(key, values[0]) not in values:
-            faults.append(Fault(key, " or ".join(values), found[key], path.name))
-    if found.get("position_unit", "m") not in ("m", "mm", "um"):
-        faults.append(Fault("position_unit", "m, mm or um", found["position_unit"], path.name))
+        if document.get(key, values[0]) not in values:
+            faults.append(Fault(key, " or ".join(values), document[key], path.name))
+    if document.get("position_unit", "m") not in ("m", "mm", "um"):
+        faults.append(Fault("position_unit", "m, mm or um", document["position_unit"], path.name))
     raise_all(KinematicsError, faults)
-    return Layout(**{**{f.name: getattr(layout, f.name) for f in fields(Layout)}, "signal": made})
+    return Layout(**{**{f.name: getattr(layout, f.name) for f in fields(Layout)}, "signal": signal_tables})
 
 
-def _checked(kind: Any, found: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
+def _checked(kind: Any, entries: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
     import difflib
 
     known = {one.name for one in fields(kind)} - {"signal"}
     good = {}
-    for key, value in found.items():
+    for key, value in entries.items():
         if key not in known:
             near = difflib.get_close_matches(key, sorted(known), 1)
             step = f"Did you mean {near[0]}?" if near else "Remove it"
@@ -188,10 +188,10 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
     stems = [(_BEAM.match(signal.value or signal.value_re.rsplit("_", 1)[0])) for signal in signals]
     axes = [match["axis"].lower() if match else "" for match in stems]
     together = len(signals) > 1 and all(axes) and len(set(axes)) == len(axes)
-    made = []
+    signal_list = []
     for one, axis in zip(signals, axes, strict=True):
         end = axis if together else ""
-        made.append(
+        signal_list.append(
             Signal(
                 one.value,
                 one.value_re,
@@ -215,7 +215,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
         frequency,
         next((low[name] for name in _POSITIONS if name in low), ""),
         points=_point_names(space, low, signals[0], count),
-        signal=tuple(made),
+        signal=tuple(signal_list),
     )
 
 
@@ -224,10 +224,10 @@ def _point_names(space: Mapping[str, Any], low: Mapping[str, str], signal: Signa
     shape = np.shape(_stacked(space[signal.value or signal.value_re]))
     rows = shape[0] if shape[1] in (count, 2 * count) else shape[1]
     for name in _POINTS:
-        found = space.get(low.get(name, ""), None)
-        size = 1 if isinstance(found, str) else np.size(found) if isinstance(found, np.ndarray) else None
-        if isinstance(found, list) and not any(isinstance(one, (dict, list)) for one in found):
-            size = len(found)
+        names = space.get(low.get(name, ""), None)
+        size = 1 if isinstance(names, str) else np.size(names) if isinstance(names, np.ndarray) else None
+        if isinstance(names, list) and not any(isinstance(one, (dict, list)) for one in names):
+            size = len(names)
         if size == rows:
             return low[name]
     return ""
@@ -266,7 +266,7 @@ def _is_value(name: str, value: Any, count: int) -> bool:
 
 
 def _pairs(space: Mapping[str, Any], count: int) -> list[tuple[str, str]]:
-    found = []
+    pairs = []
     for name in space:
         match = re.fullmatch(r"(.*?)_?(re|real)", name, re.IGNORECASE)
         if match is None:
@@ -274,8 +274,8 @@ def _pairs(space: Mapping[str, Any], count: int) -> list[tuple[str, str]]:
         ends = {"re": "im", "real": "imag"}[match[2].lower()]
         other = name[: len(name) - len(match[2])] + (ends if match[2].islower() else ends.capitalize())
         if other in space and _is_value(name, space[name], count) and _is_value(other, space[other], count):
-            found.append((name, other))
-    return found
+            pairs.append((name, other))
+    return pairs
 
 
 def _beam_usd(name: str, space: Mapping[str, Any]) -> str:

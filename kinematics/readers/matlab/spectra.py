@@ -184,7 +184,7 @@ def _from_layout(
 def _plain(
     space: Mapping[str, Any], layout: Layout, where: str, tree: Mapping[str, Any], point: str
 ) -> Recordings:
-    """Read the signals of a layout; all that is wrong with its variables is told together."""
+    """Read the signals of a layout; report all faults of its variables together."""
     faults: list[Fault] = []
     recordings: list[Recording] = []
     freq: Array | None = None
@@ -205,7 +205,7 @@ def _plain(
                 values = values.conj()
             shape, rows = values.shape, len(values)
             scale = unit.scale * (np.sqrt(2.0) if layout.amplitude == "rms" else 1.0)
-            told = len(faults)
+            before = len(faults)
             names, places, directions = [""] * rows, [unknown_vector()] * rows, [[unknown_vector()] * rows]
             coherence = spread = None
             with collecting(faults):
@@ -220,7 +220,7 @@ def _plain(
                 directions = [
                     directions_of(space, signal, beam, values, where, tree) for beam in range(shape[2])
                 ]
-            if len(faults) > told:
+            if len(faults) > before:
                 continue
             for beam in range(shape[2]):
                 for k in range(rows):

@@ -97,22 +97,22 @@ def values_of(
             want = f"as large as {signal.value_re}"
             raise KinematicsError(Fault(signal.value_im, want, "another size", where))
         return _both(shaped[0], shaped[1])
-    found = _numbers(space, signal.value, where, tree)
-    if not np.iscomplexobj(found):
-        if found.ndim == 2 and found.shape[1] == 2 * count:
-            found = _both(found[:, 0::2], found[:, 1::2])
+    values = _numbers(space, signal.value, where, tree)
+    if not np.iscomplexobj(values):
+        if values.ndim == 2 and values.shape[1] == 2 * count:
+            values = _both(values[:, 0::2], values[:, 1::2])
         else:
             step = "Export Real & Imag., not a magnitude: without phase there is no motion"
             raise KinematicsError(
                 Fault(f"the variable {signal.value}", "complex", "real numbers", where, step)
             )
-    return np.asarray(_shaped(found, count, signal.value, where), dtype=complex)
+    return np.asarray(_shaped(values, count, signal.value, where), dtype=complex)
 
 
 def _both(real: NDArray[Any], imaginary: NDArray[Any]) -> NDArray[np.complex128]:
-    made = np.empty(real.shape, dtype=complex)
-    made.real, made.imag = real, imaginary
-    return made
+    value = np.empty(real.shape, dtype=complex)
+    value.real, value.imag = real, imaginary
+    return value
 
 
 def unit_of(
@@ -154,11 +154,11 @@ def names_of(
     """
     if not layout.points:
         return [point] if point and count == 1 else [str(k) for k in range(1, count + 1)]
-    found = variable(space, layout.points, where, tree)
-    if isinstance(found, str):
-        names = [found]
-    elif isinstance(found, list):
-        names = [_name(one, layout.points, where) for one in found]
+    entries = variable(space, layout.points, where, tree)
+    if isinstance(entries, str):
+        names = [entries]
+    elif isinstance(entries, list):
+        names = [_name(one, layout.points, where) for one in entries]
     else:
         names = [f"{number:g}" for number in reals(space, layout.points, where, tree).reshape(-1)]
     if len(names) != count or len(set(names)) != len(names):
@@ -191,19 +191,19 @@ def positions_of(
     """
     if not layout.position:
         return [unknown_vector()] * count
-    found = reals(space, layout.position, where, tree)
-    if found.shape == (3, count) and count != 3:
-        found = found.T
-    found = found.reshape(1, 3) if found.size == 3 and count == 1 else found
-    if found.shape != (count, 3):
+    values = reals(space, layout.position, where, tree)
+    if values.shape == (3, count) and count != 3:
+        values = values.T
+    values = values.reshape(1, 3) if values.size == 3 and count == 1 else values
+    if values.shape != (count, 3):
         want = f"points x 3, here {count} x 3"
-        got = " x ".join(map(str, found.shape))
+        got = " x ".join(map(str, values.shape))
         raise KinematicsError(Fault(layout.position, want, got, where))
     unit = layout.position_unit
     ending = re.search(LENGTH_END, layout.position)
     if unit or ending:
-        return list(in_mm(found, LENGTHS[unit or (ending[1] if ending else "m")]))
-    return list(in_mm(found, 1.0))
+        return list(in_mm(values, LENGTHS[unit or (ending[1] if ending else "m")]))
+    return list(in_mm(values, 1.0))
 
 
 def companion_of(
@@ -218,8 +218,8 @@ def companion_of(
     """
     if not name:
         return None
-    found = reals(space, name, where, tree)
-    shaped = _shaped(found, shape[1], name, where)
+    values = reals(space, name, where, tree)
+    shaped = _shaped(values, shape[1], name, where)
     if shaped.shape[0] != shape[0] or shaped.shape[2] not in (1, shape[2]):
         raise KinematicsError(Fault(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", where))
     return np.broadcast_to(shaped, shape)
@@ -267,10 +267,10 @@ def directions_of(
     if axis is not None:
         return [axis] * count
     if isinstance(given, str) and given:
-        found = reals(space, given, where, tree)
-        if found.shape not in ((count, 3), (1, 3)):
-            raise KinematicsError(Fault(given, f"{count} x 3 directions", found.shape, where))
-        return list(np.broadcast_to(found, (count, 3)))
+        numbers = reals(space, given, where, tree)
+        if numbers.shape not in ((count, 3), (1, 3)):
+            raise KinematicsError(Fault(given, f"{count} x 3 directions", numbers.shape, where))
+        return list(np.broadcast_to(numbers, (count, 3)))
     if isinstance(given, list):
         if len(given) != 3 or not all(isinstance(one, (int, float)) for one in given):
             raise KinematicsError(Fault("direction", "x, -x, ..., or three numbers", given, where))

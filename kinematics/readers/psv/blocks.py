@@ -66,14 +66,14 @@ def decoded(content: bytes) -> str:
 
 def fields_of(text: str) -> dict[str, str]:
     """Return the ``Name: value`` lines at the top of a text, names in lower case."""
-    found = {}
+    fields = {}
     for line in lines_of(text)[:40]:
         match = _FIELD.match(line)
         if match is not None:
-            found[match[1].lower()] = match[2].strip()
+            fields[match[1].lower()] = match[2].strip()
         elif _is_numbers(line):
             break
-    return found
+    return fields
 
 
 def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> list[T]:
@@ -94,19 +94,19 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     """
     files = [path]
     if path.is_dir():
-        found = path.rglob("*") if deep else path.iterdir()
-        files = sorted(one for one in found if _is_export(one))
-    made: list[T] = []
+        candidates = path.rglob("*") if deep else path.iterdir()
+        files = sorted(one for one in candidates if _is_export(one))
+    entries: list[T] = []
     faults: list[Fault] = []
     for file in files:
         for block in blocks(file, faults):
             with collecting(faults):
-                made.append(read(block))
+                entries.append(read(block))
     raise_all(KinematicsError, faults)
-    if not made:
+    if not entries:
         step = "Give the folder of the exported text files"
         raise KinematicsError(Fault("the folder", "one with text exports", "none", path.name, step))
-    return made
+    return entries
 
 
 def _is_export(path: Path) -> bool:
@@ -128,16 +128,16 @@ def blocks(path: Path, faults: list[Fault]) -> list[Block]:
         faults.append(Fault("a text export", "smaller than 1 GB", "a larger one", path.name))
         return []
     lines = lines_of(decoded(path.read_bytes()))
-    found: list[Block] = []
-    start, told = 0, len(faults)
+    tables: list[Block] = []
+    start, before = 0, len(faults)
     while (first := _first_row(lines, start)) is not None:
         start, named = _after_rows(lines, first), start
         with collecting(faults):
-            found.append(_block(lines, named, (first, start), path.name, faults))
-    if not found and len(faults) == told:
+            tables.append(_block(lines, named, (first, start), path.name, faults))
+    if not tables and len(faults) == before:
         step = "Export it again as ASCII, or take it out of the folder"
         faults.append(Fault("a text export", "a header and a table of numbers", "no table", path.name, step))
-    return found
+    return tables
 
 
 def _first_row(lines: list[str], start: int) -> int | None:

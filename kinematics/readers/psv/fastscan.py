@@ -73,13 +73,13 @@ def read(path: Path) -> Recordings:
     lines, notices = _one_quantity(lines, path.name)
     lines.sort(key=lambda line: line.freq_hz)
     faults = [*_twice(lines), *_several_scans(lines, path.name)]
-    made = _recordings(lines, path.name, faults)
+    recordings = _recordings(lines, path.name, faults)
     notices += _treated(lines, path.name)
     if any(len(line.signals) > 1 for line in lines):
         notices.append(axes_notice(path.name))
     stated = all(line.stated for line in lines)
     units = "positions as their columns say" if stated else "positions without unit, as metres"
-    return Recordings(made, tuple(notices), f"coordinates of the scan, {units}", length_stated=stated)
+    return Recordings(recordings, tuple(notices), f"coordinates of the scan, {units}", length_stated=stated)
 
 
 def _line(block: Block) -> _Line:
@@ -94,15 +94,15 @@ def _line(block: Block) -> _Line:
             freq = frequency_hz(block.fields[name], block.where)
     places = {column.lower(): place for place, column in enumerate(block.columns)}
     numbers, positions, stated = np.empty(0), np.empty((0, 3)), True
-    found: tuple[Signal, ...] = ()
+    signals_read: tuple[Signal, ...] = ()
     with collecting(faults):
         numbers = _indices(block, places)
     with collecting(faults):
         positions, stated = _positions(block, places)
     with collecting(faults):
-        found = tuple(signals(block))
+        signals_read = tuple(signals(block))
     raise_all(KinematicsError, faults)
-    return _Line(freq, block, tuple(f"{n:.0f}" for n in numbers), positions, found, stated)
+    return _Line(freq, block, tuple(f"{n:.0f}" for n in numbers), positions, signals_read, stated)
 
 
 def _indices(block: Block, places: dict[str, int]) -> Array:
@@ -155,7 +155,7 @@ def _twice(lines: Sequence[_Line]) -> list[Fault]:
     faults = []
     for one, two in pairwise(lines):
         if two.freq_hz - one.freq_hz <= 1e-9 * two.freq_hz:
-            step = "Put every excitation into a folder of its own, and give all folders"
+            step = "Put every excitation into a separate folder, and give all folders"
             thing = f"the frequency {two.freq_hz:g} Hz"
             faults.append(Fault(thing, "there once", f"{one.block.file} and {two.block.file}", "", step))
     return faults
@@ -170,19 +170,19 @@ def _several_scans(lines: Sequence[_Line], name: str) -> list[Fault]:
     if len(scans) < 2:
         return []
     got = " and ".join(f"{shown(scan)} ({file})" for scan, file in list(scans.items())[:4])
-    step = "Put the files of every measurement into a folder of its own"
+    step = "Put the files of every measurement into a separate folder"
     return [Fault("the source of the files", "one measurement", got, name, step)]
 
 
 def _treated(lines: Sequence[_Line], name: str) -> list[Notice]:
     """Warn of values that were not measured where they stand."""
-    found = [
+    marks = [
         key for key in ("interpolated", "filtered") if any(_yes(line.block.fields.get(key)) for line in lines)
     ]
-    if not found:
+    if not marks:
         return []
     text = (
-        f"{name} was exported {' and '.join(found)}: values were mixed between points, so that points do not "
+        f"{name} was exported {' and '.join(marks)}: values were mixed between points, so that points do not "
         "err independently. Export the measured values."
     )
     return [Notice("values_smoothed", text)]
@@ -193,7 +193,7 @@ def _yes(value: str | None) -> bool:
 
 
 def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple[Recording, ...]:
-    """Turn rows at frequencies into spectra at points; faults known before are told with those found here."""
+    """Turn rows at frequencies into spectra at points; report faults known before with those found here."""
     freq = np.array([line.freq_hz for line in lines])
     positions: dict[str, Array] = {}
     values: dict[tuple[str, str], NDArray[np.complex128]] = {}

@@ -58,21 +58,21 @@ def read(path: Path) -> Recordings:
     component; positions without unit are in metres.
     """
     path = Path(path)
-    found = read_blocks(path, lambda block: (block, *_recordings(block)), deep=True)
-    stated = all(unit_stated for _, _, unit_stated in found)
-    made = [
+    entries = read_blocks(path, lambda block: (block, *_recordings(block)), deep=True)
+    stated = all(unit_stated for _, _, unit_stated in entries)
+    named = [
         (recording, block.fields.get("source file name", "") or block.file)
-        for block, recordings, _ in found
+        for block, recordings, _ in entries
         for recording in recordings
     ]
-    kept, notices = _one_quantity(made, path.name)
+    kept, notices = _one_quantity(named, path.name)
     axes = {(one.point, one.direction.tobytes()) for one, _ in kept}
     if len(axes) > len({point for point, _ in axes}):
         notices.append(axes_notice(path.name))
     units = "positions in stated units" if stated else "positions without unit, as metres"
-    recordings, said = _by_source(kept, path.name)
+    recordings, joined_notices = _by_source(kept, path.name)
     return Recordings(
-        recordings, (*notices, *said), f"coordinates of the scan, {units}", length_stated=stated
+        recordings, (*notices, *joined_notices), f"coordinates of the scan, {units}", length_stated=stated
     )
 
 
@@ -89,10 +89,10 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     number = re.match(r"\s*(\d+)", text)
     if number is None:
         faults.append(Fault("the point index", "a number", shown(text), block.where))
-    freq, found = np.empty(0), []
+    freq, signals_read = np.empty(0), []
     with collecting(faults):
         freq = _frequencies(block)
-        found = signals(block)
+        signals_read = signals(block)
     position, stated = unknown_vector(), True
     if number is not None:
         with collecting(faults):
@@ -100,10 +100,10 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     raise_all(KinematicsError, faults)
     if number is None:
         return [], True
-    made = []
-    for signal in found:
+    recordings = []
+    for signal in signals_read:
         axis = signal.axis or _axis(block)
-        made.append(
+        recordings.append(
             Recording(
                 number[1],
                 freq,
@@ -115,7 +115,7 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
                 per=signal.unit.per,
             )
         )
-    return made, stated
+    return recordings, stated
 
 
 def _frequencies(block: Block) -> Array:
@@ -145,14 +145,14 @@ def _frequencies(block: Block) -> Array:
 
 def _position(text: str, where: Place | str) -> tuple[Array, bool]:
     """Read x, y, z behind the point index, mm, and whether their unit is stated."""
-    found = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
-    if any(match is None for match in found):
+    matches = [re.search(_PLACE.format(axis=axis), text, re.IGNORECASE) for axis in "xyz"]
+    if any(match is None for match in matches):
         return unknown_vector(), True
-    numbers = [value_of(match[1].rstrip(",.")) for match in found if match is not None]
+    numbers = [value_of(match[1].rstrip(",.")) for match in matches if match is not None]
     if None in numbers:
         want = "three numbers, x = .. y = .. z = .."
         raise KinematicsError(Fault("the position of a point", want, shown(text), where, "Export it again"))
-    units = {match[2] for match in found if match is not None and match[2]}
+    units = {match[2] for match in matches if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
     return in_mm(np.array(numbers, dtype=float), scale or 1.0), len(units) == 1
 
@@ -165,23 +165,23 @@ def _axis(block: Block) -> str:
 
 
 def _one_quantity(
-    made: list[tuple[Recording, str]], name: str
+    entries: list[tuple[Recording, str]], name: str
 ) -> tuple[list[tuple[Recording, str]], list[Notice]]:
     """Keep one quantity, velocity first, and one kind of reference, responses first."""
     notices = []
-    orders = sorted({one.order for one, _ in made}, key=lambda order: (order != 1, order))
+    orders = sorted({one.order for one, _ in entries}, key=lambda order: (order != 1, order))
     if len(orders) > 1:
         listed = " and ".join(QUANTITIES[order] for order in orders)
         notices.append(Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."))
-        made = [entry for entry in made if entry[0].order == orders[0]]
-    if len({bool(one.per) for one, _ in made}) > 1:
+        entries = [entry for entry in entries if entry[0].order == orders[0]]
+    if len({bool(one.per) for one, _ in entries}) > 1:
         text = f"{name} holds spectra and frequency responses: the responses are used."
         notices.append(Notice("function_chosen", text))
-        made = [entry for entry in made if entry[0].per]
-    return made, notices
+        entries = [entry for entry in entries if entry[0].per]
+    return entries, notices
 
 
-def _by_source(made: list[tuple[Recording, str]], name: str) -> tuple[tuple[Recording, ...], list[Notice]]:
+def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[Recording, ...], list[Notice]]:
     """Name runs after the measurement that was exported, when a point was measured in several.
 
     Raises
@@ -194,26 +194,26 @@ def _by_source(made: list[tuple[Recording, str]], name: str) -> tuple[tuple[Reco
     def key(one: Recording) -> tuple[str, bytes]:
         return one.point, one.direction.tobytes()
 
-    counts = Counter(key(one) for one, _ in made)
+    counts = Counter(key(one) for one, _ in entries)
     if max(counts.values()) == 1:
-        return tuple(one for one, _ in made), _joined(made, name)
+        return tuple(one for one, _ in entries), _joined(entries, name)
     seen: dict[tuple[object, ...], Place | str] = {}
     faults = []
-    for one, source in made:
+    for one, source in entries:
         place = (*key(one), source)
         if place in seen:
-            step = "Put every excitation into a folder of its own, and give all folders"
+            step = "Put every excitation into a separate folder, and give all folders"
             thing = f"the signal of point {one.point}"
             faults.append(Fault(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
         seen[place] = one.where
     raise_all(KinematicsError, faults)
-    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in made), []
+    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in entries), []
 
 
-def _joined(made: list[tuple[Recording, str]], name: str) -> list[Notice]:
+def _joined(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
     """Tell that points of several measurements were taken as one run."""
-    sources = list(dict.fromkeys(source for _, source in made))
-    if len(sources) < 2 or len(sources) == len({one.where for one, _ in made}):
+    sources = list(dict.fromkeys(source for _, source in entries))
+    if len(sources) < 2 or len(sources) == len({one.where for one, _ in entries}):
         return []
     listed = ", ".join(sources[:4]) + (" ..." if len(sources) > 4 else "")
     text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as parts of one run."

@@ -51,7 +51,7 @@ def signals(block: Block) -> list[Signal]:
             match = _AXIS.search(name)
             axis = "" if match is None else match[1].replace("+", "") + match[2].lower()
             pairs.setdefault(axis, {})[part] = place
-    made: list[Signal] = []
+    columns: list[Signal] = []
     faults: list[Fault] = []
     unknown: dict[str, list[str]] = {}
     for axis, parts in pairs.items():
@@ -62,10 +62,10 @@ def signals(block: Block) -> list[Signal]:
             if unit is None:
                 unknown.setdefault(label, []).append(axis)
             else:
-                made.append(Signal(axis, unit, scaled(value, unit.scale)))
+                columns.append(Signal(axis, unit, scaled(value, unit.scale)))
     faults += [_unit_fault(label, axes, block.where) for label, axes in unknown.items()]
     raise_all(KinematicsError, faults)
-    if not made:
+    if not columns:
         step = "Export Real & Imag., or Magnitude & Phase"
         expected = "columns of real and imaginary part, or magnitude and phase"
         raise KinematicsError(
@@ -77,7 +77,7 @@ def signals(block: Block) -> list[Signal]:
                 step,
             )
         )
-    return made
+    return columns
 
 
 def _unit_fault(label: str, axes: list[str], where: Place | str) -> Fault:
@@ -109,7 +109,7 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
     else:
         names = {"re": "real part", "im": "imaginary part", "amp": "magnitude", "phase": "phase"}
         got = " and ".join(names[part] for part in parts) + " alone"
-        step = "Export Real & Imag., or Magnitude & Phase: motion cannot be told without its phase"
+        step = "Export Real & Imag., or Magnitude & Phase: motion cannot be computed without its phase"
         expected = "real and imaginary part, or magnitude and phase"
         raise KinematicsError(Fault(f"the values{of_axis}", expected, got, block.where, step))
     return first, value

@@ -161,15 +161,15 @@ def _direction(
             faults.append(Fault("dir", "x, y, z, -x, -y or -z", plain_text(short), where))
             return np.full(3, np.nan)
         return axis
-    found = _three(table, row, ("dir_x", "dir_y", "dir_z"))
-    length = float(np.linalg.norm(found))
-    if np.all(np.isnan(found)):
-        return found
+    vector = _three(table, row, ("dir_x", "dir_y", "dir_z"))
+    length = float(np.linalg.norm(vector))
+    if np.all(np.isnan(vector)):
+        return vector
     if not abs(length - 1.0) < 1e-3:
         step = "Divide the direction by its length"
-        faults.append(Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", found, where, step))
+        faults.append(Fault("dir_x, dir_y, dir_z", "a unit vector (within 1e-3)", vector, where, step))
         return np.full(3, np.nan)
-    return found / length
+    return vector / length
 
 
 def _unit(
@@ -178,14 +178,14 @@ def _unit(
     """Return factor, order and unit of a channel's numbers."""
     given, unit, factor = texts.get("sensitivity", ""), texts.get("unit", ""), 1.0
     if given:
-        found = sensitivity(given)
-        if found is None:
+        sensor = sensitivity(given)
+        if sensor is None:
             step = "Write it with its unit: 5 mm/s/V (of a vibrometer) or 100 mV/g (of an accelerometer)"
             faults.append(
                 Fault("sensitivity", "a number with volts in its unit", f'"{plain_text(given)}"', where, step)
             )
             return 1.0, -1, ""
-        factor, of_it = found
+        factor, of_it = sensor
         if unit and plain(unit) != plain(of_it):
             step = "Leave one of them out"
             faults.append(Fault("unit and sensitivity", "of one unit", f"{unit} and {of_it}", where, step))

@@ -104,7 +104,7 @@ def _hdf5_tree(file: Any, where: str) -> dict[str, Any]:
 def _csv(path: Path, names: Sequence[str]) -> Series:
     from stapeskit.tables.csv_table import read_table
 
-    found: dict[str, str] = {}
+    columns: dict[str, str] = {}
 
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         if "time_s" not in header:
@@ -112,9 +112,9 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
             raise KinematicsError(
                 Fault("a table of time series", "with a column time_s", "none", place, step)
             )
-        found.update(_matched(names, header, file))
+        columns.update(_matched(names, header, file))
         extra = {"time_s", "freq_hz", "record"} & set(header)
-        return set(found.values()) | extra, set()
+        return set(columns.values()) | extra, set()
 
     table = read_table(path, choose)
     faults = list(table.faults)
@@ -128,7 +128,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     time = table.numbers["time_s"]
     rates: list[float] = []
     for part in parts:
-        # Times that are no numbers have been told.
+        # Times that are no numbers have been reported.
         if table.faults and not np.all(np.isfinite(time[part])):
             continue
         with collecting(faults):
@@ -136,7 +136,9 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     if rates and max(rates) > min(rates) * (1.0 + 1e-6):
         got = f"{min(rates):g} to {max(rates):g} Hz"
         faults.append(Fault("the sampling rate", "one in all records", got, path.name))
-    channels = {name: tuple(table.numbers[column][part] for part in parts) for name, column in found.items()}
+    channels = {
+        name: tuple(table.numbers[column][part] for part in parts) for name, column in columns.items()
+    }
     if not table.faults:
         with collecting(faults):
             check_finite(channels, path.name)
@@ -156,18 +158,18 @@ def _matched(names: Sequence[str], known: Sequence[str], file: str) -> dict[str,
     low: dict[str, list[str]] = {}
     for name in known:
         low.setdefault(name.lower(), []).append(name)
-    found, faults = {}, []
+    signals, faults = {}, []
     for name in dict.fromkeys(names):
         near = low.get(name.lower(), [])
         if name in known or len(near) == 1:
-            found[name] = name if name in known else near[0]
+            signals[name] = name if name in known else near[0]
         else:
             shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
             faults.append(
                 Fault(f"channel {name}", f"in the file, which has {shown or 'none'}", "no such one", file)
             )
     raise_all(KinematicsError, faults)
-    return found
+    return signals
 
 
 def sampling_rate(time: Array, where: Place | str) -> float:
@@ -255,20 +257,20 @@ def _npz(path: Path) -> dict[str, Any]:
 
 def _flat(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
     """Return the numbers in a tree under names with dots."""
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            found.update(_flat(value, f"{start}{name}."))
+            arrays.update(_flat(value, f"{start}{name}."))
         elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
             for number, one in enumerate(value, 1):
-                found.update(_flat(one, f"{start}{name}({number})."))
+                arrays.update(_flat(one, f"{start}{name}({number})."))
         elif isinstance(value, list) and value and all(isinstance(one, np.ndarray) for one in value):
             sizes = {one.size for one in value}
             if len(sizes) == 1 and all(one.dtype.kind in "fiu" for one in value):
-                found[start + name] = np.array([one.reshape(-1) for one in value])
+                arrays[start + name] = np.array([one.reshape(-1) for one in value])
         elif np.asarray(value).dtype.kind in "fiu":
-            found[start + name] = np.asarray(value)
-    return found
+            arrays[start + name] = np.asarray(value)
+    return arrays
 
 
 def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series:
@@ -308,15 +310,15 @@ def _of_tree(tree: Mapping[str, Any], file: str, names: Sequence[str]) -> Series
 
 def _rows(values: NDArray[Any], where: Place | str) -> tuple[Array, ...]:
     """Return rows of samples; the longer side is time."""
-    found = values.astype(float)
-    if found.ndim > 2 and np.sum(np.array(found.shape) > 1) <= 2:
-        found = found.squeeze()
-    if found.ndim > 2 or found.size < _FEWEST:
+    rows = values.astype(float)
+    if rows.ndim > 2 and np.sum(np.array(rows.shape) > 1) <= 2:
+        rows = rows.squeeze()
+    if rows.ndim > 2 or rows.size < _FEWEST:
         want = f"samples, or rows x samples ({_FEWEST} at least)"
         raise KinematicsError(Fault("a channel", want, f"shape {values.shape}", where))
-    if found.ndim == 2:
-        found = found if found.shape[1] >= found.shape[0] else found.T
-    return tuple(np.atleast_2d(found))
+    if rows.ndim == 2:
+        rows = rows if rows.shape[1] >= rows.shape[0] else rows.T
+    return tuple(np.atleast_2d(rows))
 
 
 def _wav(path: Path, names: Sequence[str]) -> Series:
@@ -342,7 +344,7 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
     with np.errstate(invalid="ignore"):
         data = np.atleast_2d(data.T).astype(float) / full
     known = [str(k) for k in range(1, len(data) + 1)]
-    found = _matched(names, known, path.name)
-    channels = {name: (data[int(key) - 1],) for name, key in found.items()}
+    matched = _matched(names, known, path.name)
+    channels = {name: (data[int(key) - 1],) for name, key in matched.items()}
     check_finite(channels, path.name)
     return Series(path.name, float(rate), 0.0, channels)

@@ -1,6 +1,6 @@
 """From time series to recordings: frequency responses by the excitation, channels by the channel table.
 
-The excitation is told by what is given: a table of steps or a column ``freq_hz`` means a stepped sine
+The inputs say which excitation it is: a table of steps or a column ``freq_hz`` means a stepped sine
 (kinematics.signals.stepped_sine), a period means periodic excitation (kinematics.signals.frf_periodic), and
 everything else is averaged over segments (kinematics.signals.frf).
 """
@@ -97,7 +97,7 @@ def estimated(
     """
     lead = () if reference is None else (reference.name,)
     notices = sample_notices(series.channels, lead, series.file)
-    groups, said = _groups(series, responses, reference)
+    groups, group_notices = _groups(series, responses, reference)
     recordings: list[Recording] = []
     faults: list[Fault] = []
     how = ""
@@ -109,7 +109,7 @@ def estimated(
     raise_all(KinematicsError, dict.fromkeys(faults))
     return Recordings(
         tuple(recordings),
-        unique([*notices, *said]),
+        unique([*notices, *group_notices]),
         how,
         series.file,
         amplitude_stated=True,
@@ -124,19 +124,21 @@ def _belongs(one: Channel, file: str) -> bool:
 
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:
     table = "" if options.channels is None else options.channels.name
-    found = [channel for channel in rows if channel.role == "reference"]
+    references = [channel for channel in rows if channel.role == "reference"]
     if options.reference_channel:
-        found = [channel for channel in rows if channel.name.lower() == options.reference_channel.lower()]
-        if not found:
+        references = [
+            channel for channel in rows if channel.name.lower() == options.reference_channel.lower()
+        ]
+        if not references:
             known = ", ".join(dict.fromkeys(channel.name for channel in rows))
             raise KinematicsError(
                 Fault("{reference_channel}", f"one of {known}", options.reference_channel, table)
             )
-    names = list(dict.fromkeys(one.name for one in found))
+    names = list(dict.fromkeys(one.name for one in references))
     if len(names) > 1:
         step = f"Choose one by {named('reference_channel')}, or ignore the others"
         raise KinematicsError(Fault("the reference", "one channel", ", ".join(names), table, step))
-    return found[0] if found else None
+    return references[0] if references else None
 
 
 @dataclass(frozen=True)
@@ -182,15 +184,15 @@ def _groups(
         return lead, np.array(signals)
 
     if fixed:
-        alive, said = _alive(series, fixed, 0)
-        notices += said
+        alive, dead_notices = _alive(series, fixed, 0)
+        notices += dead_notices
         records = tuple(row(alive, k) for k in range(lengths[fixed[0].name])) if alive else ()
         if alive:
             points = tuple(one.point or "1" for one in alive)
             groups.append(_Group(tuple(alive), points, records, series.file))
     for k in range(lengths[rows[0].name] if rows else 0):
-        alive, said = _alive(series, rows, k)
-        notices += said
+        alive, dead_notices = _alive(series, rows, k)
+        notices += dead_notices
         if alive:
             place = f"{series.file}, row {k + 1}"
             groups.append(_Group(tuple(alive), (str(k + 1),) * len(alive), (row(alive, k),), place))

@@ -26,7 +26,7 @@ class Coherences:
     auto: dict[Key, list[Function]] = field(default_factory=dict)
 
     def of(self, response: Function, file: str) -> tuple[Array | None, bool]:
-        """Return the coherence (n,) of a response, None when nothing tells it, and whether it was computed.
+        """Return the coherence (n,) of a response, None when unknown, and whether it was computed.
 
         Raises
         ------
@@ -42,9 +42,9 @@ class Coherences:
             return None, False
         where = f"{file}, dataset {response.place}"
         key = place_of(response)
-        found = self.coherence.get((*key, *reference_of(response)), self.coherence.get(key))
-        if found is not None:
-            return _stated(found, response, where), False
+        match = self.coherence.get((*key, *reference_of(response)), self.coherence.get(key))
+        if match is not None:
+            return _stated(match, response, where), False
         computed = self._from_auto(response)
         return computed, computed is not None
 
@@ -61,7 +61,7 @@ class Coherences:
         good = ratio[np.isfinite(ratio)]
         if good.size == 0 or np.any(good < 0.0):
             return None
-        # More than 1: an H2 estimate, or spectra of another scale; neither can be told from the other.
+        # More than 1: an H2 estimate, or spectra of another scale; they cannot be distinguished.
         return None if np.max(good) > _OVER else np.clip(ratio, 0.0, 1.0)
 
     def _auto(self, key: Key, kind: int, response: Function) -> Function | None:
@@ -76,15 +76,15 @@ class Coherences:
 
 def coherences(functions: Sequence[Function]) -> Coherences:
     """Sort the coherence functions and auto spectra of a file."""
-    made = Coherences()
+    table = Coherences()
     for function in functions:
         key = place_of(function)
         if function.kind == COHERENCE:
-            made.coherence[(*key, *reference_of(function))] = function
-            made.coherence.setdefault(key, function)
+            table.coherence[(*key, *reference_of(function))] = function
+            table.coherence.setdefault(key, function)
         elif function.kind in (AUTO, PSD):
-            made.auto.setdefault(key, []).append(function)
-    return made
+            table.auto.setdefault(key, []).append(function)
+    return table
 
 
 def place_of(function: Function) -> Key:

@@ -54,7 +54,7 @@ def from_cross_spectra(
     section 6.1). Scale and window are those of both spectra alike and cancel.
     """
     known = {_ends(function) for function in functions if function.kind in (FRF, TRANSMISSIBILITY)}
-    made: list[Function] = []
+    responses: list[Function] = []
     used: set[int] = set()
     for cross in functions:
         if cross.kind != CROSS or cross.real or _ends(cross) in known:
@@ -70,21 +70,21 @@ def from_cross_spectra(
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             value = np.where(auto > 0.0, cross.y / np.where(auto > 0.0, auto, 1.0), np.nan)
         response = replace(cross, kind=FRF, y=value, ordinate=axes[0], denominator=axes[1])
-        made.append(response)
+        responses.append(response)
         if pair.response is None:
             continue
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             coherence = np.abs(cross.y) ** 2 / (auto * pair.response.y.real)
-        found = coherence[np.isfinite(coherence)]
-        if found.size and np.max(found) > _OVER:
+        values = coherence[np.isfinite(coherence)]
+        if values.size and np.max(values) > _OVER:
             where = f"{file}, datasets {cross.place}, {pair.reference.place} and {pair.response.place}"
-            got = f"a coherence of {np.max(found):.3g}"
+            got = f"a coherence of {np.max(values):.3g}"
             step = "Export all as power spectra of one scale, or export frequency responses"
             faults.append(Fault("cross and auto spectra", "of one scale", got, where, step))
             continue
         coherence = np.clip(coherence, 0.0, 1.0)
-        made.append(replace(cross, kind=COHERENCE, y=coherence.astype(complex), real=True))
-    return made, used
+        responses.append(replace(cross, kind=COHERENCE, y=coherence.astype(complex), real=True))
+    return responses, used
 
 
 def _ends(one: Function) -> tuple[object, ...]:

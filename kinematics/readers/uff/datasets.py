@@ -86,7 +86,7 @@ def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> It
     -----
     Universal file format of SDRC as kept by the University of Cincinnati: records of 80 characters, each
     dataset between two lines that hold -1 in columns 5 and 6. In 58b the values follow 11 lines of header as
-    IEEE numbers, and nothing but their count tells where they end: bytes that look like a line of -1 may be
+    IEEE numbers, and only their count shows where they end: bytes that look like a line of -1 may be
     among them.
 
     Raises
@@ -94,24 +94,24 @@ def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> It
     KinematicsError
         A dataset has no end, no number, or a binary one holds fewer bytes than its header says.
     """
-    told = [] if faults is None else faults
+    collected = [] if faults is None else faults
     position, place, counted, line = 0, 0, 0, 1
     while (start := _RULE.search(content, position)) is not None:
         place += 1
         line += content.count(b"\n", counted, start.end()) + 1
         counted = min(start.end() + 1, len(content))
         position = counted
-        with collecting(told):
-            made, position = _dataset(content, counted, (place, line), file)
-            yield made
+        with collecting(collected):
+            dataset, position = _dataset(content, counted, (place, line), file)
+            yield dataset
             continue
         position = _next_start(content, position)
     tail = content[position:].strip(b" \t\r\n\x00\x1a")
-    if tail and not told:
+    if tail and not collected:
         got = shown(lines_of(tail.decode("latin-1"))[0])
-        told.append(Fault("the last line of a universal file", "-1", got, file, CUT))
+        collected.append(Fault("the last line of a universal file", "-1", got, file, CUT))
     if faults is None:
-        raise_all(KinematicsError, told)
+        raise_all(KinematicsError, collected)
 
 
 def _next_start(content: bytes, position: int) -> int:

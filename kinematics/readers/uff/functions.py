@@ -244,19 +244,19 @@ def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file:
     wanted = count * columns
     formats = _formats(kind, even)
     words = dataset.data.replace(b"D", b"E").split()
-    found, numbers = len(words), np.empty(0)
+    end, numbers = len(words), np.empty(0)
     # Values that the bytes cannot hold are refused before anything of their size is made.
-    if found >= wanted and b"_" not in dataset.data:
+    if end >= wanted and b"_" not in dataset.data:
         try:
             numbers = np.array(words[:wanted], dtype=np.bytes_).astype(float)
         except ValueError:
-            found = 0
+            end = 0
     if numbers.size < wanted:
         numbers = np.array(_by_line(dataset, formats, file))
-        found = numbers.size
+        end = numbers.size
     # Some writers fill the last line with zeros.
-    if found < wanted or found - wanted >= len(formats):
-        got = f"{found // columns}"
+    if end < wanted or end - wanted >= len(formats):
+        got = f"{end // columns}"
         where = f"{file}, dataset {dataset.place}"
         raise KinematicsError(Fault("a function", f"of {count} values, as it says", got, where, CUT))
     return np.asarray(numbers[:wanted], dtype=float).reshape(count, columns)

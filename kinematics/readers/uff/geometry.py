@@ -167,18 +167,18 @@ def _length_factor(dataset: Dataset, where: str) -> float:
 
 def _reals(text: str) -> list[float]:
     """Read Fortran numbers, which may touch where a sign begins the next; none beside any other text."""
-    found: list[float] = []
+    numbers: list[float] = []
     last = 0
     for match in _REAL.finditer(text):
         between, word = text[last : match.start()], match[0]
-        if between.strip() or (not between and found and word[0] not in "+-"):
+        if between.strip() or (not between and numbers and word[0] not in "+-"):
             return []
         last = match.end()
         plain = word.replace("D", "E").replace("d", "e")
-        found.append(
+        numbers.append(
             float(plain if "E" in plain.upper() else re.sub(r"([\d.])([+-]\d{3})$", r"\1E\2", plain))
         )
-    return [] if text[last:].strip() else found
+    return [] if text[last:].strip() else numbers
 
 
 def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
@@ -197,7 +197,7 @@ def _vectors(text: str, count: int, thing: str, where: str) -> Array:
 
 def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, Node]]:
     """Return label and (position, definition system, displacement system, place) of every node."""
-    found = []
+    nodes = []
     lines = _numbered(dataset)
     if dataset.number == _NODES:
         for row, line in lines:
@@ -205,15 +205,15 @@ def _nodes(dataset: Dataset, file: str, faults: list[Fault]) -> list[tuple[int, 
             with collecting(faults):
                 label, defined, measured, _ = _wholes(line[:40], 4, "a node", where)
                 position = _vectors(line[40:], 3, f"the position of node {label}", where)[0]
-                found.append((label, (position, defined, measured, where)))
-        return found
+                nodes.append((label, (position, defined, measured, where)))
+        return nodes
     for (row, head), (below, line) in zip(lines[::2], [*lines[1::2], (0, "")], strict=False):
         with collecting(faults):
             label, _, measured, _ = _wholes(head, 4, "a node", dataset.at(file, row))
             where = dataset.at(file, below or row)
             position = _vectors(line, 3, f"the position of node {label}", where)[0]
-            found.append((label, (position, 0, measured, where)))
-    return found
+            nodes.append((label, (position, 0, measured, where)))
+    return nodes
 
 
 def _numbered(dataset: Dataset, start: int = 0) -> list[tuple[int, str]]:

@@ -48,9 +48,9 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
 
     Notes
     -----
-    The quantity is told by the data characteristic of the ordinate (8 displacement, 11 velocity,
+    The quantity follows from the data characteristic of the ordinate (8 displacement, 11 velocity,
     12 acceleration), the unit by its label, without a label by the length unit of dataset 164; texts such as
-    names of channels are not looked at. A reference with a node of its own names the run.
+    names of channels are not looked at. A reference with a node number names the run.
     """
     path = Path(path)
     faults: list[Fault] = []
@@ -75,8 +75,8 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
         from kinematics.readers.uff.time_responses import read_responses
 
         return read_responses(functions, geometry, path.name, own or SeriesOptions(), faults)
-    made, used = from_cross_spectra(functions, path.name, faults)
-    functions = [one for one in functions if one.place not in used] + made
+    responses, used = from_cross_spectra(functions, path.name, faults)
+    functions = [one for one in functions if one.place not in used] + responses
     return _spectra(functions, geometry, path.name, faults)
 
 
@@ -93,17 +93,19 @@ def _spectra(functions: Sequence[Function], geometry: Geometry, file: str, fault
         raise KinematicsError(_nothing(functions, left, file))
     chosen, notices = _chosen(usable, left, geometry, file)
     runs = _runs(chosen)
-    found = {motion.function.place: coherent[motion.function.place][0] for motion in chosen}
-    made = [_recording(motion, geometry, runs, found[motion.function.place], file) for motion in chosen]
-    _check_once(made, chosen)
-    made = _repeats(made, chosen)
+    coherence_of = {motion.function.place: coherent[motion.function.place][0] for motion in chosen}
+    recordings = [
+        _recording(motion, geometry, runs, coherence_of[motion.function.place], file) for motion in chosen
+    ]
+    _check_once(recordings, chosen)
+    recordings = _repeats(recordings, chosen)
     notices += geometry.notices
     computed = sum(coherent[motion.function.place][1] for motion in chosen)
     if computed:
         text = f"{file}: the coherence of {computed} responses was computed from auto spectra, as for H1."
         notices.append(Notice("coherence_computed", text))
     return Recordings(
-        tuple(made), unique(notices), geometry.units, length_stated=geometry.length_factor is not None
+        tuple(recordings), unique(notices), geometry.units, length_stated=geometry.length_factor is not None
     )
 
 
@@ -165,7 +167,7 @@ def _one_quantity(motions: list[Motion]) -> tuple[list[Motion], list[str]]:
 
 
 def _channel(function: Function) -> tuple[object, ...]:
-    """Return what tells one measurement at a point from another."""
+    """Return the key that distinguishes measurements at a point."""
     return (
         function.node,
         function.entity if function.node == 0 else "",
@@ -225,21 +227,24 @@ def _recording(
     )
 
 
-def _repeats(made: Sequence[Recording], chosen: Sequence[Motion]) -> list[Recording]:
+def _repeats(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> list[Recording]:
     """Name repeats by the version number where one channel is there in several."""
-    channels = Counter((recording.point, recording.direction.tobytes(), recording.run) for recording in made)
+    channels = Counter(
+        (recording.point, recording.direction.tobytes(), recording.run) for recording in recordings
+    )
     if max(channels.values()) == 1:
-        return list(made)
+        return list(recordings)
     return [
-        replace(one, repeat=str(motion.function.version)) for one, motion in zip(made, chosen, strict=True)
+        replace(one, repeat=str(motion.function.version))
+        for one, motion in zip(recordings, chosen, strict=True)
     ]
 
 
-def _check_once(made: Sequence[Recording], chosen: Sequence[Motion]) -> None:
+def _check_once(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> None:
     """Refuse two functions of one point, direction and run."""
     seen: dict[tuple[object, ...], Place | str] = {}
     faults = []
-    for recording, motion in zip(made, chosen, strict=True):
+    for recording, motion in zip(recordings, chosen, strict=True):
         key = (recording.point, motion.function.direction, recording.run, motion.function.version)
         if key in seen:
             thing = f"the function of node {recording.point} in direction {motion.function.direction}"

@@ -62,7 +62,7 @@ def read_responses(
     file : str
     options : SeriesOptions
     faults : list of str
-        What is known to be wrong with the file; told together with what is found here.
+        Faults of the file that are known already; they are reported with those found here.
 
     Raises
     ------
@@ -94,10 +94,10 @@ def read_responses(
             continue
         for part in _parts(signals, name, file, faults):
             with collecting(faults):
-                made = _part(part, name, file, options)
-                recordings += made.recordings
-                notices += made.notices
-                how = made.frame_units
+                records = _part(part, name, file, options)
+                recordings += records.recordings
+                notices += records.notices
+                how = records.frame_units
     raise_all(KinematicsError, dict.fromkeys(faults))
     if not recordings:
         raise KinematicsError(empty_band(file))
@@ -127,33 +127,33 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
     labels = list(dict.fromkeys(_label(function) for function in times))
     shown = ", ".join(labels[:_MOST_NAMED]) + (" ..." if len(labels) > _MOST_NAMED else "")
     if options.reference_channel:
-        said = options.reference_channel.strip().lower()
+        wanted = options.reference_channel.strip().lower()
         fitting = [
             _label(function)
             for function in times
-            if said in (name.lower() for name in (_label(function), *function.names))
+            if wanted in (name.lower() for name in (_label(function), *function.names))
         ]
         fitting += (
-            [_label(function) for function in times if said == str(function.node)] if not fitting else []
+            [_label(function) for function in times if wanted == str(function.node)] if not fitting else []
         )
-        found = list(dict.fromkeys(fitting))
-        if len(found) != 1:
-            got = options.reference_channel + (f", which is {' and '.join(found)}" if found else "")
+        matches = list(dict.fromkeys(fitting))
+        if len(matches) != 1:
+            got = options.reference_channel + (f", which is {' and '.join(matches)}" if matches else "")
             raise KinematicsError(Fault("{reference_channel}", f"one of {shown}", got, file))
-        return found[0]
+        return matches[0]
     stated = {
         direction_label(function.reference_node, function.reference_direction)
         for function in times
         if function.reference_node
         and (function.reference_node, function.reference_direction) != (function.node, function.direction)
     }
-    found = [name for name in labels if name in stated]
-    if len(found) != 1:
-        found = list(dict.fromkeys(_label(function) for function in times if not is_motion(function)))
-    if len(found) == 1 or (not found and options.steps is not None):
-        return found[0] if found else ""
+    matches = [name for name in labels if name in stated]
+    if len(matches) != 1:
+        matches = list(dict.fromkeys(_label(function) for function in times if not is_motion(function)))
+    if len(matches) == 1 or (not matches and options.steps is not None):
+        return matches[0] if matches else ""
     step = f"Name it by {named('reference_channel')}, as node and direction"
-    got = " and ".join(found[:_MOST_NAMED]) if found else f"none among {shown}"
+    got = " and ".join(matches[:_MOST_NAMED]) if matches else f"none among {shown}"
     raise KinematicsError(Fault("the reference of the time responses", "one signal", got, file, step))
 
 
@@ -164,20 +164,20 @@ def _signals(
     by_label: dict[str, list[Function]] = {}
     for one in times:
         by_label.setdefault(_label(one), []).append(one)
-    made = []
+    signals = []
     for label, records in by_label.items():
         if label != name and not is_motion(records[0]):
             continue
-        found: list[Fault] = []
-        channels = [_channel(record, geometry, file, label == name, run, found) for record in records]
-        if not found and len({(channel.scale, channel.unit) for channel in channels}) > 1:
+        errors: list[Fault] = []
+        channels = [_channel(record, geometry, file, label == name, run, errors) for record in records]
+        if not errors and len({(channel.scale, channel.unit) for channel in channels}) > 1:
             got = ", ".join(dict.fromkeys(channel.unit for channel in channels))
-            found.append(Fault(f"the records of {label}", "in one unit", got, file, "Export it again"))
-        faults += found
-        if not found:
+            errors.append(Fault(f"the records of {label}", "in one unit", got, file, "Export it again"))
+        faults += errors
+        if not errors:
             ordered = sorted(records, key=lambda one: (one.version, one.place))
-            made.append(_Signal(channels[0], tuple(ordered)))
-    return made
+            signals.append(_Signal(channels[0], tuple(ordered)))
+    return signals
 
 
 def _channel(
@@ -244,9 +244,9 @@ def _in_turn(
             low, high = one.place, leads[k + 1].place if k + 1 < len(leads) else np.inf
         else:
             low, high = leads[k - 1].place if k else 0, one.place
-        found = [signal for place, signal in by_place.items() if low < place < high]
-        if found:
-            parts.append([*found, replace(lead, records=(one,))])
+        inner = [signal for place, signal in by_place.items() if low < place < high]
+        if inner:
+            parts.append([*inner, replace(lead, records=(one,))])
     if len(parts) == len(leads) and sum(len(part) - 1 for part in parts) == len(responses):
         return parts
     got = f"{len(leads)} of {lead.channel.name} for {len(responses)} responses, not in turn"

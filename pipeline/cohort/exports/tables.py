@@ -40,12 +40,12 @@ def components_table(cohort: CohortLaws) -> pd.DataFrame:
     """Return a row for each component of variation: its sd and what it changes in each quantity."""
     import pandas as pd
 
-    found, table = cohort.components, cohort.table
-    if found is None or table is None:
+    components, table = cohort.components, cohort.table
+    if components is None or table is None:
         return pd.DataFrame(columns=["component", "sd_log"])
     names = [name for name in table.responses if "principal" not in name]
-    columns = {"component": np.arange(1, len(found.sd) + 1), "sd_log": found.sd}
-    return pd.DataFrame(columns | dict(zip(names, found.loadings.T, strict=True)))
+    columns = {"component": np.arange(1, len(components.sd) + 1), "sd_log": components.sd}
+    return pd.DataFrame(columns | dict(zip(names, components.loadings.T, strict=True)))
 
 
 def sheets(cohort: CohortLaws, content: Mapping[str, Any]) -> dict[str, pd.DataFrame]:

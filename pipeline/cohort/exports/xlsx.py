@@ -22,8 +22,8 @@ def write(folder: Path, cohort: CohortLaws, content: Mapping[str, Any]) -> None:
     with pd.ExcelWriter(
         folder / "cohort.xlsx", engine="xlsxwriter", engine_kwargs={"options": _NO_GUESSES}
     ) as book:
-        made = content["provenance"].get("date")
-        created = datetime.fromisoformat(made) if made else datetime.now(UTC)
+        date = content["provenance"].get("date")
+        created = datetime.fromisoformat(date) if date else datetime.now(UTC)
         book.book.set_properties({"title": "Cohort", "created": created})
         for name, table in sheets(cohort, content).items():
             table.to_excel(book, sheet_name=name, index=False, freeze_panes=(1, 1))

@@ -9,7 +9,7 @@ import pytest
 
 from kinematics.faults.each_body import diagnosed
 from kinematics.fit.body_noise import with_noise
-from kinematics.fit.reference_noise import cautious
+from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.measurement import RecordNoise, from_arrays
 from kinematics.points2dof import Options, points2dof
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
@@ -119,7 +119,7 @@ def searched_usually(measured):
     one = measured.bodies[0]
     basis = np.linalg.qr(point_rows(one.positions_mm * 1e-3, one.directions))[0]
     fit = points2dof(measured).fits[0, 0]
-    bounded = cautious(measured, 0, one, basis)[0]
+    bounded = bound_record_noise(measured, 0, one, basis)[0]
     return diagnosed(measured, one, with_noise(measured, 0, bounded, fit.beams, "none")[0], True).findings
 
 

@@ -1,4 +1,4 @@
-"""Standard deviations from few averages are steadied where their scatter is theirs, and only there."""
+"""Standard deviations from few averages are smoothed where their scatter is theirs, and only there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import LineFit, fit_lines
-from kinematics.tidy.few_averages import steadied
+from kinematics.tidy.few_averages import steady_noise
 from kinematics.tidy.ldv_csv import read_ldv
 from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points, three_beams
@@ -48,7 +48,7 @@ def test_intervals_and_alarms_hold_with_few_averages(count: int) -> None:
     value = readings(places, beams, q) + sd * complex_noise(rng, sd.shape)
     freedom = 2 * (count - 1)
     stated = sd * np.sqrt(rng.chisquare(freedom, sd.shape) / freedom)
-    made, notices = steadied(stated, count, "stapes", from_coherence=False)
+    made, notices = steady_noise(stated, count, "stapes", from_coherence=False)
     model = beam_set("stapes", places, beams, DOF_NAMES)
     inside, alarms = covered(fit_lines(model, value, made), q)
     assert 0.94 < inside < 0.96
@@ -69,7 +69,7 @@ def test_coherence_of_averaged_spectra_gives_the_true_noise() -> None:
     sxy = np.mean(drive.conj() * read, axis=0)
     value, coherence = sxy / sxx, np.abs(sxy) ** 2 / sxx / syy
     stated = np.abs(value) * np.sqrt((1.0 - coherence) / (2.0 * count * coherence))
-    made, _ = steadied(stated, count, "stapes")
+    made, _ = steady_noise(stated, count, "stapes")
     truth = sd * np.sqrt(2.0 / sxx)
     assert np.mean((stated / truth) ** 2) == pytest.approx(0.9, rel=0.02)
     assert np.mean((truth / stated) ** 2) == pytest.approx(1.25, rel=0.03)
@@ -95,7 +95,7 @@ def test_channels_recorded_together_share_the_roughness_of_a_random_excitation(
         sxy = np.mean(drive.conj() * read, axis=0)
         coherence = np.abs(sxy) ** 2 / sxx / np.mean(np.abs(read) ** 2, axis=0)
         stated = np.abs(sxy / sxx) * np.sqrt((1.0 - coherence) / (2.0 * count * coherence))
-        made, _ = steadied(stated, count, "stapes")
+        made, _ = steady_noise(stated, count, "stapes")
         made_of.append(covered(fit_lines(beam_set("stapes", places, beams, DOF_NAMES), sxy / sxx, made), q))
     inside, alarms = np.mean(made_of, axis=0)
     assert 0.94 < inside < 0.965
@@ -106,7 +106,9 @@ def test_roughness_that_all_channels_share_stays() -> None:
     rng = np.random.default_rng(6)
     course = np.exp(rng.normal(size=LINES))
     sd = scene(6)[3] * course
-    made, _ = steadied(sd * np.sqrt(rng.chisquare(18, sd.shape) / 18), 10.0, "stapes", from_coherence=False)
+    made, _ = steady_noise(
+        sd * np.sqrt(rng.chisquare(18, sd.shape) / 18), 10.0, "stapes", from_coherence=False
+    )
     assert np.std(np.log(made / sd)) < 0.1
 
 
@@ -121,7 +123,7 @@ def test_noise_that_is_no_estimate_of_few_averages_stays_as_it_is(kind: str) -> 
     if kind == "steep":
         coherence = np.linspace(0.5, 0.9999, 40)
         sd = np.tile(np.sqrt((1.0 - coherence) / coherence), (27, 1))
-    made, notices = steadied(sd, 10.0, "stapes")
+    made, notices = steady_noise(sd, 10.0, "stapes")
     assert made is sd
     assert notices == []
 
@@ -132,7 +134,7 @@ def test_a_line_whose_noise_stands_out_keeps_its_own_and_leaves_its_neighbours_a
     sd[:, 700] *= 20.0
     stated = sd * np.sqrt(rng.chisquare(18, sd.shape) / 18)
     stated[:, 100:120] = np.nan
-    made, _ = steadied(stated, np.full((27, 1), 10.0), "stapes", from_coherence=False)
+    made, _ = steady_noise(stated, np.full((27, 1), 10.0), "stapes", from_coherence=False)
     ratio = made / sd
     assert np.all(np.isnan(made[:, 100:120]))
     assert np.median(ratio[:, 700]) == pytest.approx(1.0, abs=0.15)
