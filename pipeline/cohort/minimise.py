@@ -80,7 +80,11 @@ def _descend(
     damping = np.r_[0.0, 10.0 ** np.arange(-3, 5)]
     value, gradient, curvature = _derivatives(function, point, scales)
     for _ in range(steps):
+        # A parameter at a bound that it would cross stays there; the others move as if it were fixed.
+        moves = ~(((point <= low) & (gradient > 0.0)) | ((point >= high) & (gradient < 0.0)))
+        gradient = np.where(moves, gradient, 0.0)
         scaled = curvature * np.outer(scales, scales)
+        scaled = np.where(np.outer(moves, moves), scaled, np.diag(np.diag(scaled)))
         roots, axes = np.linalg.eigh(0.5 * (scaled + scaled.T))
         size = np.maximum(np.abs(roots), 1e-6 * max(np.abs(roots).max(), 1e-12))
         slope = axes.T @ (gradient * scales)
