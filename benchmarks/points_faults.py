@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, bound, measured, nameable, possible, scene
+from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Options, Points2Dof, points2dof
 
@@ -70,7 +71,13 @@ def table(arguments: argparse.Namespace) -> Iterator[str]:
                     seed, geometry, fault, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd
                 )
                 stated = 0.0 if arguments.positions_unstated else sd
-                result = judged(made, seed, not arguments.no_sd, stated)
+                try:
+                    result = judged(made, seed, not arguments.no_sd, stated)
+                except KinematicsError as refused:  # found, and no culprit named
+                    found += 1
+                    if arguments.show:
+                        print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {refused}")
+                    continue
                 accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
                 found += bool(accused)
                 named += set(accused) == set(made.culprits)
@@ -83,7 +90,7 @@ def table(arguments: argparse.Namespace) -> Iterator[str]:
                     print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {told}")
             n = arguments.scenes
             yield (
-                f"| {geometry} | {fault} | {found / n:.3f} | {np.mean(best):.3f} | {named / n:.3f} | "
+                f"| {geometry} | {fault} | {found / n:.3f} | {np.mean(best or 1.0):.3f} | {named / n:.3f} | "
                 f"{likeliest / n:.3f} | {right / n:.3f} | {beside / n:.2f} |"
             )
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.causes.explain import explained
-from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.each_body import MOST_CHANNELS
+from kinematics.faults.diagnose import MOST_CHANNELS, Diagnosis, too_large
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened
 from kinematics.fit.beams import BeamSet
@@ -84,7 +83,7 @@ def searched_fits(
         run, body = key[0], screens[key[1]].body
         fits[key], known[key], said = with_noise(placed, run, body, beams[key[1]], robust)
         notices += said
-        if len(body.points) > MOST_CHANNELS:
+        if too_large(body, known[key]):
             notices.append(_unsearched(body))
         diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
     # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
@@ -100,7 +99,8 @@ def searched_fits(
 def _unsearched(body: BodyChannels) -> Notice:
     text = (
         f"{body.body}: its {len(body.points)} channels were not searched for faults; the search takes up to "
-        f"{MOST_CHANNELS} channels a body. Fit every tenth point, say, and see whether any is at fault."
+        f"{MOST_CHANNELS} channels a body, or any number with stated noise and exact positions. Fit "
+        "every tenth point, say, and see whether any is at fault."
     )
     return Notice("faults_not_searched", text)
 

@@ -1,36 +1,53 @@
-"""Find which channel, point or body does not fit a rigid motion, and what is wrong with it.
+"""Detection, identification and adaptation of faults: which channel, point, laser or body is at fault.
 
-The lines are packed first (faults/packed). Score tests of every kind of fault at every place,
-corrected for their number, say whether anything is wrong; the most significant suspects are then fitted and
-weighed by their evidence. The culprit is left out, or corrected where all beams are concerned, and the search
-repeated, so that one culprit is not blamed on its neighbours; with several culprits each is judged again at
-the end with the others gone.
+Score tests of every kind of fault at every place, corrected for their number, detect; the most significant
+suspects are fitted and weighed by their evidence; the culprit is left out, or corrected where all beams are
+concerned, and the search repeated, so that one culprit is not blamed on its neighbours (Baarda 1968;
+Teunissen 2018, doi:10.1007/s00190-017-1045-7). With several culprits each is judged again at the end with the
+others gone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.adequate import account_for_it, corrected
-from kinematics.faults.fault_model import solve
-from kinematics.faults.findings import Finding, can_lose
-from kinematics.faults.masked import masked_pair
-from kinematics.faults.noise.unknown_noise import evened
-from kinematics.faults.packed.compact import Compact
-from kinematics.faults.packed.mixing import Mixing, block_covariance, by_chance, scaled
-from kinematics.faults.refilling import filled_freely, refilled
-from kinematics.faults.scattered import scattered
+from kinematics.faults.equal_noise import equalise_noise
+from kinematics.faults.findings import Finding, adapted, can_lose, corrected, joined
+from kinematics.faults.flexible import Structure, no_structure
+from kinematics.faults.nuisance import LaserError, Nuisance
+from kinematics.faults.packing import Assumed, Packed, Source, initial
+from kinematics.faults.point_noise import with_point_noise
+from kinematics.faults.scatter import information_of, likeliest_size
 from kinematics.faults.search import FALSE_ALARM, Search
-from kinematics.faults.structure import Structure
-from kinematics.fit.beams import BeamSet
+from kinematics.faults.state import SHIFTS
+from kinematics.fit.neglected_motion import extended_beams
+from kinematics.fit.reference_noise import holds_record_noise
+from kinematics.fit.rigid_fit import LineFit, refitted
+from kinematics.measurement import BodyChannels, Measurement
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-_BESIDE = 0.1
-_REFILLS = 3
+# Errors of positions, and noise that is not stated, are estimated with matrices of channel x channel, 128 MB
+# each at this number of channels.
+MOST_CHANNELS = 4000
+# A finding next to others must be surer: what remains holds the errors of their estimates.
+_NEXT = 0.1
+# What may remain after all findings: so many standard deviations of the energy of noise, or this share.
+_SURE, _SHARE = 6.0, 0.02
+# From so many residual directions on, a misfit of one channel alone is that channel's.
+_MANY = 30
+# Scattered positions: fewest points, sizes that are sought (m, and levers), and how much more than stated.
+_LEAST_POINTS, _SMALLEST_M, _OF_LEVER, _MORE = 4, 1e-7, 0.2, 1.5
+# Up to so many points their errors are compared jointly: the memory goes with the square.
+_MOST_POINTS = 1000
+# What each parameter of a single fault, and the choice of its place, costs of log likelihood next to these.
+_PER_PARAMETER = 5.0
+# Pairs of channels that hide each other: channels up to which all are compared, pairs that are tried, the
+# share of the misfit that a pair must explain, and of information below which it cannot be seen.
+_MOST_PAIRED, _TRIED, _EXPLAINED, _UNSEEN = 600, 3, 0.9, 1e-6
 
 
 @dataclass(frozen=True)
@@ -53,7 +70,7 @@ class Diagnosis:
     lines : ndarray, (channel,)
         Number of complex values behind each energy.
     offsets_m : ndarray, (channel, 3)
-        Position errors, within their stated sd, that were allowed for.
+        Most probable errors of the positions, of those with a stated sd.
     kept : float
         Share of the misfit beyond noise that the first finding leaves by itself, 0 to 1; 1 without a finding,
         when that concerns all beams, and when the body is not rigid; 0 for two faults that hid each other.
@@ -74,205 +91,313 @@ class Diagnosis:
         return float(np.sum(self.lines)) * (self.level - 1.0) ** 2 > 16.0
 
 
-def diagnose(
-    data: Compact,
-    position_sd_m: Array,
-    noise_known: bool = True,
-    alarm: float = FALSE_ALARM,
-    bounded: bool = False,
+def too_large(body: BodyChannels, known: bool) -> bool:
+    """Return whether a body has too many channels to be searched for faults.
+
+    With stated noise and exact positions there is no limit.
+    """
+    exact = not np.any(np.nan_to_num(body.position_sd_mm) > 0.0)
+    return len(body.points) > MOST_CHANNELS and not (known and exact)
+
+
+def diagnosed(
+    placed: Measurement,
+    body: BodyChannels,
+    fit: LineFit,
+    known: bool,
+    without: list[int] | None = None,
+    lasers: Sequence[LaserError] = (),
 ) -> Diagnosis:
-    """Search one body in one run for faults.
+    """Search one body in one run for faults, with all degrees of freedom that its beams observe.
 
     Parameters
     ----------
-    data : Compact
-    position_sd_m : ndarray, (channel,)
-        Stated standard deviation of the point positions, m; NaN or zero when not stated.
-    noise_known : bool
-        The sd are absolute; otherwise only their ratios mean something.
-    alarm : float
-        Probability of any finding in clean data. One beside others must be surer by a factor of ten: what
-        remains holds the errors of their estimates.
+    placed : Measurement
+    body : BodyChannels
+    fit : LineFit
+        Of the degrees of freedom that are wanted.
+    known : bool
+        The noise is stated.
+    without : list of int, optional
+        Channels whose fault is known already.
+    lasers : sequence of LaserError
+        Errors of lasers with a stated size.
+
+    Notes
+    -----
+    Nothing is searched with fewer than two lines, without noise, or in a body that is `too_large`.
     """
-    prior = np.where(np.isfinite(position_sd_m), position_sd_m, 0.0)
-    most = max(2, len(set(data.points)) // 3)
-    doubt = None
-    if not noise_known:
-        data, doubt = evened(data, prior)
-    data = data if bounded else _mixed(data)
-    findings: list[Finding] = []
-    current = data
-    searches: list[Search] = []
-
-    def searched(some: Compact) -> Search:
-        return Search(some, prior, noise_known, alarm, doubt)
-
-    while True:
-        search = Search(current, prior, noise_known, _BESIDE * alarm if findings else alarm, doubt)
-        searches.append(search)
-        found = search.best()
-        if found is None:
-            break
-        if filled_freely(current) or (found.kind == "flexible" and current.source.filled is not None):
-            for suspect in [found] if found.fit is not None else found.rivals:
-                better, filled, again = _refilled(current, prior, noise_known, alarm, doubt, suspect)
-                if again is not None:
-                    found, current, searches[-1] = better, filled, again
-                    data = data if findings else filled
-                    break
-        if found.kind == "flexible":
-            found = _explained(current, prior, noise_known, alarm, doubt, found)
-        if found.kind == "flexible" or len(findings) >= most:
-            body = found if not findings and found.kind == "flexible" else searches[0].flexible()
-            spread = scattered(searches[0], prior, doubt, findings)
-            pair = None if spread is not None else masked_pair(searches[0], data, searched)
-            if pair is not None:
-                return _made(tuple(pair[0]), searches[0], pair[1], data, 0.0)
-            return _made((spread or body,), searches[0], search, data)
-        findings = _joined(findings, found)
-        current = cleared(current, found)
-        if not noise_known and found.kind != "noise" and current.mixing is None:
-            current, doubt = evened(current, prior)
-    if findings and searches[0].structure.significant:
-        after = Search(corrected(data, findings), prior, noise_known, alarm, doubt)
-        if not account_for_it(searches[0], after, findings):
-            spread = scattered(searches[0], prior, doubt, findings)
-            pair = None if spread is not None else masked_pair(searches[0], data, searched)
-            if pair is not None:
-                return _made(tuple(pair[0]), searches[0], pair[1], data, 0.0)
-            return _made((spread or searches[0].flexible(),), searches[0], search, data)
-    kept = 1.0
-    if findings and findings[0].owner != "body":
-        kept = searches[1].excess() / max(searches[0].excess(), 1e-300)
-    if len(findings) > 1:
-        spread = scattered(searches[0], prior, doubt, findings)
-        if spread is not None:
-            return _made((spread,), searches[0], searches[0], data)
-        findings = _again(data, prior, noise_known, alarm, doubt, findings)
-    return _made(tuple(findings), searches[0], search, data, kept)
+    lines = int(np.sum(np.isfinite(fit.q[:, 0].real)))
+    if lines < 2 or fit.is_rounding() or too_large(body, known):
+        return _nothing(fit)
+    whole = refitted(extended_beams(body, fit.beams.dof), fit) if len(fit.beams.dof) < 6 else fit
+    data = initial(Source.of(whole, body, placed.freq_hz, known, placed.line_spread), body)
+    if without:
+        data = data.under(data.assumed.without(without))
+    alarm = FALSE_ALARM / len(placed.runs) / len(placed.bodies)
+    prior = np.nan_to_num(body.position_sd_mm) * 1e-3
+    mixes = not holds_record_noise(placed, body)
+    return _Diagnose(body, prior, known, mixes, alarm, lasers).run(data)
 
 
-def _refilled(
-    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, found: Finding
-) -> tuple[Finding, Compact, Search | None]:
-    """Return a finding with gaps filled by it, in turn until it stays, the data so, and their search.
+def _nothing(fit: LineFit) -> Diagnosis:
+    """Return the diagnosis of data that are too few to search."""
+    count = len(fit.beams.rows)
+    used = np.sum(np.isfinite(fit.sd), axis=1)
+    return Diagnosis((), np.ones(count), 1.0, 1.0, no_structure(count), used, np.zeros((count, 3)))
 
-    The search is None where it finds something else there.
+
+class _Diagnose:
+    """Searches of one body under the same priors."""
+
+    def __init__(
+        self,
+        body: BodyChannels,
+        prior: Array,
+        known: bool,
+        mixes: bool,
+        alarm: float,
+        lasers: Sequence[LaserError],
+    ) -> None:
+        self.prior, self.known, self.mixes, self.alarm, self.lasers = prior, known, mixes, alarm, lasers
+        self.layout = (body.reported_positions_mm, body.file_from_here)
+        self.spread: Array | None = None
+        self.most = max(2, len(set(body.points)) // 3)
+
+    def searched(self, data: Packed, share: float = 1.0, prior: Array | None = None) -> Search:
+        """Search data; ``share`` of the alarm probability."""
+        prior = self.prior if prior is None else prior
+        alarm = share * self.alarm
+        return Search(data, prior, self.layout, self.known, alarm, self.spread, self.lasers)
+
+    def equalised(self, data: Packed) -> Packed:
+        """Return data of unknown noise with weights by their residuals."""
+        if self.known:
+            return data
+        made, self.spread = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
+        return made
+
+    def prepared(self, data: Packed, share: float = 1.0) -> Search:
+        """Search data with the noise that residuals show, where it is unknown or shared within points."""
+        data = self.equalised(data)
+        search = self.searched(data, share)
+        white = with_point_noise(search.state, search.noise) if self.mixes else data
+        return search if white is data else self.searched(white, share)
+
+    def after(self, data: Packed, found: Finding, findings: list[Finding]) -> Search:
+        """Search data without a finding, their noise as it shows without the culprits."""
+        left = adapted(data, found)
+        if found.kind == "noise" or (self.known and left.whiten is None):
+            return self.searched(left, _NEXT)
+        return self.prepared(left.under(self._as_stated(left.assumed, findings)), _NEXT)
+
+    def _as_stated(self, assumed: Assumed, findings: list[Finding]) -> Assumed:
+        """Return assumptions without what residuals with a culprit showed of the noise."""
+        if self.known:
+            return replace(assumed, correlation=None)
+        loud = np.where(np.isfinite(assumed.loud), 1.0, np.inf)
+        for found in findings:
+            if found.kind == "noise":
+                loud[found.channels] *= found.size
+        return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
+
+    def run(self, data: Packed) -> Diagnosis:
+        """Search round after round, the culprit left out each time, until nothing is found."""
+        first = self.prepared(data)
+        data = first.data
+        findings: list[Finding] = []
+        current = data
+        search = first
+        kept = 1.0
+        while True:
+            found = search.best()
+            if found is None:
+                break
+            if found.kind == "flexible":
+                found = self._single(current, found, findings)
+            if found.kind == "flexible" or len(findings) >= self.most:
+                body = found if not findings and found.kind == "flexible" else first.flexible()
+                return self._many(first, search, data, findings, body)
+            findings = joined(findings, found)
+            search = self.after(current, found, findings)
+            current = search.data
+            if len(findings) == 1 and findings[0].owner != "body":
+                kept = search.excess() / max(first.excess(), 1e-300)
+        if findings and first.structure.significant:
+            after = self.searched(corrected(data, findings))
+            if not self._account_for_it(first, after, findings):
+                return self._many(first, search, data, findings, first.flexible())
+        if len(findings) > 1:
+            spread = self._scattered(first, findings)
+            if spread is not None:
+                return _made((spread,), first, first)
+            findings = self._again(_as_quiet(data, current, findings), findings)
+        return _made(tuple(findings), first, search, kept)
+
+    def _many(
+        self, first: Search, last: Search, data: Packed, findings: list[Finding], otherwise: Finding
+    ) -> Diagnosis:
+        """Return what explains a misfit at many places."""
+        spread = self._scattered(first, findings)
+        pair = None if spread is not None else self._masked(first, data)
+        if pair is not None:
+            return _made(tuple(pair[0]), first, pair[1], 0.0)
+        return _made((spread or otherwise,), first, last)
+
+    def _single(self, data: Packed, found: Finding, findings: list[Finding]) -> Finding:
+        """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
+        for other in found.rivals:
+            if self.after(data, other, findings).clean():
+                return other
+        return found
+
+    def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
+        """Judge every finding again, the others gone."""
+        made: list[Finding] = []
+        for number, finding in enumerate(findings):
+            others = data
+            for other in [*made, *findings[number + 1 :]]:
+                others = adapted(others, other)
+            found = self.searched(others).best()
+            if found is not None and set(found.channels) & set(finding.channels):
+                made.append(found if found.kind != "flexible" else finding)
+            elif found is not None:
+                made.append(finding)
+        return made
+
+    def _account_for_it(self, first: Search, after: Search, findings: list[Finding]) -> bool:
+        """Return whether findings, undone by their estimates, leave hardly more than noise.
+
+        Notes
+        -----
+        To leave a channel out removes whatever it holds. With few channels a motion that is not rigid shows
+        in one or two of them, and a factor that fits it partly is no explanation. A single channel is
+        believed whose residuals are its motion times a factor with any course over the measurement, or that
+        stands alone among many.
+        """
+        scale = min(first.scale, after.scale)
+        before, _ = first.excess_of_all(scale)
+        left, spread = after.excess_of_all(scale)
+        if left < _SURE * spread or left < _SHARE * before:
+            return True
+        if len(findings) > 1 or len(findings[0].channels) > 1:
+            return False
+        return first.freedom >= _MANY or _own_course(first, findings[0].channels[0], scale)
+
+    def _scattered(self, first: Search, findings: list[Finding]) -> Finding | None:
+        """Return that the positions are off by more than stated, when that explains the misfit better."""
+        if not _LEAST_POINTS <= len(first.points) <= _MOST_POINTS or first.freedom < 0.5:
+            return None
+        lever = first.data.source.beams.lever_m
+        score, information = information_of(first.given, list(first.points.values()), SHIFTS)
+        sizes = np.geomspace(_SMALLEST_M, _OF_LEVER * lever, 80)
+        size, gain = likeliest_size(score / first.scale, information / first.scale, sizes)
+        if not _MORE * float(np.max(self.prior, initial=0.0)) < size < lever:
+            return None
+        fits = [found.fit for found in findings if found.fit is not None]
+        if gain < sum(fit.drop / first.scale - _PER_PARAMETER * (1 + fit.fault.size) for fit in fits):
+            return None
+        if not self.searched(first.data, prior=np.full(len(self.prior), size)).clean():
+            return None
+        text = f"positions of all points off by about {size * 1e3:.2g} mm (standard deviation per axis)"
+        p = min((found.p_value for found in [*findings, first.flexible()]), default=1.0)
+        return Finding("position", list(first.live), p, None, size, text=text)
+
+    def _masked(self, first: Search, data: Packed) -> tuple[list[Finding], Search] | None:
+        """Return the faults of two channels that hide each other, and the search without them.
+
+        Notes
+        -----
+        Faults that drift are left: two of them have enough parameters to pass for a body that bends.
+        """
+        for one, two in _pairs(first):
+            if not can_lose(data, [one, two]):
+                continue
+            last = self.searched(data.under(data.assumed.without([one, two])))
+            if not last.clean():
+                continue
+            alone = [self.searched(data.under(data.assumed.without([c]))).best() for c in (two, one)]
+            found = [other for other in alone if other is not None and other.fit is not None]
+            if any(other.kind == "drift" for other in found):
+                continue
+            if [other.channels for other in found] != [[one], [two]]:
+                continue
+            if self._account_for_it(first, self.searched(corrected(data, found)), found):
+                return found, last
+        return None
+
+
+def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
+    """Return data with the noise that was found without the culprits."""
+    loud = np.where(np.isfinite(left.assumed.loud), left.assumed.loud, data.assumed.loud)
+    for found in findings:
+        if found.kind == "noise":
+            loud[found.channels] = data.assumed.loud[found.channels]
+    assumed = replace(data.assumed, loud=loud, level=left.assumed.level, correlation=left.assumed.correlation)
+    return data.under(assumed)
+
+
+def _own_course(search: Search, channel: int, scale: float) -> bool:
+    """Return whether a factor of its own in every part of the lines accounts for a channel's residuals."""
+    state = search.state
+    root = np.sqrt(np.maximum(1.0 - state.leverage[:, channel], 1e-3))
+    residual = state.plain(state.e)[:, channel] / root[:, None]
+    motion = (state.own[:, channel, None] @ state.z)[:, 0]
+    parts = np.array_split(np.arange(len(residual)), min(12, len(residual)))
+    whole, left, number = 0.0, 0.0, 0
+    for own in parts:
+        x, e = motion[own].ravel(), residual[own].ravel()
+        energy = float(np.sum(np.abs(e) ** 2))
+        whole += energy
+        left += energy - float(abs(np.vdot(x, e))) ** 2 / max(float(np.sum(np.abs(x) ** 2)), 1e-300)
+        number += len(e) - 1
+    left -= scale * number
+    return bool(left < _SURE * scale * np.sqrt(max(number, 1)) or left < _SHARE * whole)
+
+
+def _pairs(first: Search) -> list[tuple[int, int]]:
+    """Return the pairs of channels that explain most when left out, the best first.
+
+    Notes
+    -----
+    Leaving out channels S takes the energy e_S^H (P_SS)^-1 e_S, P the projector on the residuals.
     """
-    filled, last = data, None
-    for _ in range(_REFILLS):
-        trial = refilled(data, found)
-        search = Search(trial, prior, noise_known, alarm, doubt)
-        better = search.best()
-        if better is None or better.fit is None or set(better.channels) != set(found.channels):
-            break
-        settled = better.kind == found.kind and _settled(better, found)
-        found, filled, last = better, trial, search
-        if settled:
-            break
-    return found, filled, last
+    state, live = first.given, np.array(first.live)
+    if len(live) > _MOST_PAIRED or len(first.x):
+        return []
+    e, span = state.own_e[:, live], state.own_span[:, live]
+    norm = np.eye(len(live)) if state.norm is None else state.norm[np.ix_(live, live)]
+    p = np.real(norm - span @ span.conj().swapaxes(1, 2))
+    energy = np.real(e @ e.conj().swapaxes(1, 2))
+    own = np.diagonal(p, axis1=1, axis2=2)
+    seen = np.diagonal(energy, axis1=1, axis2=2)
+    outer = own[:, :, None] * own[:, None, :]
+    det = outer - p**2
+    taken = own[:, :, None] * seen[:, None, :] + seen[:, :, None] * own[:, None, :] - 2.0 * p * energy
+    made = np.sum(np.where(det > _UNSEEN * outer, taken / np.where(det > 0.0, det, 1.0), 0.0), axis=0)
+    names = np.array([first.data.points[c] for c in live])
+    made = np.where(names[:, None] == names, 0.0, np.triu(made, 1))
+    order = np.argsort(-made, axis=None)[:_TRIED]
+    least = _EXPLAINED * first.excess()
+    chosen = [np.unravel_index(k, made.shape) for k in order]
+    return [(int(live[i]), int(live[j])) for i, j in chosen if made[i, j] > least]
 
 
-def _settled(one: Finding, two: Finding) -> bool:
-    """Tell whether two estimates of a fault differ by less than half their standard deviations."""
-    if one.fit is None or two.fit is None:
-        return True
-    moved = np.abs(one.fit.parameters - two.fit.parameters)
-    return bool(np.all(moved <= 0.5 * np.sqrt(np.maximum(np.diag(one.fit.covariance), 0.0))))
-
-
-def _explained(
-    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, found: Finding
-) -> Finding:
-    """Return a fault at one place that leaves nothing to be found, instead of a body that is not rigid."""
-    for other in found.rivals:
-        if Search(cleared(data, other), prior, noise_known, alarm, doubt).best() is None:
-            return other
-    return found
-
-
-def _joined(findings: list[Finding], found: Finding) -> list[Finding]:
-    """Return the findings with one more; noise of a channel found noisy before raises that one's."""
-    for number, other in enumerate(findings):
-        if found.kind == other.kind == "noise" and found.channels == other.channels:
-            louder = replace(other, size=other.size * found.size)
-            return [*findings[:number], louder, *findings[number + 1 :]]
-    return [*findings, found]
-
-
-def cleared(data: Compact, found: Finding) -> Compact:
-    """Return the data without a finding: its channels left out, weakened, or corrected."""
-    if found.kind == "noise":
-        return data.weighted(found.channels, found.size).repacked()
-    if found.fit is None:
-        return data
-    if found.owner in ("laser", "lasers", "body") or not can_lose(data, found.channels):
-        return found.fit.fault.undone(data, found.fit.parameters).repacked()
-    return data.without(found.channels).repacked()
-
-
-def _mixed(data: Compact) -> Compact:
-    """Return the data with the noise that the channels of each point are found to have in common."""
-    state = solve(data)
-    residual = state.rest()
-    found = block_covariance(residual, state.project(), data.points, data.live)
-    if found is None:
-        return data
-    shared = scaled(found, residual.shape[1])[0]
-    if by_chance(shared, np.maximum(1.0 - state.h, 0.0), data.points, data.live, residual.shape[1]):
-        return data
-    return replace(data, mixing=Mixing.of(shared, data.live)).repacked()
-
-
-def _again(
-    data: Compact, prior: Array, noise_known: bool, alarm: float, doubt: Array | None, findings: list[Finding]
-) -> list[Finding]:
-    """Judge every finding again, the others gone."""
-    made: list[Finding] = []
-    for number, finding in enumerate(findings):
-        others = data
-        for other in [*made, *findings[number + 1 :]]:
-            others = cleared(others, other)
-        found = Search(others, prior, noise_known, alarm, doubt).best()
-        if found is not None and set(found.channels) & set(finding.channels):
-            made.append(found if found.kind != "flexible" else finding)
-        elif found is not None:
-            made.append(finding)
-    return made
-
-
-def _made(
-    findings: tuple[Finding, ...], first: Search, last: Search, data: Compact, kept: float = 1.0
-) -> Diagnosis:
+def _made(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:
     whole = any(finding.kind == "flexible" for finding in findings)
-    energy = first.energy()
+    energy = first.energy.copy()
     if not whole:
-        energy[last.live] = last.energy()[last.live]
-    offsets = (first if whole else last).data.arms_m - (first if whole else last).raw.arms_m
+        energy[last.live] = last.energy[last.live]
     return Diagnosis(
         findings,
         energy,
         last.level,
         last.level_p(),
         (first if whole else last).structure,
-        np.where(data.a > 0.0, data.y.shape[1] + data.rest.shape[1], 0),
-        offsets,
+        np.round(first.columns).astype(np.int64),
+        (first if whole else last).offsets_m,
         1.0 if whole else kept,
     )
 
 
-def nothing_found(beams: BeamSet, sd: Array) -> Diagnosis:
-    """Return the diagnosis of data that are too few to search."""
-    count = len(beams.rows)
-    return Diagnosis(
-        (),
-        np.ones(count),
-        1.0,
-        1.0,
-        Structure(0.0, 1.0, True, 0.0, np.zeros(count)),
-        np.sum(np.isfinite(sd), axis=1),
-        np.zeros((count, 3)),
-    )
-
-
-__all__ = ["FALSE_ALARM", "Diagnosis", "Finding", "cleared", "diagnose", "nothing_found"]
+__all__ = ["FALSE_ALARM", "Diagnosis", "Finding", "diagnosed"]

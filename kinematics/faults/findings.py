@@ -1,13 +1,14 @@
-"""What a search finds wrong, and whether two findings say the same."""
+"""What a search finds wrong, and whether two findings are the same."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinematics.faults.fault_model import FaultFit
-from kinematics.faults.packed.compact import Compact
+from kinematics.faults.catalogue import KINDS
+from kinematics.faults.packing import Packed
+from kinematics.faults.refit import FaultFit
 
 
 @dataclass(frozen=True)
@@ -17,8 +18,7 @@ class Finding:
     Attributes
     ----------
     kind : str
-        ``gain``, ``phase``, ``delay``, ``drift``, ``direction``, ``position``, ``label_swap``, ``noise``,
-        ``axes``, ``flexible``.
+        Of the catalogue, or ``noise``, ``flexible``, or the verdict of a cause that many channels share.
     channels : list of int
     p_value : float
         Corrected for the number of tests.
@@ -26,7 +26,7 @@ class Finding:
     size : float
         Of a noise or flexible finding: factor of the noise, share of the motion.
     rivals : tuple of Finding
-        Other explanations that the data hardly tell from this one.
+        Other explanations that the data hardly separate from this one.
     text : str
         The estimate in words, where it is not made from ``fit`` or ``size``.
     code, step : str
@@ -51,19 +51,55 @@ class Finding:
         return "body" if self.kind == "flexible" else "channel"
 
 
-def can_lose(data: Compact, channels: list[int]) -> bool:
-    """Tell whether the other channels still determine the motion with some redundancy."""
-    basis = data.beams.basis[data.without(channels).live]
+# Owners that are corrected by their estimate: to leave their channels out would leave too little.
+_CORRECTED = ("laser", "lasers", "body")
+
+
+def can_lose(data: Packed, channels: list[int]) -> bool:
+    """Return whether the other channels still determine the motion with some redundancy."""
+    rest = [c for c in data.live if c not in set(channels)]
+    basis = data.rows(data.assumed.arms_m, data.assumed.directions)[rest]
     if len(basis) <= basis.shape[1] + 1:
         return False
     values = np.linalg.svd(basis, compute_uv=False)
     return bool(values[-1] > 1e-3 * values[0])
 
 
+def adapted(data: Packed, found: Finding) -> Packed:
+    """Return the data without a finding: its channels left out, weakened, or corrected."""
+    if found.kind == "noise":
+        return data.under(data.assumed.louder(found.channels, found.size))
+    if found.fit is None:
+        return data
+    if found.owner in _CORRECTED or not can_lose(data, found.channels):
+        return data.under(found.fit.fault.undone(data.assumed, found.fit.parameters))
+    return data.under(data.assumed.without(found.channels))
+
+
+def corrected(data: Packed, findings: list[Finding]) -> Packed:
+    """Return the data with every finding undone by its estimate, all channels kept."""
+    assumed = data.assumed
+    for found in findings:
+        if found.kind == "noise":
+            assumed = assumed.louder(found.channels, found.size)
+        elif found.fit is not None:
+            assumed = found.fit.fault.undone(assumed, found.fit.parameters)
+    return data.under(assumed)
+
+
+def joined(findings: list[Finding], found: Finding) -> list[Finding]:
+    """Return the findings with one more; noise of a channel found noisy before raises that one's."""
+    for number, other in enumerate(findings):
+        if found.kind == other.kind == "noise" and found.channels == other.channels:
+            louder = replace(other, size=other.size * found.size)
+            return [*findings[:number], louder, *findings[number + 1 :]]
+    return [*findings, found]
+
+
 def differ(one: Finding, two: Finding) -> bool:
-    """Tell whether two findings are different statements: a phase includes a gain."""
-    same = {"phase": "gain", "delay": "gain"}
-    return (same.get(one.kind, one.kind), sorted(one.channels)) != (
-        same.get(two.kind, two.kind),
-        sorted(two.channels),
-    )
+    """Return whether two findings are different statements: a phase includes a gain."""
+    return (_statement(one.kind), sorted(one.channels)) != (_statement(two.kind), sorted(two.channels))
+
+
+def _statement(kind: str) -> str:
+    return (KINDS[kind].like if kind in KINDS else "") or kind

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.each_body import diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.neglected_motion import extended_beams

@@ -1,304 +1,242 @@
-"""The fit at some size of a fault and some shifts of the points, and the step to better ones."""
+"""The fit of one fault next to the motion and the nuisance parameters, and its evidence."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from math import exp, lgamma, log, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.fault_kinds import Fault
-from kinematics.faults.packed.compact import Compact
-from stapeskit.spatial import dof_indices
+from kinematics.faults.catalogue import KINDS, Fault
+from kinematics.faults.nuisance import Marginal, Nuisance
+from kinematics.faults.packing import Packed, packed
+from kinematics.faults.state import Model, State, model_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-SMALL = 1e-5
-_UNSEEN = 1e-22
+_ROUNDS = 6
+# Owners of faults of many channels.
+_MANY = ("laser", "lasers", "body")
+# Steps of the numerical derivatives, in units of the prior size.
+_STEP = 1e-5
 
 
 @dataclass(frozen=True)
-class Places:
-    """Positions as they are known: points with a stated error, by their channels.
+class FaultFit:
+    """A fitted fault.
 
     Attributes
     ----------
-    owners : list of list of int
-    sd_m : ndarray, (point,)
+    fault : Fault
+    parameters : ndarray, (p,)
+    covariance : ndarray, (p, p)
+    drop : float
+        Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
     """
 
-    owners: list[list[int]] = field(default_factory=list)
-    sd_m: Array = field(default_factory=lambda: np.zeros(0))
+    fault: Fault
+    parameters: Array
+    covariance: Array
+    drop: float
 
-    @classmethod
-    def of(cls, data: Compact, sd_m: Array) -> Places:
-        """Collect the points in use that have a positive prior standard deviation (channel,), m."""
-        groups: dict[str, list[int]] = {}
-        for channel in data.live:
-            if sd_m[channel] > 0.0:
-                groups.setdefault(data.points[channel], []).append(channel)
-        owners = list(groups.values())
-        return cls(owners, np.array([sd_m[channels[0]] for channels in owners]))
-
-    def moved(self, data: Compact, shift: Array) -> Compact:
-        """Return the data with every point shifted; shift (point, 3), m."""
-        if not self.owners:
-            return data
-        arms, (channels, owner) = data.arms_m.copy(), self.members
-        arms[channels] += shift[owner]
-        return data.moved(arms_m=arms)
-
-    @cached_property
-    def members(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """All channels, point by point, and the number of the point of each."""
-        sizes = [len(own) for own in self.owners]
-        channels = np.array([c for own in self.owners for c in own], dtype=np.intp)
-        return channels, np.repeat(np.arange(len(sizes)), sizes)
-
-    def summed(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums (point, ...) of values (n, ...) of all channels, point by point."""
-        size = len(self.owners[0])
-        if all(len(own) == size for own in self.owners):
-            return np.asarray(values.reshape(-1, size, *values.shape[1:]).sum(axis=1))
-        starts = np.flatnonzero(np.diff(self.members[1], prepend=-1))
-        return np.asarray(np.add.reduceat(values, starts, axis=0))
-
-    def penalty(self, shift: Array) -> float:
-        """Return half the sum of (shift / sd)^2."""
-        return 0.5 * float(np.sum((shift / self.sd_m[:, None]) ** 2)) if self.owners else 0.0
-
-
-def own_part(data: Compact, white: NDArray[Any]) -> NDArray[Any]:
-    """Return values whose products with changes of channels' rows are those of whitened ones (channel, n)."""
-    return white if data.mixing is None else np.asarray(data.mixing.whiten.T @ white)
-
-
-def solved_for(upper: Array, seen: ComplexArray) -> ComplexArray:
-    """Solve triangular systems (..., m, m); directions that are not determined stay zero."""
-    diagonal = np.abs(np.diagonal(upper, axis1=-2, axis2=-1))
-    if np.all(np.min(diagonal, axis=-1) > 1e-9 * np.max(diagonal, axis=-1)):
-        return np.asarray(np.linalg.solve(upper, seen))
-    return np.asarray(np.linalg.pinv(upper, rcond=1e-9) @ seen)
-
-
-def change_of_rows(data: Compact, fault: Fault, theta: Array) -> list[ComplexArray | Array]:
-    """Return the derivatives of the fault's rows by each parameter."""
-    made = []
-    for place in range(fault.size):
-        small = np.zeros(fault.size)
-        small[place] = SMALL * fault.scale[place]
-        made.append(
-            (fault.rows(data, theta + small) - fault.rows(data, theta - small)) / (2.0 * small[place])
-        )
-    return made
-
-
-def times(rows: ComplexArray | Array, z: ComplexArray) -> ComplexArray:
-    """Return rows (n, m), or (line, n, m), times the motion (m, line): (n, line)."""
-    if rows.ndim == 2:
-        return np.asarray(rows @ z)
-    return np.asarray(np.einsum("fcm,mf->cf", rows, z))
+    @property
+    def channels(self) -> list[int]:
+        """The channels of the fault."""
+        return self.fault.channels
 
 
 @dataclass(frozen=True)
-class Others:
-    """All channels that a fault leaves as they are, in as few rows as there are degrees of freedom.
-
-    Attributes
-    ----------
-    rows : ndarray, (m, m)
-    held : ndarray, (m, line), complex
-    left : float
-        Energy of what these rows do not hold.
-    """
-
-    rows: Array
-    held: ComplexArray
-    left: float
-
-    @classmethod
-    def of(cls, data: Compact, channels: list[int]) -> Others:
-        """Gather them; only for noise that no channels have in common."""
-        kept = np.array([c for c in data.live if c not in set(channels)], dtype=np.intp)
-        a = data.a[kept][:, None]
-        held = a * data.y[kept]
-        span, rows = np.linalg.qr(a * data.beams.basis[kept])
-        seen = span.T @ held
-        return cls(rows, seen, float(np.sum(np.abs(held - span @ seen) ** 2)))
+class _Trial:
+    theta: Array
+    x: Array
+    state: State
+    value: float
 
 
 class Refit:
-    """The fit at some parameters and shifts: objective, and the Gauss-Newton step from there."""
+    """Fits of faults to data with nuisance parameters; ``before`` is the objective without fault."""
 
-    def __init__(
-        self,
-        data: Compact,
-        places: Places,
-        fault: Fault | None,
-        theta: Array,
-        shift: Array,
-        others: Others | None = None,
-    ) -> None:
-        self.places, self.fault, self.theta, self.shift = places, fault, theta, shift
-        self.data = places.moved(data, shift)
-        mixing = self.data.mixing
-        self.norm = None if mixing is None else mixing.norm
-        self.channels = fault.channels if fault is not None else []
-        self.own = self.data.a[self.channels][:, None]
-        self.at = self.channels
-        if others is None:
-            base = self.data.a[:, None] * self.data.beams.basis
-            held = self.data.white(self.data.y)
-        else:
-            count = len(others.rows)
-            self.at = list(range(count, count + len(self.channels)))
-            base = np.vstack([others.rows, np.zeros((len(self.channels), others.rows.shape[1]))])
-            held = np.vstack([others.held, self.own * self.data.y[self.channels]])
-        rows = fault.rows(self.data, theta) if fault is not None else np.zeros((0, base.shape[1]))
-        self.varies = rows.ndim == 3
-        if self.varies:
-            all_rows = np.repeat(base[None].astype(complex), len(rows), axis=0)
-            all_rows[:, self.at] = self.own * rows
-            span, upper = np.linalg.qr(all_rows if mixing is None else mixing.whiten @ all_rows)
-            seen = np.einsum("fcm,cf->fm", span.conj(), held)
-            self.z = solved_for(upper, seen[..., None])[..., 0].T
-            self.e = held - np.einsum("fcm,fm->cf", span, seen)
-        else:
-            changed = base.astype(rows.dtype)
-            changed[self.at] = self.own * rows
-            span, upper = np.linalg.qr(changed if mixing is None else mixing.whiten @ changed)
-            seen = span.conj().T @ held
-            self.z = solved_for(upper, seen)
-            self.e = held - span @ seen
-        self.own_span, self.own_e = own_part(self.data, span), own_part(self.data, self.e)
-        self.rows = changed if not self.varies else all_rows
-        self.objective = float(np.sum(np.abs(self.e) ** 2)) + places.penalty(shift)
-        self.objective += 0.0 if others is None else others.left
+    def __init__(self, data: Packed, nuisance: Nuisance, start: Array, before: float, flat: Packed) -> None:
+        self.data, self.nuisance, self.before = data, nuisance, before
+        self.start = start
+        self.flat = flat
+        self.lever = data.source.beams.lever_m
 
-    def step(self) -> tuple[Array, Array]:
-        """Return the Gauss-Newton step of parameters and shifts, and the covariance of the parameters.
+    @cached_property
+    def fine(self) -> tuple[Packed, float]:
+        """The data that judge faults of many channels, and their objective without fault.
 
-        Notes
-        -----
-        The information of the shifts is blocks of the points less a product of low rank, what the motion can
-        take; the parameters are solved for by the Schur complement.
+        A large fault of many channels hides motion from the fit, so that it is not gathered with it, and a
+        change from line to line shows more finely than segments do.
         """
-        size, count = len(self.theta), len(self.places.owners)
-        score, information = np.zeros(size), np.zeros((size, size))
-        seen = np.zeros((size, self.z.size), dtype=complex)
-        slopes = np.zeros((0, len(self.channels), self.z.shape[1]), dtype=complex)
-        if self.fault is not None and size:
-            found = change_of_rows(self.data, self.fault, self.theta)
-            slopes = np.stack([self.own * times(slope, self.z) for slope in found])
-            score = np.real(np.einsum("knl,nl->k", slopes.conj(), self.own_e[self.at]))
-            mixed = slopes if self.norm is None else self.norm[np.ix_(self.channels, self.channels)] @ slopes
-            information = np.real(np.einsum("knl,jnl->kj", slopes.conj(), mixed))
-            seen = self._seen(self.at, slopes.transpose(1, 0, 2)).sum(axis=0)
-            information = information - np.real(seen.conj() @ seen.T)
-        if not count:
-            inverse = inverse_of(information)
-            return inverse @ score, inverse
-        shifts = self._shifts(slopes, seen)
-        freely = shifts.solved(np.column_stack([shifts.score, shifts.crossed.T]))
-        own = np.diag(information).copy()
-        inverse = inverse_of(information - shifts.crossed @ freely[:, 1:], own)
-        theta = inverse @ (score - shifts.crossed @ freely[:, 0])
-        return np.concatenate([theta, freely[:, 0] - freely[:, 1:] @ theta]), inverse
+        data = packed(self.data.source, self.data.assumed, fine=True)
+        null = State.of(data, self.nuisance.applied(model_of(data), self.start, data))
+        return data, null.energy + self.nuisance.penalty(self.start)
 
-    def _shifts(self, slopes: ComplexArray, seen: ComplexArray) -> Shifts:
-        """Return score and information of all shifts, and their information in common with parameters."""
-        owners = self.places.owners
-        owner = self.places.members[1]
-        channels = self.places.members[0].tolist()
-        moved = self._shifted(channels)
-        mixed = moved
-        if self.norm is not None:
-            flat = self.norm[np.ix_(channels, channels)] @ moved.reshape(len(channels), -1)
-            mixed = flat.reshape(moved.shape)
-        weight = 0.5 / np.repeat(self.places.sd_m, 3) ** 2
-        score = np.real(moved.conj() @ self.own_e[channels][:, :, None])[..., 0]
-        score = self.places.summed(score).ravel() - weight * self.shift.ravel()
-        blocks = np.real(moved.conj() @ mixed.transpose(0, 2, 1))
-        blocks = self.places.summed(blocks)
-        blocks[:, np.arange(3), np.arange(3)] += weight.reshape(-1, 3)
-        taken = self.places.summed(self._seen(channels, moved)).reshape(3 * len(owners), -1)
-        crossed = -np.real(seen.conj() @ taken.T)
-        if len(slopes):
-            place = {channel: k for k, channel in enumerate(channels)}
-            some = [k for k, channel in enumerate(self.channels) if channel in place]
-            there = [place[self.channels[k]] for k in some]
-            common = np.real(slopes[:, some].conj().transpose(1, 0, 2) @ mixed[there].transpose(0, 2, 1))
-            whole = np.zeros((len(owners), len(slopes), 3))
-            np.add.at(whole, owner[there], common)
-            crossed = crossed + whole.transpose(1, 0, 2).reshape(len(slopes), -1)
-        return Shifts(score, blocks, np.hstack([taken.real, taken.imag]), crossed)
+    def _try(self, data: Packed, fault: Fault, theta: Array, x: Array) -> _Trial:
+        model = self.nuisance.applied(fault.applied(model_of(data), theta, data), x, data)
+        state = State.of(data, model)
+        return _Trial(theta, x, state, state.energy + self.nuisance.penalty(x))
 
-    def _shifted(self, channels: list[int]) -> ComplexArray:
-        """Return what shifts of the points of channels along the three axes change, (n, 3, line)."""
-        turned = np.cross(np.eye(3)[None], self.data.directions[channels][:, None])
-        change = np.concatenate([np.zeros_like(turned), turned], axis=2)
-        rows = change[..., dof_indices(self.data.beams.dof)] @ self.data.beams.to_dof
-        made = self.data.a[channels][:, None, None] * (rows @ self.z)
-        if self.fault is not None and self.fault.kind in ("gain", "phase", "delay", "drift"):
-            for place, channel in enumerate(channels):
-                if channel in self.channels:
-                    made[place] = made[place] * self._factor(channel)
-        return np.asarray(made)
+    def sight(self, fault: Fault) -> float:
+        """Return the least objective with a fault without parameters and the nuisance as it is, or zero."""
+        zero = np.zeros(0)
+        starts = [self.start, np.zeros_like(self.start)] if len(self.start) else [self.start]
+        return min(self._try(self.flat, fault, zero, x).value for x in starts)
 
-    def _factor(self, channel: int) -> ComplexArray | complex:
-        """Return the factor that the fault puts on a channel."""
-        row = self.data.a[channel] * self.data.beams.basis[channel]
-        peak = int(np.argmax(np.abs(row)))
-        return np.asarray(self.rows[..., channel, peak] / row[peak])
+    def fit(self, fault: Fault) -> FaultFit:
+        """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
+        judge, before = self.data, self.before
+        if fault.owner in _MANY and self.data.source.sd is None:
+            judge, before = self.fine
+        data = judge if fault.varies else self.flat
+        now = min(
+            (self._try(data, fault, theta, x) for theta, x in self._starts(data, fault)),
+            key=lambda trial: trial.value,
+        )
+        now, inverse = self._improved(data, fault, now)
+        if data is not judge:
+            now = self._try(judge, fault, now.theta, now.x)
+            if fault.owner in _MANY:
+                # What is packed without it holds a large fault of many channels only in part.
+                now, inverse = self._improved(judge, fault, now)
+        value = now.value
+        covariance = 0.5 * inverse[: fault.size, : fault.size]
+        return FaultFit(fault, now.theta, covariance, before - value)
 
-    def _seen(self, channels: list[int], values: ComplexArray) -> ComplexArray:
-        """Return the part (n, k, m * line) of changes (n, k, line) that the motion can take."""
-        if self.varies:
-            found = np.einsum("lnm,nkl->nkml", self.own_span[:, channels].conj(), values, optimize=True)
-        else:
-            found = self.own_span[channels].conj()[:, None, :, None] * values[:, :, None]
-        return np.asarray(found.reshape(*values.shape[:2], -1))
+    def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
+        """Take steps until they help no more; return the inverse of the information too."""
+        inverse = np.zeros((0, 0))
+        for _ in range(_ROUNDS if fault.size + len(self.start) else 0):
+            step, inverse = self._step(data, fault, now)
+            for part in (1.0, 0.5, 0.25, 0.06):
+                theta, x = now.theta + part * step[: fault.size], now.x + part * step[fault.size :]
+                trial = self._try(data, fault, theta, x)
+                if trial.value <= now.value:
+                    break
+            else:
+                break
+            fall, now = now.value - trial.value, trial
+            if fall < 1e-3:
+                break
+        return now, inverse
+
+    def _starts(self, data: Packed, fault: Fault) -> list[tuple[Array, Array]]:
+        """Return first parameters: no fault, the opposite sign, what the other channels show."""
+        size = fault.size
+        thetas = [np.zeros(size)]
+        if size and KINDS[fault.kind].flips:
+            thetas.append(np.concatenate([[-2.0], np.zeros(size - 1)]))
+        if size and 2 * len(fault.channels) < len(data.live):
+            alone = self._alone(data, fault)
+            if alone is not None:
+                thetas.append(alone)
+        # Next to a large fault the nuisance parameters of the fit without it are far off.
+        return [(theta, np.zeros_like(self.start)) for theta in thetas]
+
+    def _alone(self, data: Packed, fault: Fault) -> Array | None:
+        """Return the parameters of a fault against the motion of all other channels, to first order."""
+        left = data.weight.copy()
+        left[:, fault.channels] = 0.0
+        base = model_of(data)
+        own: NDArray[np.float64] = left[:, :, None] * data.rows(base.arms_m, base.directions)
+        gram = own.swapaxes(1, 2) @ own
+        if np.min(np.linalg.eigvalsh(gram)[:, 0]) < 1e-6 * np.max(np.trace(gram, axis1=1, axis2=2)):
+            return None
+        kept = left > 0.0
+        z = np.linalg.solve(gram, own.swapaxes(1, 2) @ np.where(kept[:, :, None], data.y, 0.0))
+        channels = np.array(fault.channels)
+        rows = data.weight[:, channels, None] * data.rows(base.arms_m[channels], base.directions[channels])
+        error = data.y[:, channels] - rows @ z
+        t = self._tangents(data, fault, np.zeros(fault.size), base, z)
+        flat = t.reshape(len(t), -1)
+        normal = np.real(flat.conj() @ flat.T)
+        score = np.real(flat.conj() @ error.ravel())
+        return np.asarray(np.linalg.pinv(normal, rcond=1e-8, hermitian=True) @ score)
+
+    def _tangents(
+        self, data: Packed, fault: Fault, theta: Array, base: Model, z: NDArray[Any]
+    ) -> ComplexArray:
+        """Return derivatives (p, group, n, column) of the readings of the fault's channels."""
+        channels = np.array(fault.channels)
+        scale = fault.scale(self.lever)
+
+        def rows(p: Array) -> NDArray[Any]:
+            model = fault.applied(base, p, data)
+            made = data.weight[:, channels, None] * data.rows(
+                model.arms_m[channels], model.directions[channels]
+            )
+            return made if model.factor is None else model.factor[:, channels, None] * made
+
+        here = rows(theta)
+        made = []
+        for k in range(len(theta)):
+            step = np.zeros(len(theta))
+            step[k] = _STEP * scale[k]
+            made.append(((rows(theta + step) - here) / step[k]) @ z)
+        return np.stack(made) if made else np.zeros((0, *z[:, :1].shape), dtype=complex)
+
+    def _step(self, data: Packed, fault: Fault, now: _Trial) -> tuple[Array, Array]:
+        """Return the step of all parameters, and the inverse of their information."""
+        size, count = fault.size, len(self.start)
+        normal = np.zeros((size + count, size + count))
+        score = np.zeros(size + count)
+        groups = np.array([fault.channels])
+        if size:
+            base = self.nuisance.applied(model_of(data), now.x, data)
+            t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
+            sums = now.state.sums(groups, t)
+            normal[:size, :size], score[:size] = sums.information[0], sums.score[0]
+        if count:
+            found = Marginal(now.state, self.nuisance)
+            normal[size:, size:] = found.information + np.diag(0.5 / self.nuisance.sd**2)
+            score[size:] = found.score - 0.5 * now.x / self.nuisance.sd**2
+            if size:
+                shared = found.common(groups, t, sums.taken)[0]
+                normal[:size, size:], normal[size:, :size] = shared, shared.T
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        even = np.linalg.pinv(normal * np.outer(unit, unit), rcond=1e-9, hermitian=True)
+        inverse = even * np.outer(unit, unit)
+        return inverse @ score, inverse
 
 
-@dataclass(frozen=True)
-class Shifts:
-    """Score (3 point,) and information of the shifts: ``blocks`` (point, 3, 3) less ``low`` low^T."""
+def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:
+    """Return the logarithm of the Bayes factor of a fault against none.
 
-    score: Array
-    blocks: Array
-    low: Array
-    crossed: Array
+    Parameters
+    ----------
+    fit : FaultFit
+    level : float
+        Noise variance over the stated one.
+    lever_m : float
+        Unit of lengths.
 
-    def solved(self, right: Array) -> Array:
-        """Return the information's inverse times ``right`` (3 point, n) (Woodbury 1950)."""
-        count, rank = self.low.shape
-        if rank > count // 2:
-            whole = -self.low @ self.low.T
-            for number, block in enumerate(self.blocks):
-                part = slice(3 * number, 3 * number + 3)
-                whole[part, part] += block
-            return np.asarray(np.linalg.solve(whole, right))
-        inner = np.linalg.inv(self.blocks)
-        low, given = self._times(inner, self.low), self._times(inner, right)
-        capacity = np.eye(rank) - self.low.T @ low
-        return np.asarray(given + low @ np.linalg.solve(capacity, self.low.T @ given))
-
-    def _times(self, inner: NDArray[Any], right: Array) -> Array:
-        return np.asarray((inner @ right.reshape(len(inner), 3, -1)).reshape(right.shape))
-
-
-def inverse_of(information: Array, own: Array | None = None) -> Array:
-    """Return the pseudo-inverse of an information matrix, scaled to a unit diagonal first.
-
-    Directions with less than 1e-9 of their ``own`` information, that without others beside them, are left.
+    Notes
+    -----
+    Laplace's approximation (MacKay 2003, Information theory, inference and learning algorithms, ch. 27-28)
+    with a multivariate Cauchy prior of the parameters in units of their common size; a factor has half its
+    prior around -1. Information that the prior holds is added, so that a fault of which the data show nothing
+    has a factor of 1, however many parameters it has.
     """
-    diagonal = np.diag(information)
-    seen = diagonal > _UNSEEN * np.max(diagonal, initial=0.0)
-    if own is not None:
-        seen &= diagonal > 1e-9 * own
-    scale = np.where(seen, 1.0 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
-    even = information * np.outer(scale, scale)
-    found = np.linalg.pinv(even, rcond=1e-9, hermitian=True)
-    return np.asarray(found * np.outer(scale, scale))
+    fault = fit.fault
+    gain = fit.drop / level - log(max(fault.places, 1))
+    size = fault.size
+    if size == 0:
+        return gain
+    scale = fault.scale(lever_m)
+    information = np.linalg.pinv(fit.covariance * level, rcond=1e-12, hermitian=True)
+    values = np.linalg.eigvalsh(information * np.outer(scale, scale))
+    norm = lgamma(0.5 * (1 + size)) - lgamma(0.5) - 0.5 * size * log(pi)
+    unseen = 2.0 * pi * exp(2.0 * norm / size)
+    width = 0.5 * size * log(2.0 * pi) - 0.5 * float(np.sum(np.log(np.maximum(values, 0.0) + unseen)))
+    p = fit.parameters / scale
+    distance = float(p @ p)
+    if KINDS[fault.kind].flips:
+        turned = p.copy()
+        turned[0] += 2.0 / scale[0]
+        distance = min(distance, float(turned @ turned))
+        norm -= log(2.0)
+    return gain + norm - 0.5 * (1 + size) * log(1.0 + distance) + width

@@ -2,241 +2,262 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults import fault_kinds as kinds
-from kinematics.faults.evidence import log_evidence
-from kinematics.faults.fault_kinds import Fault
-from kinematics.faults.fault_model import FaultFit, State, fit_fault, objective, solve, static
+from kinematics.calibrated import calibrated
+from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
+from kinematics.faults.equal_noise import NOISY
 from kinematics.faults.findings import Finding, differ
-from kinematics.faults.noise.channel_noise import LEAST_SAMPLES, ChannelNoise
-from kinematics.faults.noise.few_lines import level_of_all
-from kinematics.faults.noise.noisy import ALARM_SHARE, noisy
-from kinematics.faults.packed.compact import Compact
-from kinematics.faults.packed.mixing import Mixing, axes_of, block_covariance, scaled
-from kinematics.faults.refit import Places
-from kinematics.faults.score_tests import ScoreTests, Tested, any_batches, axes_batch, batches
-from kinematics.faults.structure import Structure, structure_of
+from kinematics.faults.flexible import Structure, structure_of
+from kinematics.faults.lasers import lasers_of
+from kinematics.faults.noise import LEAST_SAMPLES, channel_noise, common_level, own_noise
+from kinematics.faults.nuisance import LaserError, Marginal, Nuisance, settled
+from kinematics.faults.packing import Packed
+from kinematics.faults.point_noise import point_covariance, scaled
+from kinematics.faults.refit import FaultFit, Refit, log_evidence
+from kinematics.faults.score_tests import Tested, score_tests
+from kinematics.faults.state import State, model_of
 
 Array = NDArray[np.float64]
 FALSE_ALARM = 0.01
-_BLAMED = {"channel": 3, "point": 3, "laser": 3}
-_TESTED = {"channel": 2, "point": 1, "laser": 1}
-_VARIED = {"channel": 3, "point": 2, "laser": 1}
-_SUSPECTS, _EXCHANGES = 10, 5
+# At how many places each kind is fitted: where it is most significant, and where leaving out helps most.
+_TESTED = {"channel": 2, "point": 1, "laser": 1, "body": 1}
+_BLAMED = {"channel": 3, "point": 3, "laser": 3, "body": 1}
+_VARIED = {"channel": 3, "point": 2, "laser": 1, "body": 0}
+# Points whose names are exchanged in trial, and exchanges that are fitted.
+_SUSPECTS, _EXCHANGED = 10, 5
+# Difference of log evidence that the data hardly show.
 _NEAR = 3.0
-_TURN, _FAR = 0.6, 3.0
 # Shares of the alarm probability. They sum to more than 1: kinds tested at one place share residuals, and
-# Bonferroni is too strict. Measured with noise and structure: 1.0 +- 0.2 % of clean files (points_faults.py).
-_ALARM_SHARE = {"channel": 0.9, "point": 0.25, "laser": 0.2, "body": 0.3}
+# Bonferroni is too strict.
+_SHARES: tuple[float, ...] = calibrated("faults.alarm_share")
+_ALARM_SHARE = dict(zip(("channel", "point", "laser", "body"), _SHARES, strict=True))
+_NOISE_SHARE = 0.05
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
-_VARYING = ("delay", "drift")
+# How many times the stated sd noise must be to be reported; less is a matter of chi2.
+_NOISY_KNOWN = 1.5
+# Ratio of variances by which channels of unknown noise may differ without a fault.
+_ALIKE = 1.2**2
+# How many of the loudest channels are looked at, and from which ratio of variances on.
+_LOUDEST, _QUIET = 5, 1.3
+# Standard deviations by which the level of all channels exceeds the stated noise before that is doubted.
+_SURELY_LOUDER = 3.0
+# Leverage above which the residual of a channel shows nothing.
+_UNSEEN = 0.98
+# Up to so many channels their projector is made: the memory goes with the square.
+_MOST_PROJECTED = 1000
 
 
 class Search:
-    """The fit with the channels that are left, and everything that is tested on it.
-
-    Attributes
-    ----------
-    raw, data : Compact
-        As given, and with the points moved within their stated position errors.
-    """
+    """The fit with the channels that are left, and everything that is tested on it."""
 
     def __init__(
         self,
-        data: Compact,
+        data: Packed,
         prior_m: Array,
-        noise_known: bool,
+        layout: tuple[Array, Array],
+        known: bool,
         alarm: float = FALSE_ALARM,
-        doubt: Array | None = None,
+        spread: Array | None = None,
+        lasers: Sequence[LaserError] = (),
     ) -> None:
-        self.raw, self.known, self.alarm = data, noise_known, alarm
-        self.places = Places.of(data, prior_m)
-        self.flat = static(data)
-        shift = np.zeros((0, 3))
-        if self.places.owners:
-            shift = fit_fault(self.flat, self.places, None)[1]
-        self.shift = shift
-        self.data = self.places.moved(data, shift)
-        self.state = solve(self.data)
-        self.before = float(np.sum(np.abs(self.state.e) ** 2)) + self.places.penalty(shift)
-        self.given = solve(data) if self.places.owners else self.state
+        self.data, self.known, self.alarm, self.reported = data, known, alarm, layout
+        self.nuisance = Nuisance.of(data, prior_m, lasers)
+        base = State.of(data)
+        flat = data.merged(base.z)
+        x = settled(flat, self.nuisance)[1]
+        self.x = x
+        self.state = State.of(data, self.nuisance.applied(model_of(data), x, data)) if len(x) else base
+        self.given = base
+        self.before = self.state.energy + self.nuisance.penalty(x)
         self.live = data.live
-        self.h = self.state.h
-        self.rest = self.state.rest()
-        self.samples = self.rest.shape[1]
-        self.noise = ChannelNoise.of(self.state, self.rest)
-        self.of_all = not noise_known and self.noise.number < LEAST_SAMPLES
+        self.refit = Refit(data, self.nuisance, x, self.before, flat)
+        noise = self.noise = channel_noise(self.state)
+        self.least = noise.least
+        self.of_all = not known and noise.least < LEAST_SAMPLES
+        self.ratios, self.level, self.sure = noise.ratios, noise.level, noise.sure
         if self.of_all:
-            level, sure = level_of_all(self.given, self.given.rest(), self.places)
-            self.noise = replace(self.noise, level=level, sure=sure)
-        self.level = self.noise.level
-        self.scale = max(1.0, self.level) if noise_known else self.level
-        if data.mixing is not None and self.samples >= 8 and self.live:
-            free = max(len(self.live) - self.state.span.shape[1], 1)
-            self.scale = max(self.scale, float(np.sum(np.abs(self.rest) ** 2)) / free / self.samples)
-        self.unsure = self._unsure(doubt)
-        groups: dict[str, list[int]] = {}
+            self.level, self.sure = common_level(data, self.nuisance)
+        self.scale = self.level
+        if known and self.level < 1.0 + _SURELY_LOUDER * np.sqrt(2.0 / self.sure):
+            self.scale = 1.0
+        kept = np.sum(np.where(data.weight > 0.0, 1.0 - self.state.leverage, 0.0), axis=0)
+        self.kept = kept / np.maximum(np.sum(data.weight > 0.0, axis=0), 1)
+        self.columns = np.sum(data.weight > 0.0, axis=0) * float(self.state.z.shape[2] + data.rest.shape[2])
+        self.freedom = float(np.sum(self.state.free()))
+        self.unsure = self._unsure(spread)
+        self.points: dict[str, list[int]] = {}
         for channel in self.live:
-            groups.setdefault(data.points[channel], []).append(channel)
-        self.by_point = groups
+            self.points.setdefault(data.points[channel], []).append(channel)
+        if data.whiten is not None and data.rest.shape[2] >= LEAST_SAMPLES and self.freedom > 0.5:
+            rest = float(np.sum(np.abs(self.state.rest) ** 2)) / self.freedom / data.rest.shape[2]
+            self.scale = max(self.scale, rest)
         self.structure = self._structure()
-        self.tested: list[Tested] = []
 
-    def _unsure(self, doubt: Array | None) -> Array:
+    def _structure(self) -> Structure:
+        """Look for patterns that several points share; noise within a point is none, however correlated."""
+        found = structure_of(self.state, self.scale)
+        if self.data.whiten is None or found.p_value == 1.0:
+            return found
+        both = np.concatenate([self.state.e, self.state.rest], axis=2)
+        within = point_covariance(self.state, both, float(both.shape[0] * both.shape[2]))
+        if within is None:
+            return found
+        correlation, sd = scaled(within)
+        assumed = replace(self.data.assumed, correlation=correlation, loud=self.data.assumed.loud * sd)
+        strict = structure_of(State.of(self.data.under(assumed)))
+        if strict.p_value <= found.p_value:
+            return found
+        return replace(found, ratio=strict.ratio, p_value=strict.p_value)
+
+    def _unsure(self, spread: Array | None) -> Array:
         """Return the relative variance (channel,) of the noise that each channel's residuals should have.
 
         Notes
         -----
         A residual holds the noise of all channels by the squares of its row of the projector (Satterthwaite
-        1946, doi:10.2307/3002019); the doubt of the common level is added.
+        1946, doi:10.2307/3002019); the uncertainty of the common level is added.
         """
-        common = np.full(len(self.h), 2.0 / self.noise.sure)
-        if self.known or doubt is None or not np.any(doubt > 0.0):
+        common = np.full(len(self.data.points), 2.0 / self.sure)
+        if self.known or spread is None or not np.any(spread > 0.0):
             return common
-        share = np.square(self.state.project())
+        span = self.state.span[0]
+        if len(span) > _MOST_PROJECTED:
+            return np.asarray(common + spread)
+        share = np.abs(np.eye(len(span)) - span @ span.conj().T) ** 2
         share = share / np.maximum(np.sum(share, axis=1, keepdims=True), 1e-300)
-        return np.asarray(common + share**2 @ doubt)
+        return np.asarray(common + share**2 @ spread)
 
-    def _structure(self) -> Structure:
-        """Look for patterns that several points share; noise within a point is none, however correlated."""
-        structure = structure_of(self.state, self.rest, self.scale)
-        both = self.state.plain(np.hstack([self.state.e, self.rest]))
-        within = None
-        if self.data.mixing is not None and structure.p_value < 1.0:
-            within = block_covariance(both, self.state.project(), self.data.points, self.live)
-        if within is None:
-            return structure
-        shared, sd = scaled(within)
-        even = replace(self.data, a=self.data.a / sd, mixing=Mixing.of(shared, self.live))
-        state = solve(even)
-        strict = structure_of(state, state.rest(), 1.0)
-        if strict.p_value <= structure.p_value:
-            return structure
-        return replace(structure, ratio=strict.ratio, p_value=strict.p_value)
+    @property
+    def offsets_m(self) -> Array:
+        """Most probable errors of the positions (channel, 3), of those with a stated sd."""
+        return np.asarray(self.state.model.arms_m - self.data.assumed.arms_m)
 
+    @property
     def energy(self) -> Array:
-        """Return the leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
-        plain = self.state.plain
-        both = np.sum(np.abs(plain(self.state.e)) ** 2, axis=1) + np.sum(
-            np.abs(plain(self.rest)) ** 2, axis=1
-        )
-        left = np.where(self.h < 0.999, 1.0 - self.h, np.inf)
-        return np.asarray(both / left / (self.state.e.shape[1] + self.samples))
+        """Leverage-corrected mean residual energy of each channel, (channel,); 1 for noise."""
+        both = np.concatenate([self.state.plain(self.state.e), self.state.plain(self.state.rest)], axis=2)
+        left = np.where(self.kept > 1e-3, self.kept, np.inf) * np.maximum(self.columns, 1.0)
+        return np.asarray(np.sum(np.abs(both) ** 2, axis=(0, 2)) / left)
 
     def excess(self) -> float:
-        """Return the residual energy of the packed lines beyond that of noise, at least none."""
-        left = (len(self.live) - self.state.span.shape[1]) * self.state.e.shape[1]
-        return max(float(np.sum(np.abs(self.given.e) ** 2)) - self.scale * left, 0.0)
+        """Return the residual energy of the columns with motion beyond that of noise, at least none."""
+        return max(self.given.energy - self.scale * self.freedom * self.state.z.shape[2], 0.0)
+
+    def excess_of_all(self, scale: float) -> tuple[float, float]:
+        """Return the residual energy beyond noise of a variance, and its standard deviation."""
+        number = self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
+        energy = self.state.energy + float(np.sum(np.abs(self.state.rest) ** 2))
+        return energy - scale * number, scale * float(np.sqrt(number))
 
     def level_p(self) -> float:
         """Return the probability of so large a total residual by chance."""
         from scipy.special import chdtrc
 
-        columns = self.state.e.shape[1] + self.samples
-        freedom = 2.0 * columns * (len(self.live) - self.state.span.shape[1])
-        total = 2.0 * float(np.sum(np.abs(self.state.e) ** 2) + np.sum(np.abs(self.rest) ** 2))
-        return float(chdtrc(freedom, total)) if freedom > 0.0 else 1.0
+        excess, _ = self.excess_of_all(0.0)
+        number = 2.0 * self.freedom * (self.state.z.shape[2] + self.data.rest.shape[2])
+        return float(chdtrc(number, 2.0 * excess)) if number > 0.0 else 1.0
 
-    def _freedom(self, channels: NDArray[np.int64]) -> Array:
-        """Return the degrees of freedom (B,) that the estimated noise of sets of channels (B, n) rests on."""
-        made = 2.0 / np.mean(self.unsure[channels], axis=1)
-        if self.data.mixing is not None:
-            made = np.minimum(made, 2.0 * max(self.samples, self.noise.number))
-        return np.asarray(np.maximum(made, 1.0))
-
-    def chance(self, statistic: Array, size: Array, channels: NDArray[np.int64]) -> Array:
-        """Return the probability (B,) of statistics by chance.
-
-        Chi-squared, or F when the noise is estimated; ``channels`` (B, n) are those that they rest on.
-        """
+    def chance(self, statistic: Array, size: NDArray[np.intp], groups: NDArray[np.intp]) -> Array:
+        """Return the probability (B,) of statistics by chance: chi-squared, or F with estimated noise."""
         from scipy.special import chdtrc, fdtrc
 
         value = np.maximum(statistic, 0.0) / self.scale
-        if self.known and self.data.mixing is None:
+        size = np.maximum(size, 1)
+        if self.known and self.data.whiten is None:
             return np.asarray(chdtrc(size, value))
-        freedom = self._freedom(channels)
+        freedom = np.maximum(2.0 / np.mean(self.unsure[groups], axis=1), 1.0)
+        if self.data.whiten is not None:
+            freedom = np.minimum(freedom, 2.0 * max(self.data.rest[:, 0].size, self.least))
         if self.of_all:
             # The level holds the energy of the fault itself.
             left = np.maximum(freedom - value, 1e-9) / np.maximum(freedom - size, 1.0)
             return np.asarray(fdtrc(size, np.maximum(freedom - size, 1.0), value / size / left))
         return np.asarray(fdtrc(size, freedom, value / size))
 
-    def best(self) -> Finding | None:
-        """Return the suspect that explains most, or None when nothing is significant."""
-        if len(self.live) <= self.state.span.shape[1] or not self.scale > 0.0:
-            return None
-        self._test()
-        noisy = self._noisy()
-        lowest = min(
-            (float(np.min(self._p(found))) * self._number(found.batch.owner) for found in self.tested),
+    def _lowest(self) -> float:
+        """Return the least corrected probability of all tests."""
+        return min(
+            (
+                float(np.min(self.chance(one.statistic, one.freedom, one.groups))) * self._number(one.owner)
+                for one in self.tested
+            ),
             default=1.0,
         )
-        unsure = self.structure.p_value > ALARM_SHARE * self.alarm
-        if lowest > self.alarm and unsure and not noisy:
+
+    @property
+    def bends(self) -> bool:
+        """Whether many channels share a pattern that noise has not."""
+        return self.structure.p_value <= _NOISE_SHARE * self.alarm
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing can be tested: no redundancy, or no noise."""
+        return self.freedom < 0.5 or not self.scale > 0.0
+
+    def clean(self) -> bool:
+        """Return whether nothing is significant, without fits of suspects."""
+        return self.empty or not (self.bends or self._lowest() <= self.alarm or self._loud(False))
+
+    def best(self) -> Finding | None:
+        """Return the suspect that explains most, or None when nothing is significant."""
+        if self.empty:
             return None
-        scored = list(noisy)
-        strange = False
-        for fit in self._suspects():
+        lowest, loud, bends = self._lowest(), self._loud(False), self.bends
+        if lowest > self.alarm and not bends and not loud:
+            return None
+        scored, strange = list(loud), False
+        for fit in self._suspects(bends and not self.structure.concentrated):
             finding = self._finding(fit)
             if finding.p_value < self.alarm and not self._credible(fit):
                 strange = True
             elif finding.p_value < self.alarm:
-                scored.append((log_evidence(fit, self.scale, self._alike(fit.fault)), finding))
-        if not unsure and not self.structure.concentrated:
+                scored.append((self._evidence(fit), finding))
+        if bends and not self.structure.concentrated:
             scored.append((self.structure.gain / self.scale, self.flexible()))
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
-            scored = self._noisy(whole=True)
+            scored = self._loud(True)
         if not scored:
             return None
         scored.sort(key=lambda entry: -entry[0])
         top, finding = scored[0]
         near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
         rivals = tuple(other for value, other in scored[1:] if value > near and differ(finding, other))
-        return Finding(finding.kind, finding.channels, finding.p_value, finding.fit, finding.size, rivals[:2])
+        return replace(finding, rivals=rivals[:2])
+
+    def _evidence(self, fit: FaultFit) -> float:
+        return log_evidence(fit, self.scale, self.data.source.beams.lever_m)
 
     def _credible(self, fit: FaultFit) -> bool:
-        """Tell whether a fault is of a size that happens, or else leaves nothing but noise."""
-        if fit.fault.kind not in ("axes", "direction", "position"):
+        """Return whether a fault is of a size that happens, or else leaves nothing but noise."""
+        kind = KINDS.get(fit.fault.kind)
+        if kind is None or not np.isfinite(kind.largest):
             return True
-        size = float(np.linalg.norm(fit.parameters))
-        largest = _FAR * self.data.beams.lever_m if fit.fault.kind == "position" else _TURN
-        left = (len(self.live) - self.state.span.shape[1]) * self.state.e.shape[1]
-        return size < largest or self.before - fit.drop < 2.0 * self.scale * left
+        unit = self.data.source.beams.lever_m if kind.lengths else 1.0
+        left = self.freedom * self.state.z.shape[2]
+        small = float(np.linalg.norm(fit.parameters)) < kind.largest * unit
+        return small or self.before - fit.drop < 2.0 * self.scale * left
 
     def flexible(self) -> Finding:
         """Return the finding that the body is not rigid, with its share of the motion (rms)."""
-        moved = self.data.white(self.data.beams.basis @ self.state.z)
-        left = len(self.live) - self.state.span.shape[1]
-        excess = float(np.sum(np.abs(self.state.e) ** 2)) - self.scale * left * self.state.e.shape[1]
-        share = float(np.sqrt(max(excess, 0.0) / max(float(np.sum(np.abs(moved) ** 2)), 1e-300)))
+        excess = self.state.energy - self.scale * self.freedom * self.state.z.shape[2]
+        # Where the noise is not stated its level may hold the misfit: the patterns stand out from it.
+        excess = max(excess, self.structure.gain)
+        moved = float(np.sum(np.abs(self.data.y - self.state.e) ** 2))
+        share = float(np.sqrt(excess / max(moved, 1e-300)))
         return Finding("flexible", list(self.live), self.structure.p_value, None, share)
 
     def _number(self, owner: str) -> float:
         """Return what p-values of one sort of culprit are multiplied with: Bonferroni, unequal shares."""
-        count = sum(len(found.statistic) for found in self.tested if found.batch.owner == owner)
+        count = sum(len(one.statistic) for one in self.tested if one.owner == owner)
         return max(count, 1) / _ALARM_SHARE[owner]
-
-    def _p(self, found: Tested) -> Array:
-        return self.chance(found.statistic, np.maximum(found.freedom, 1), found.batch.channels)
-
-    def _test(self) -> None:
-        tests = ScoreTests(self.state, self.places)
-        free = [c for c in self.live if self.given.h[c] < 0.98]
-        points = [
-            own for own in self.by_point.values() if len(self.live) - len(own) >= self.state.span.shape[1]
-        ]
-        made = batches(tests, free, points, self._lasers())
-        if len(self.live) == np.count_nonzero(self.data.source.channel):
-            made.append(axes_batch(tests))
-        self.tested = [tests.run(batch) for batch in made]
 
     def _lasers(self) -> list[list[int]]:
         """Return the channels of beams that are nearly parallel at several points, when there are others.
@@ -244,167 +265,137 @@ class Search:
         A single beam off the others by a few degrees stays with them: that its laser is at fault everywhere
         else is no explanation.
         """
-        groups = axes_of(self.data.directions, self.live)
+        groups = lasers_of(self.data.assumed.directions, self.live)
         many = [own for own in groups if len({self.data.points[c] for c in own}) > 2]
         return many if len(groups) > 1 and len(many) <= 8 else []
 
-    def _suspects(self) -> list[FaultFit]:
+    @cached_property
+    def tested(self) -> list[Tested]:
+        """Tests of all kinds at all places."""
+        marginal = Marginal(self.state, self.nuisance) if len(self.x) else None
+        return score_tests(self.state, marginal, self._owners())
+
+    def _owners(self) -> dict[str, Sequence[Sequence[int]]]:
+        """Return the places where faults are looked for."""
+        leverage = np.max(np.where(self.data.weight > 0.0, self.given.leverage, 0.0), axis=0)
+        size = self.data.size
+        return {
+            "channel": [[c] for c in self.live if leverage[c] < _UNSEEN],
+            "point": [own for own in self.points.values() if len(self.live) - len(own) >= size],
+            "laser": self._lasers(),
+            "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],
+        }
+
+    @cached_property
+    def suspected(self) -> list[Tested]:
+        """Tests by which suspects are chosen.
+
+        A large fault moves the nuisance parameters far off: where they are zero it shows as itself.
+        """
+        if not len(self.x):
+            return self.tested
+        given = Marginal(self.given, self.nuisance)
+        return [*self.tested, *score_tests(self.given, given, self._owners(), settled=False)]
+
+    def _suspects(self, bends: bool) -> list[FaultFit]:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
-        given = self.given
-        freely = self._freely() if self.places.owners else {}
-        for owner, groups in self._owners().items():
-            tested = [found for found in self.tested if found.batch.owner == owner]
-            blame = _blamed(given, groups)
-            orders = [sorted(groups, key=lambda own: -blame[own])]
-            if freely:
-                orders.append(sorted(groups, key=lambda own: -freely.get(own, 0.0)))
-            chosen = dict.fromkeys(
-                own
-                for first in zip(*(order[: _BLAMED[owner]] for order in orders), strict=True)
-                for own in first
-            )
-            for found in tested:
-                best = np.argsort(-found.statistic, kind="stable")[: _TESTED[owner]]
-                chosen |= dict.fromkeys(tuple(int(c) for c in found.batch.channels[k]) for k in best)
-            known = [(found.batch.kind, set(_sets(found))) for found in tested]
+        for owner in _TESTED:
+            tested = [one for one in self.suspected if one.owner == owner]
+            sets = list(dict.fromkeys(own for one in tested for own in one.sets))
+            chosen = dict.fromkeys(sorted(sets, key=self._blame(sets).__getitem__)[: _BLAMED[owner]])
+            for one in tested:
+                best = np.argsort(-one.statistic, kind="stable")[: _TESTED[owner]]
+                chosen |= dict.fromkeys(one.sets[k] for k in best)
+            places = {"channel": len(self.live), "point": len(self.points), "laser": 3}.get(owner, 1)
             for number, own in enumerate(chosen):
-                some = number < _VARIED[owner]
-                names = dict.fromkeys(kind for kind, sets in known if own in sets)
-                faults += [
-                    self._fault(kind, owner, list(own)) for kind in names if some or kind not in _VARYING
-                ]
-        if any(found.batch.kind == "axes" for found in self.tested):
-            faults.append(kinds.axes(self.raw))
-        return self._likely([*faults, *self._swaps()])
+                for name in dict.fromkeys(one.kind for one in tested if own in set(one.sets)):
+                    if number < _VARIED[owner] or not KINDS[name].varies:
+                        faults.append(Fault(name, owner, list(own), places=places))
+        return self._likely([*faults, *self._exchanges()], bends)
 
-    def _likely(self, faults: list[Fault]) -> list[FaultFit]:
+    def _blame(self, sets: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
+        """Return minus what leaving out each set of channels takes of the residual energy."""
+        made, every = dict[tuple[int, ...], float](), list(sets)
+        for size in {len(own) for own in every}:
+            same = [own for own in every if len(own) == size]
+            if 2 * size < len(self.live):
+                fall = self.given.left_out(np.array(same, dtype=np.intp))
+                made |= dict(zip(same, (-fall).tolist(), strict=True))
+            else:
+                made |= dict.fromkeys(same, -self.given.energy)
+        return made
+
+    def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
         """Fit faults, without those that cannot come near the best: none takes more than leaving out does."""
-        bends = self.structure.p_value <= ALARM_SHARE * self.alarm and not self.structure.concentrated
-        if self.places.owners or bends:
-            return [self.fitted(fault) for fault in faults]
-        sets = dict.fromkeys(tuple(fault.channels) for fault in faults)
-        most = {own: fall / self.scale for own, fall in _blamed(self.given, sets).items()}
-        made, best = [], 0.0
-        for fault in sorted(faults, key=lambda fault: -most[tuple(fault.channels)]):
-            if most[tuple(fault.channels)] < best - _NEAR:
+        if len(self.x):
+            return [self.refit.fit(fault) for fault in faults]
+        most = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
+        # Next to a body that bends, what explains less than half of that is no rival.
+        made, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
+        for fault in sorted(faults, key=lambda fault: most[tuple(fault.channels)]):
+            if -most[tuple(fault.channels)] / self.scale < best - _NEAR:
                 continue
-            fit = self.fitted(fault)
+            fit = self.refit.fit(fault)
             made.append(fit)
             if self._credible(fit) and self._finding(fit).p_value < self.alarm:
-                best = max(best, log_evidence(fit, self.scale, self._alike(fault)))
+                best = max(best, self._evidence(fit))
         return made
 
-    def _freely(self) -> dict[tuple[int, ...], float]:
-        """Return, per channel and point, what any change of its rows would explain beside the positions."""
-        tests = ScoreTests(self.given, self.places, settled=False)
-        free = [c for c in self.live if self.given.h[c] < 0.98]
-        size = self.state.span.shape[1]
-        points = [own for own in self.by_point.values() if len(self.live) - len(own) >= size]
-        made: dict[tuple[int, ...], float] = {}
-        for batch in any_batches(tests, free, points):
-            found = tests.run(batch)
-            made |= dict(zip(_sets(found), found.statistic.tolist(), strict=True))
-        return made
-
-    def _owners(self) -> dict[str, list[tuple[int, ...]]]:
-        """Return the sets of channels that were tested, by what they are."""
-        made: dict[str, dict[tuple[int, ...], None]] = {}
-        for found in self.tested:
-            if found.batch.owner != "body":
-                made.setdefault(found.batch.owner, {}).update(dict.fromkeys(_sets(found)))
-        return {owner: list(groups) for owner, groups in made.items()}
-
-    def _fault(self, kind: str, owner: str, channels: list[int]) -> Fault:
-        if kind == "gain":
-            return kinds.gain(channels, owner)
-        if kind == "phase":
-            return kinds.phase(channels, owner)
-        if kind == "delay":
-            return kinds.delay(self.raw, channels, owner)
-        if kind == "drift":
-            return kinds.drift(channels, owner)
-        if kind == "direction":
-            return kinds.direction(self.raw, channels, owner)
-        return kinds.position(self.raw, channels)
-
-    def fitted(self, fault: Fault) -> FaultFit:
-        """Fit a fault, jointly with the positions where these are uncertain."""
-        if fault.kind in _VARYING:
-            return fit_fault(self.raw, self.places, fault, self.before)[0]
-        fit, shift = fit_fault(self.flat, self.places, fault)
-        return replace(fit, drop=self.before - objective(self.raw, self.places, fit, shift))
-
-    def _alike(self, fault: Fault) -> int:
-        points = len(self.by_point)
-        if fault.kind == "label_swap":
-            return {"points": points * (points - 1) // 2, "beams": len(self.live)}.get(fault.owner, 3)
-        return {"channel": len(self.live), "point": points, "laser": 3}.get(fault.owner, 1)
-
-    def _swaps(self) -> list[Fault]:
-        """Return the exchanges of names that are most likely at first sight."""
-        stand = dict.fromkeys(self.by_point, 0.0)
-        for found in self.tested:
-            if found.batch.kind in ("position", "gain", "direction"):
-                for own, value in zip(found.batch.channels, found.statistic, strict=True):
-                    if found.batch.owner in ("channel", "point"):
-                        name = self.data.points[own[0]]
-                        stand[name] = max(stand[name], float(value))
+    def _exchanges(self) -> list[Fault]:
+        """Return the exchanges of names and coordinates that are most likely at first sight."""
+        stand = dict.fromkeys(self.points, 0.0)
+        for one in self.tested:
+            if one.owner in ("channel", "point"):
+                for own, value in zip(one.groups[:, 0], one.statistic, strict=True):
+                    name = self.data.points[own]
+                    stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
-        made = [
-            kinds.swap(self.raw, self.by_point[one], self.by_point[two], "points")
-            for one, two in combinations(order, 2)
-        ]
-        for name in order[:4]:
-            own = self.by_point[name]
-            made += [kinds.swap(self.raw, [one], [two], "beams") for one, two in combinations(own, 2)]
-        for one, two in combinations(self._lasers(), 2):
-            same = {self.data.points[c]: c for c in two}
-            both = [(c, same[self.data.points[c]]) for c in one if self.data.points[c] in same]
-            if len(both) > 2:
-                made.append(kinds.swap(self.raw, [c for c, _ in both], [d for _, d in both], "lasers"))
-        chosen: dict[int, Fault] = {}
-        shifts = [self.shift, np.zeros_like(self.shift)] if self.places.owners else [self.shift]
-        for shift in shifts:
-            left = [self._at_sight(fault, shift) for fault in made]
-            chosen |= {k: made[k] for k in sorted(range(len(made)), key=lambda k: left[k])[:_EXCHANGES]}
-        return list(chosen.values())
-
-    def _at_sight(self, fault: Fault, shift: Array) -> float:
-        """Return the objective after an exchange of names, the positions as they are."""
-        fit = FaultFit(fault, np.zeros(0), np.zeros((0, 0)), 0.0)
-        return objective(self.flat, self.places, fit, shift)
+        layout = Layout(self.data, self.points, self._lasers(), *self.reported)
+        made = [fault for proposed in EXCHANGES for fault in proposed(layout, order)]
+        made.sort(key=self.refit.sight)
+        return made[:_EXCHANGED]
 
     def _finding(self, fit: FaultFit) -> Finding:
-        size = max(fit.fault.size, 1)
-        owner = {"points": "point", "beams": "channel", "lasers": "laser"}.get(
-            fit.fault.owner, fit.fault.owner
-        )
-        channels = np.array(fit.fault.channels)[None]
-        chance = self.chance(np.array([2.0 * fit.drop]), np.array([size]), channels)
-        p = min(1.0, float(chance[0]) * self._number(owner))
-        return Finding(fit.fault.kind, list(fit.fault.channels), p, fit)
+        owner = _SORT.get(fit.fault.owner, fit.fault.owner)
+        size = np.array([max(fit.fault.size, 1)])
+        groups = np.array(fit.fault.channels)[None]
+        chance = float(self.chance(np.array([2.0 * fit.drop]), size, groups)[0])
+        p = min(1.0, chance * max(self._number(owner), float(fit.fault.places)))
+        shown = replace(fit, covariance=fit.covariance * self.scale)
+        return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
 
-    def _noisy(self, whole: bool = False) -> list[tuple[float, Finding]]:
-        """Return channels whose noise is larger than stated, with their log evidence; see ``noisy``."""
-        sure = None if self.known else self.noise.sure
-        return noisy(self.state, self.rest, self.energy(), self.scale, sure, self.alarm, whole)
+    def _loud(self, whole: bool) -> list[tuple[float, Finding]]:
+        """Return channels whose noise is larger than it should be, with their log evidence.
 
+        ``whole``: judge the energy as it is; otherwise without what a fault of the channel's row explains.
 
-def _blamed(state: State, groups: Collection[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
-    """Return by how much the residual energy falls when sets of channels are left out."""
-    made: dict[tuple[int, ...], float] = {}
-    for size in {len(own) for own in groups}:
-        same = [own for own in groups if len(own) == size]
-        at = np.array(same)
-        span, e = state.own_span[at], state.own_e[at]
-        norm = np.eye(size) if state.norm is None else state.norm[at[:, :, None], at[:, None, :]]
-        values, vectors = np.linalg.eigh(norm - span @ span.swapaxes(1, 2))
-        seen = np.sum(np.abs(vectors.swapaxes(1, 2) @ e) ** 2, axis=2)
-        fall = np.where(values > 1e-6, seen / np.where(values > 1e-6, values, 1.0), 0.0)
-        made |= dict(zip(same, np.sum(fall, axis=1).tolist(), strict=True))
-    return made
+        Notes
+        -----
+        The energy of N complex values is chi-squared with 2 N degrees of freedom, an F where the variance is
+        an estimate. The evidence is the likelihood of a larger variance, less Bayes' penalty for its size
+        (Schwarz 1978, doi:10.1214/aos/1176344136).
+        """
+        from scipy.special import chdtrc, fdtrc
 
-
-def _sets(found: Tested) -> list[tuple[int, ...]]:
-    return [tuple(own) for own in found.batch.channels.tolist()]
+        made = []
+        energy, h = self.energy, 1.0 - self.kept
+        limit, margin = (_NOISY_KNOWN, 1.0) if self.known else (NOISY, _ALIKE)
+        for channel in sorted(self.live, key=lambda c: -energy[c])[:_LOUDEST]:
+            value, count = float(energy[channel]), float(self.columns[channel])
+            if value < _QUIET * self.scale or h[channel] > _UNSEEN:
+                continue
+            if not whole:
+                value, count = own_noise(self.state, channel)
+            ratio, left = value / self.scale, 1.0 - float(h[channel])
+            if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
+                continue
+            twice, size = 2.0 * count, ratio / margin
+            chance = chdtrc(twice, twice * size) if self.known else fdtrc(twice, self.sure, size)
+            p = min(1.0, float(chance) * len(self.live) / _NOISE_SHARE)
+            if p > self.alarm:
+                continue
+            score = count * (ratio - 1.0 - np.log(ratio)) - np.log(len(self.live)) - 0.5 * np.log(count)
+            louder = float(np.sqrt((ratio - h[channel]) / left))
+            made.append((float(score), Finding("noise", [channel], p, None, louder)))
+        return made

@@ -10,12 +10,10 @@ import pytest
 from benchmarks.fault_scenes import bound
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged as run
-from kinematics.faults.fault_kinds import drift, gain, position
-from kinematics.faults.fault_model import fit_fault, solve, static
-from kinematics.faults.packed.compact import compact
-from kinematics.faults.packed.mixing import Mixing, block_covariance, by_chance, scaled
-from kinematics.faults.refit import Others, Places, Refit
-from kinematics.faults.score_tests import ScoreTests, axes_batch, batches
+from kinematics.faults.packing import Source, initial, whitening
+from kinematics.faults.point_noise import by_chance, point_covariance, scaled
+from kinematics.faults.score_tests import score_tests
+from kinematics.faults.state import State
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.points2dof import points2dof
@@ -93,93 +91,46 @@ def mixed(seed, change=1.0, channel=4):
     made.value = rows @ made.q.T + made.sd * (np.linalg.cholesky(whole) @ noise)
     made.value[channel] *= change
     fit = fit_lines(beam_set("stapes", made.positions_mm, made.directions, DOF_NAMES), made.value, made.sd)
-    data = compact(fit, body("stapes", made), made.freq_hz)
-    return replace(data, mixing=Mixing.of(whole, data.live)).repacked()
+    some = body("stapes", made)
+    data = initial(Source.of(fit, some, made.freq_hz, True), some)
+    return data.under(replace(data.assumed, correlation=whole))
 
 
 def test_whitening_undoes_a_correlation_and_keeps_to_the_channels_in_use():
     whole = correlation(6)
-    mixing = Mixing.of(whole, [0, 1, 3, 4, 5])
+    live = np.array([True, True, False, True, True, True])
     held = whole.copy()
     held[2, :] = held[:, 2] = 0.0
     held[2, 2] = 1.0
-    np.testing.assert_allclose(mixing.whiten @ held @ mixing.whiten.T, np.eye(6), atol=1e-12)
-    np.testing.assert_allclose(mixing.whiten @ mixing.back, np.eye(6), atol=1e-12)
+    made = whitening(whole, live)
+    np.testing.assert_allclose(made @ held @ made.T, np.eye(6), atol=1e-12)
 
 
 def test_covariance_within_points_is_found_behind_a_projection():
+    data = mixed(741)
+    plain = State.of(data.under(replace(data.assumed, correlation=None)))
     rng = np.random.default_rng(5)
-    count = 27
-    size = np.tile([1.0, 1.5, 2.0], 9)
-    whole = correlation(count)
-    noise = rng.normal(size=(count, 40_000, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
+    size, whole = np.tile([1.0, 1.5, 2.0], 9), correlation(27)
+    noise = rng.normal(size=(27, 20_000, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
     noise = size[:, None] * (np.linalg.cholesky(whole) @ noise)
-    span, _ = np.linalg.qr(rng.normal(size=(count, 6)))
-    project = np.eye(count) - span @ span.T
-    points, live = tuple("aaabbbcccdddeeefffggghhhiii"), list(range(count))
-    made, sd = scaled(block_covariance(project @ noise, project, points, live))
-    np.testing.assert_allclose(sd, size, rtol=0.1)
-    np.testing.assert_allclose(made, whole, atol=0.1)
-    assert not by_chance(made, np.ones(count), points, live, 40_000)
-    assert by_chance(np.eye(count), np.ones(count), points, live, 40_000)
-    assert block_covariance(noise[:, :10], project, points, live) is None
+    span = plain.span[0].real
+    residual = (noise - span @ (span.T @ noise))[None]
+    made, sd = scaled(point_covariance(plain, residual, 20_000))
+    np.testing.assert_allclose(sd, size, rtol=0.15)
+    np.testing.assert_allclose(made, whole, atol=0.15)
+    assert not by_chance(plain, residual[0], 20_000)
+    apart = rng.normal(size=(27, 2_000, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
+    apart[4] *= 4.0
+    assert by_chance(plain, apart - span @ (span.T @ apart), 2_000)
+    assert point_covariance(plain, residual[:, :, :10], 10) is None
 
 
 def test_scores_under_common_noise_are_chi_squared():
     found: dict[str, list[float]] = {}
-    for seed in range(12):
-        data = mixed(740 + seed)
-        tests = ScoreTests(solve(data), Places())
-        groups = [list(range(3 * k, 3 * k + 3)) for k in range(9)]
-        for batch in [*batches(tests, list(range(27)), groups, []), axes_batch(tests)]:
-            held = tests.run(batch)
-            found.setdefault(f"{batch.owner} {batch.kind}", []).extend(held.statistic / held.freedom)
+    groups = [list(range(3 * k, 3 * k + 3)) for k in range(9)]
+    places = {"channel": [[c] for c in range(27)], "point": groups, "body": [list(range(27))]}
+    for seed in range(8):
+        for one in score_tests(State.of(mixed(740 + seed)), None, places):
+            found.setdefault(f"{one.owner} {one.kind}", []).extend(one.statistic / one.freedom)
     for name in ("channel gain", "channel direction", "point position"):
         assert np.mean(found[name]) == pytest.approx(1.0, abs=0.3)
-
-
-def test_score_and_refit_agree_under_common_noise():
-    data = mixed(760, 1.006)
-    tests = ScoreTests(solve(data), Places())
-    found = next(t for t in map(tests.run, batches(tests, [4], [], [])) if t.batch.kind == "gain")
-    flat = static(data)
-    before = float(np.sum(np.abs(solve(flat).e) ** 2))
-    fit, _ = fit_fault(flat, Places(), gain([4]), before)
-    assert 2.0 * fit.drop == pytest.approx(found.statistic[0], rel=0.05)
-    assert 1.0 / found.information[0, 0, 0] == pytest.approx(fit.covariance[0, 0], rel=0.05)
-
-
-@pytest.mark.parametrize("kind", ["gain", "drift", "position"])
-def test_gathered_channels_give_the_same_fit(kind):
-    made = scene(23, "gain")
-    fit = fit_lines(beam_set("stapes", made.positions_mm, made.directions, DOF_NAMES), made.value, made.sd)
-    data = compact(fit, body("stapes", made), made.freq_hz)
-    channels = [3, 4, 5]
-    fault = position(data, channels) if kind == "position" else {"gain": gain, "drift": drift}[kind](channels)
-    theta = 0.01 * fault.scale
-    whole = Refit(data, Places(), fault, theta, np.zeros((0, 3)))
-    few = Refit(data, Places(), fault, theta, np.zeros((0, 3)), Others.of(data, channels))
-    assert few.objective == pytest.approx(whole.objective, rel=1e-9)
-    for one, two in zip(few.step(), whole.step(), strict=True):
-        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-9 * np.max(np.abs(two)))
-
-
-@pytest.mark.parametrize("common", [True, False])
-@pytest.mark.parametrize("kind", ["gain", "drift"])
-def test_steps_beside_positions_lead_to_the_least_objective(kind, common):
-    """The slope of the objective vanishes where the steps end."""
-    data = mixed(770, 1.02) if common else replace(mixed(770, 1.02), mixing=None).repacked()
-    places = Places.of(data, np.full(27, 2e-5))
-    fault = {"gain": gain, "drift": drift}[kind]([4])
-    fit, shift = fit_fault(data, places, fault)
-    here = Refit(data, places, fault, fit.parameters, shift).objective
-    steps = [0.02 * np.sqrt(np.diag(fit.covariance)) * sign for sign in (1.0, -1.0)]
-    around = [Refit(data, places, fault, fit.parameters + step, shift).objective for step in steps]
-    assert abs(around[0] - around[1]) < 0.02
-    moved = shift.copy()
-    moved[2, 1] += 1e-7
-    other = shift.copy()
-    other[2, 1] -= 1e-7
-    sides = [Refit(data, places, fault, fit.parameters, place).objective for place in (moved, other)]
-    assert abs(sides[0] - sides[1]) < 0.02
-    assert min(*around, *sides) > here - 0.01

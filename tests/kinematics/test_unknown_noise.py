@@ -9,10 +9,11 @@ import pytest
 
 from benchmarks.fault_scenes import scene as drawn
 from benchmarks.points_faults import judged
-from kinematics.faults.fault_model import solve
-from kinematics.faults.noise.channel_noise import own_noise
-from kinematics.faults.noise.unknown_noise import evened
-from kinematics.faults.packed.compact import compact
+from kinematics.faults.equal_noise import equalise_noise
+from kinematics.faults.noise import own_noise
+from kinematics.faults.nuisance import Nuisance
+from kinematics.faults.packing import Source, initial
+from kinematics.faults.state import State
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from stapeskit.spatial import DOF_NAMES
@@ -24,7 +25,8 @@ FOOTPLATE = "footplate, 5 points 3D"
 def packed(made):
     beams = beam_set("stapes", made.positions_mm, made.directions, DOF_NAMES)
     fit = fit_lines(beams, made.value, np.broadcast_to(np.median(made.sd), made.sd.shape).copy())
-    return compact(fit, body("stapes", made), made.freq_hz)
+    some = body("stapes", made)
+    return initial(Source.of(fit, some, made.freq_hz, False), some)
 
 
 def louder(made, factor):
@@ -39,32 +41,32 @@ def accused(fault, seed, stated):
     return {c for c, v in enumerate(found.channels) if v.verdict != "ok"}, set(made.culprits)
 
 
+def equalised(data):
+    return equalise_noise(data, Nuisance.of(data, np.zeros(len(data.points))))
+
+
 def test_channels_with_the_same_noise_keep_the_same_weight():
-    data = packed(scene(31))
-    even, doubt = evened(data, np.zeros(len(data.points)))
-    assert np.ptp(even.a[data.live] / data.a[data.live]) < 1e-9
-    assert np.all(doubt >= 0.0)
+    even, spread = equalised(packed(scene(31)))
+    assert np.ptp(even.assumed.loud) < 1e-9 * np.max(even.assumed.loud)
+    assert np.all(spread >= 0.0)
 
 
 def test_channels_of_different_lasers_get_the_weights_of_their_noise():
     made = scene(31)
     factor = np.tile([1.0, 1.5, 0.6], len(made.points) // 3)
-    data = packed(louder(made, factor))
-    weight = evened(data, np.zeros(len(data.points)))[0].a * factor
+    weight = factor / equalised(packed(louder(made, factor)))[0].assumed.loud
     assert weight / np.mean(weight) == pytest.approx(np.ones(len(weight)), abs=0.12)
 
 
 def test_noise_of_a_channel_is_not_taken_for_motion():
     made = drawn(77001, FOOTPLATE, "noise x4")
     found = judged(made, 77001)
-    fit = found.fits[(0, 0)]
-    data = compact(fit, found.measurement.bodies[0], made.freq_hz)
-    state = solve(data)
+    some = found.measurement.bodies[0]
+    state = State.of(initial(Source.of(found.fits[(0, 0)], some, made.freq_hz, True), some))
     (culprit,) = made.culprits
-    energy, count = own_noise(state, state.rest(), culprit)
-    h = state.h[culprit]
-    expected = (16.0 * (1.0 - h) + h) if h < 1.0 else 1.0
-    assert energy == pytest.approx(expected, rel=5.0 / np.sqrt(count))
+    energy, count = own_noise(state, culprit)
+    h = float(np.mean(state.leverage[:, culprit]))
+    assert energy == pytest.approx(16.0 * (1.0 - h) + h, rel=5.0 / np.sqrt(count))
 
 
 def test_clean_files_without_sd_seldom_raise_an_alarm():

@@ -10,8 +10,7 @@ import numpy as np
 from kinematics.faults.across.cleared import Cleared, chosen_lines, cleared
 from kinematics.faults.across.labels import label_findings
 from kinematics.faults.across.lines import loud_lines
-from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.each_body import diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.neglected_motion import extended_beams

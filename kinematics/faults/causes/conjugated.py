@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
-from kinematics.faults.packed.mixing import axes_of
+from kinematics.faults.lasers import lasers_of
 from kinematics.fit.rigid_fit import fit_noise
 
 # Share of the misfit that must go.
@@ -17,7 +17,7 @@ _MOST = 0.5
 def conjugated(suspect: Suspect) -> Iterator[Explanation]:
     """Yield the laser whose conjugate fits the others best."""
     value, fit = suspect.value, suspect.plain
-    groups = axes_of(suspect.body.directions, list(range(len(value))))
+    groups = lasers_of(suspect.body.directions, list(range(len(value))))
     if not 1 < len(groups) <= 8:
         return
     before = float(np.nansum(fit.chi2))

@@ -12,8 +12,7 @@ from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
 from kinematics.faults.causes.outliers import likely_outliers, outliers
 from kinematics.faults.causes.suspect import Explanation, Suspect
-from kinematics.faults.diagnose import Diagnosis
-from kinematics.faults.each_body import diagnosed
+from kinematics.faults.diagnose import Diagnosis, diagnosed
 from kinematics.faults.findings import Finding
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.rigid_fit import LineFit

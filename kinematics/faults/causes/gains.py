@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
-from kinematics.faults.fault_model import State, solve
-from kinematics.faults.packed.compact import Compact, compact
+from kinematics.faults.noise import channel_noise
+from kinematics.faults.packing import Factor, Packed, Source, initial
+from kinematics.faults.scatter import information_of, likeliest_size
+from kinematics.faults.state import IMAGINARY, REAL, State
 from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
@@ -25,6 +27,8 @@ _GAIN, _WORTH = 10.0, 1e-3
 # Rank correlation with the order of the file from which on the points drift.
 _IN_ORDER = 0.8
 _ROUNDS = 3
+# Up to so many channels their gains are compared jointly: the memory goes with the square.
+_MOST_CHANNELS = 3000
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,10 @@ class Scatter:
 
 def gains(suspect: Suspect) -> Iterator[Explanation]:
     """Yield gains scattered over channels, and complex factors scattered over points, the likelier first."""
-    data = compact(suspect.plain, suspect.body, suspect.freq_hz, False, suspect.placed.line_spread)
-    live, size = data.live, data.beams.basis.shape[1]
-    if len(live) - size < _REDUNDANT * size:
+    source = Source.of(suspect.plain, suspect.body, suspect.freq_hz, False, suspect.placed.line_spread)
+    data = initial(source, suspect.body)
+    live, size = data.live, data.size
+    if len(live) - size < _REDUNDANT * size or len(live) > _MOST_CHANNELS:
         return
     points: dict[str, list[int]] = {}
     for channel in live:
@@ -55,7 +60,7 @@ def gains(suspect: Suspect) -> Iterator[Explanation]:
             yield _explanation(suspect, data, owners, scatter)
 
 
-def _explanation(suspect: Suspect, data: Compact, owners: list[list[int]], scatter: Scatter) -> Explanation:
+def _explanation(suspect: Suspect, data: Packed, owners: list[list[int]], scatter: Scatter) -> Explanation:
     value = suspect.value.copy()
     for own, error in zip(owners, scatter.error, strict=True):
         value[own] = value[own] / (1.0 + error)
@@ -90,64 +95,34 @@ def _explanation(suspect: Suspect, data: Compact, owners: list[list[int]], scatt
     return Explanation(code, verdict, channels, text, step, scatter.sd, suspect.with_value(value))
 
 
-def _scatter(data: Compact, owners: list[list[int]], turned: bool) -> Scatter:
+def _scatter(data: Packed, owners: list[list[int]], turned: bool) -> Scatter:
     """Return the likeliest relative errors of groups of channels, independent and of one common size.
 
     Notes
     -----
-    Marginal likelihood of independent normal errors next to the motion, linear in the errors (Harville 1977,
-    doi:10.1080/01621459.1977.10480998): along the eigenvectors of the information N with score g, the gain
-    over none at a variance v is g_i^2 / (N_i + 1 / 2 v) - log(1 + 2 v N_i) / 2; the errors are the means
-    (N + 1 / 2 v)^-1 g. Repeated with the errors undone, as the motion is found anew.
+    At the likeliest size sd of the errors they are the means (N + 1 / 2 sd^2)^-1 g, with score g and
+    information N; repeated with the errors undone, as the motion is found anew.
     """
+    which = (REAL, IMAGINARY) if turned else (REAL,)
     error, sd, gain = np.zeros(len(owners), dtype=complex), 0.0, 0.0
     current = data
     for turn in range(_ROUNDS):
-        state = solve(current)
-        score, information = _information(state, owners, turned)
-        level = _level(state)
+        state = State.of(current)
+        score, information = information_of(state, owners, which)
+        level = channel_noise(state).level
         score, information = score / level, information / level
-        values, vectors = np.linalg.eigh(information)
-        along, values = vectors.T @ score, np.maximum(values, 0.0)
         if turn == 0:
             sizes = np.geomspace(_SMALLEST, _LARGEST, 80)
-            twice = 2.0 * sizes[:, None] ** 2
-            likely = np.sum(
-                along**2 * twice / (1.0 + twice * values) - 0.5 * np.log1p(twice * values), axis=1
-            )
-            best = int(np.argmax(likely))
-            sd, gain = float(sizes[best]), float(likely[best])
-        step = vectors @ (along / (values + 0.5 / sd**2))
-        step = step[: len(owners)] + (1j * step[len(owners) :] if turned else 0.0)
+            sd, gain = likeliest_size(score, information, sizes)
+        step = np.linalg.solve(information + 0.5 / sd**2 * np.eye(len(score)), score)
+        step = step.reshape(len(owners), len(which)) @ np.array([1.0, 1j])[: len(which)]
         error = (1.0 + error) * (1.0 + step) - 1.0
-        current = data
-        for own, one in zip(owners, error, strict=True):
-            current = current.scaled(own, np.full(current.y.shape[1], 1.0 + one))
+        current = data.under(replace(data.assumed, factors=tuple(map(_constant, owners, error))))
     return Scatter(error, sd, gain)
 
 
-def _level(state: State) -> float:
-    """Return the variance of the noise by the lines without motion, or else by the quieter residuals."""
-    free = max(len(state.data.live) - state.span.shape[1], 1)
-    rest = state.rest()
-    if rest.shape[1] >= 8:
-        return float(np.sum(np.abs(rest) ** 2)) / free / rest.shape[1]
-    values = np.sort(np.abs(state.e[state.data.live]).ravel() ** 2)
-    return float(np.median(values)) / np.log(2.0) * len(state.data.live) / free
-
-
-def _information(state: State, owners: list[list[int]], turned: bool) -> tuple[Array, Array]:
-    """Return score and information of relative errors, real parts first, then imaginary ones."""
-    data = state.data
-    moved = data.a[:, None] * (data.beams.basis @ state.z)
-    columns = np.zeros((len(owners), *state.e.shape), dtype=complex)
-    for number, own in enumerate(owners):
-        columns[number][own] = moved[own]
-    if turned:
-        columns = np.concatenate([columns, 1j * columns])
-    columns = columns - state.span @ (state.span.T @ columns)
-    flat = columns.reshape(len(columns), -1)
-    return np.real(flat.conj() @ state.e.ravel()), np.real(flat.conj() @ flat.T)
+def _constant(channels: list[int], error: complex) -> tuple[list[int], Factor]:
+    return channels, lambda tau, _ratio: np.full(len(tau), 1.0 + error)
 
 
 def _rank_correlation(value: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ _SURELY, _NUMBER = 1e-5, 1e-4
 _WITH_NEIGHBOUR = 0.5
 # Values that are looked at to see whether there may be any.
 _SAMPLE = 200_000
+# Share of its noise that a residual holds at least, and what keeps lines solvable that do not determine
+# the motion.
+_LEAST_LEFT, _RIDGE = 0.02, 1e-12
 # Values below this share of what the motion makes there have dropped out.
 _DROPPED, _MOSTLY = 0.95, 0.8
 
@@ -99,13 +102,46 @@ def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None) -> Array
     if course is not None:
         held = np.isfinite(sd)
         sd = np.where(held, LineNoise(fit.noise.stated, course).at(lines), sd)
-    size = np.where(np.isfinite(sd), 0.5 * np.abs(residual / sd) ** 2, np.nan)
+    # A line with too few channels has no motion, and no residual of one.
+    size = np.where(np.isfinite(sd) & fit.solution.good[lines], 0.5 * np.abs(residual / sd) ** 2, np.nan)
+    if not np.all(np.isfinite(sd)):
+        leverage, spread = _by_line(fit, sd)
+        one, _ = _over_usual(size / np.maximum(1.0 - leverage, _LEAST_LEFT))
+        # With gaps the residuals of loud channels spread over different ones from line to line.
+        size = size / np.maximum(spread(one) / one[:, None], _LEAST_LEFT)
+    return _over_usual(size)[1]
+
+
+def _over_usual(size: Array) -> tuple[Array, Array]:
+    """Return the usual value of each channel (channel,), at least that of most, and values over it."""
     used = np.any(np.isfinite(size), axis=1)
     channel = np.full(len(size), np.nan)
     channel[used] = np.nanmedian(size[used], axis=1) / np.log(2.0)
     level = float(np.median(channel[used])) if np.any(used) else 1.0
-    channel = np.maximum(np.where(used, channel, level), level)
-    return np.asarray(size / np.maximum(channel, 1e-300)[:, None])
+    return np.where(used, channel, level), np.asarray(
+        size / np.maximum(np.maximum(np.where(used, channel, level), level), 1e-300)[:, None]
+    )
+
+
+def _by_line(fit: LineFit, sd: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Return leverages (channel, n), and a function from variances to those of the residuals.
+
+    The function takes variances (channel,) over those of ``sd`` and returns residuals' (channel, n).
+    """
+    root = 1.0 / sd.T
+    rows = root[:, :, None] * fit.beams.basis
+    gram = rows.swapaxes(1, 2) @ rows
+    size = np.maximum(np.trace(gram, axis1=1, axis2=2), 1e-300)
+    gram = gram / size[:, None, None] + _RIDGE * np.eye(gram.shape[-1])
+    solved = np.linalg.solve(gram, rows.swapaxes(1, 2)).swapaxes(1, 2) / size[:, None, None]
+    leverage = np.sum(rows * solved, axis=2).T
+
+    def spread(variance: Array) -> Array:
+        middle = rows.swapaxes(1, 2) @ (variance[:, None] * rows)
+        taken = np.sum((solved @ middle) * solved, axis=2).T
+        return np.asarray(variance[:, None] * (1.0 - 2.0 * leverage) + taken)
+
+    return leverage, spread
 
 
 def _dropped(fit: LineFit, far: NDArray[np.bool_]) -> float:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from benchmarks.fault_scenes import measured, scene
-from kinematics.faults.describe import describe, with_sd
-from kinematics.faults.fault_kinds import Fault
-from kinematics.faults.fault_model import FaultFit
+from kinematics.faults.catalogue import Fault
+from kinematics.faults.describe import describe
 from kinematics.faults.findings import Finding
+from kinematics.faults.refit import FaultFit
+from kinematics.faults.sentences import with_sd
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import points2dof
 from kinematics.registration.placement import Placement
@@ -32,7 +33,7 @@ def body(count=4):
 def fitted(kind, channels, parameters, sd):
     """Return a finding with a fit of independent parameters."""
     parameters = np.asarray(parameters, dtype=float)
-    fault = Fault(kind, channels, len(parameters), None, None, np.ones(len(parameters)))
+    fault = Fault(kind, "point" if kind == "position" else "channel", channels)
     covariance = np.diag(np.asarray(sd, dtype=float) ** 2)
     return Finding(kind, channels, 1e-6, FaultFit(fault, parameters, covariance, 10.0))
 

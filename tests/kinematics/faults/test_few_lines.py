@@ -7,10 +7,9 @@ import pytest
 
 from benchmarks.fault_scenes import scene
 from benchmarks.points_faults import judged
-from kinematics.faults.fault_model import solve
-from kinematics.faults.noise.few_lines import level_of_all
-from kinematics.faults.packed.compact import compact
-from kinematics.faults.refit import Places
+from kinematics.faults.noise import common_level
+from kinematics.faults.nuisance import Nuisance
+from kinematics.faults.packing import Source, initial
 from kinematics.fit.beams import beam_set
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.measurement import BodyChannels
@@ -28,10 +27,8 @@ def level(seed, lines, position_sd_mm, stated_mm):
     value = made.faulty() + noise
     fit = fit_lines(beams, value, made.sd)
     body = BodyChannels("stapes", made.points, made.reported, made.directions, value[None])
-    data = compact(fit, body, made.freq_hz)
-    state = solve(data)
-    places = Places.of(data, np.full(len(made.points), stated_mm * 1e-3))
-    return level_of_all(state, state.rest(), places)
+    data = initial(Source.of(fit, body, made.freq_hz, True), body)
+    return common_level(data, Nuisance.of(data, np.full(len(made.points), stated_mm * 1e-3)))
 
 
 @pytest.mark.parametrize("lines", [2, 6, 20])

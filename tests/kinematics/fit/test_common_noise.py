@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinematics.faults.each_body import diagnosed
+from kinematics.faults.diagnose import diagnosed
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.reference_noise import bound_record_noise
 from kinematics.measurement import RecordNoise, from_arrays

@@ -1,0 +1,315 @@
+"""The catalogue of faults: each kind is one entry, and all that the search and the report know of it.
+
+To add a kind, add an entry to KINDS (a fault with a size) or to EXCHANGES (names or coordinates exchanged).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults import sentences
+from kinematics.faults.packing import Assumed, Packed
+from kinematics.faults.state import (
+    AXES,
+    DELAY,
+    DRIFT,
+    DRIFT_IMAGINARY,
+    IMAGINARY,
+    REAL,
+    SHIFTS,
+    TURNS,
+    Model,
+    across,
+)
+from stapeskit.frames import rotation_from_vector
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Moved = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault.
+
+    Attributes
+    ----------
+    owners : tuple of str
+        What can have it: ``channel``, ``point``, ``laser`` (all beams of one direction), ``body``.
+    tangents : tuple of int
+        How the readings change with each parameter; see ``state``.
+    prior : tuple of float
+        How large each parameter commonly is; lengths in levers of the body.
+    sentence : callable
+        A fit of the fault and the body to verdict and estimate in words.
+    factor : callable, optional
+        Parameters, place (-1 to 1) and relative frequency of lines to the factor of the readings.
+    moved : callable, optional
+        Positions, directions, channels and parameters to those that are true.
+    varies : bool
+        The change differs from line to line.
+    flips : bool
+        The sign may be wrong as well.
+    largest : float
+        Parameters beyond this, in units that ``prior`` has, are believed only when they leave noise alone.
+    lengths : bool
+        ``prior`` and ``largest`` are in levers of the body.
+    like : str
+        The kind whose statement it is, too; empty for its own.
+    """
+
+    owners: tuple[str, ...]
+    tangents: tuple[int, ...]
+    prior: tuple[float, ...]
+    sentence: sentences.Sentence
+    factor: Callable[[Array, Array, Array], ComplexArray] | None = None
+    moved: Callable[[Array, Array, list[int], Array], Moved] | None = None
+    varies: bool = False
+    flips: bool = False
+    largest: float = np.inf
+    lengths: bool = False
+    like: str = ""
+
+    def scale(self, lever_m: float) -> Array:
+        """Return how large each parameter commonly is."""
+        return np.array(self.prior) * (lever_m if self.lengths else 1.0)
+
+
+def _direction(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
+    first, second = across(directions[channels[0]])
+    turned = directions[channels] + p[0] * first + p[1] * second
+    made = directions.copy()
+    made[channels] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return arms, made
+
+
+def _position(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
+    made = arms.copy()
+    made[channels] += p
+    return made, directions
+
+
+def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
+    made = directions.copy()
+    made[channels] = directions[channels] @ rotation_from_vector(p).T
+    return arms, made
+
+
+_SETS = ("channel", "point", "laser")
+KINDS: dict[str, Kind] = {
+    "gain": Kind(
+        _SETS, (REAL,), (0.1,), sentences.factor, factor=lambda p, _t, _r: 1.0 + p[0] + 0j, flips=True
+    ),
+    "phase": Kind(
+        _SETS,
+        (REAL, IMAGINARY),
+        (0.1, 0.1),
+        sentences.factor,
+        factor=lambda p, _t, _r: 1.0 + p[0] + 1j * p[1],
+        flips=True,
+        like="gain",
+    ),
+    "delay": Kind(
+        _SETS,
+        (DELAY,),
+        (0.1,),
+        sentences.angle("delayed, phase lag", "at mid-band"),
+        factor=lambda p, _t, r: np.exp(-1j * p[0] * r),
+        varies=True,
+        like="gain",
+    ),
+    "phase_offset": Kind(
+        ("laser",),
+        (IMAGINARY,),
+        (0.1,),
+        sentences.angle("phase off by"),
+        factor=lambda p, _t, _r: np.exp(1j * p[0]),
+        like="gain",
+    ),
+    "drift": Kind(
+        _SETS,
+        (REAL, IMAGINARY, DRIFT, DRIFT_IMAGINARY),
+        (0.05,) * 4,
+        sentences.drift,
+        factor=lambda p, t, _r: 1.0 + p[0] + 1j * p[1] + (p[2] + 1j * p[3]) * t,
+        varies=True,
+        flips=True,
+    ),
+    "direction": Kind(
+        ("channel", "laser"),
+        TURNS,
+        (np.radians(4.0),) * 2,
+        sentences.direction,
+        moved=_direction,
+        largest=0.6,
+    ),
+    "position": Kind(
+        ("point",), SHIFTS, (0.2,) * 3, sentences.position, moved=_position, largest=3.0, lengths=True
+    ),
+    "axes": Kind(("body",), AXES, (np.radians(2.0),) * 3, sentences.axes, moved=_axes, largest=0.6),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault at one place.
+
+    Attributes
+    ----------
+    kind : str
+        In KINDS, or ``label_swap`` or ``coordinates`` of EXCHANGES.
+    owner : str
+        ``channel``, ``point``, ``laser``, ``body``; of exchanges also ``points``, ``beams``, ``lasers``.
+    channels : list of int
+    shift_m, turn : ndarray, (n, 3), optional
+        Of an exchange: by what positions and directions of the channels change.
+    places : int
+        At how many places this kind of fault could be.
+    text : str
+        Of an exchange: what was exchanged.
+    """
+
+    kind: str
+    owner: str
+    channels: list[int]
+    shift_m: Array | None = None
+    turn: Array | None = None
+    places: int = 1
+    text: str = ""
+
+    @property
+    def size(self) -> int:
+        """Number of real parameters."""
+        return len(KINDS[self.kind].tangents) if self.kind in KINDS else 0
+
+    @property
+    def varies(self) -> bool:
+        """Whether the change of the readings differs from line to line."""
+        return self.kind in KINDS and KINDS[self.kind].varies
+
+    def scale(self, lever_m: float) -> Array:
+        """Return how large each parameter commonly is."""
+        return KINDS[self.kind].scale(lever_m) if self.kind in KINDS else np.zeros(0)
+
+    def geometry(self, arms_m: Array, directions: Array, p: Array) -> Moved:
+        """Return positions and directions with the fault."""
+        if self.kind in KINDS:
+            moved = KINDS[self.kind].moved
+            return (arms_m, directions) if moved is None else moved(arms_m, directions, self.channels, p)
+        if self.shift_m is not None:
+            arms_m = arms_m.copy()
+            arms_m[self.channels] += self.shift_m
+        if self.turn is not None:
+            directions = directions.copy()
+            directions[self.channels] += self.turn
+        return arms_m, directions
+
+    def applied(self, model: Model, p: Array, data: Packed) -> Model:
+        """Return a model with the fault."""
+        arms, directions = self.geometry(model.arms_m, model.directions, p)
+        model = model._replace(arms_m=arms, directions=directions)
+        factor = KINDS[self.kind].factor if self.kind in KINDS else None
+        if factor is None:
+            return model
+        return model.times(self.channels, factor(p, data.tau, data.ratio), len(data.tau))
+
+    def undone(self, assumed: Assumed, p: Array) -> Assumed:
+        """Return assumptions that hold this fault."""
+        arms, directions = self.geometry(assumed.arms_m, assumed.directions, p)
+        assumed = replace(assumed, arms_m=arms, directions=directions)
+        factor = KINDS[self.kind].factor if self.kind in KINDS else None
+        if factor is None:
+            return assumed
+        one = factor
+        held = (self.channels, lambda tau, ratio: np.asarray(one(p, tau, ratio)))
+        return replace(assumed, factors=(*assumed.factors, held))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What exchanges are made of: channels by point and laser, and positions as in the user's file."""
+
+    data: Packed
+    points: dict[str, list[int]]
+    lasers: list[list[int]]
+    reported_mm: Array
+    file_from_here: Array
+
+
+def _points(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
+    """Exchange the positions of two points."""
+    arms, count = layout.data.assumed.arms_m, len(layout.points)
+    for one, two in combinations(names, 2):
+        first, second = layout.points[one], layout.points[two]
+        apart = arms[second[0]] - arms[first[0]]
+        shift = np.vstack([np.tile(apart, (len(first), 1)), np.tile(-apart, (len(second), 1))])
+        text = f"points {one} and {two} exchanged"
+        yield Fault(
+            "label_swap", "points", [*first, *second], shift, places=count * (count - 1) // 2, text=text
+        )
+
+
+def _beams(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
+    """Exchange the directions of two beams of one point."""
+    beams, live = layout.data.assumed.directions, len(layout.data.live)
+    for name in names[:4]:
+        for one, two in combinations(layout.points[name], 2):
+            apart = beams[two] - beams[one]
+            turn, text = np.stack([apart, -apart]), f"two beams of point {name} exchanged"
+            yield Fault("label_swap", "beams", [one, two], turn=turn, places=live, text=text)
+
+
+def _lasers(layout: Layout, _names: Sequence[str]) -> Iterator[Fault]:
+    """Exchange the directions of two lasers at all points that both see."""
+    beams, points = layout.data.assumed.directions, layout.data.points
+    for one, two in combinations(layout.lasers, 2):
+        same = {points[c]: c for c in two}
+        both = [(c, same[points[c]]) for c in one if points[c] in same]
+        if len(both) > 2:
+            first, second = [c for c, _ in both], [d for _, d in both]
+            apart = beams[second] - beams[first]
+            text = "two lasers exchanged at all points"
+            yield Fault(
+                "label_swap",
+                "lasers",
+                [*first, *second],
+                turn=np.vstack([apart, -apart]),
+                places=3,
+                text=text,
+            )
+
+
+def _coordinates(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
+    """Exchange two coordinates of one point, or of all of them, as in the user's file."""
+    every = [c for own in layout.points.values() for c in own]
+    for name, own in [*((name, layout.points[name]) for name in names[:4]), ("", every)]:
+        reported = layout.reported_mm[own]
+        for one, two in combinations(range(3), 2):
+            order = [0, 1, 2]
+            order[one], order[two] = two, one
+            right = reported[:, order]
+            shift = (right - reported) @ layout.file_from_here * 1e-3
+            axes = f"{'xyz'[one]}_mm and {'xyz'[two]}_mm"
+            if not name:
+                text, owner, places = f"{axes} of all points look exchanged", "body", 3
+            else:
+                value = ", ".join(f"{axis}_mm {v:.4g}" for axis, v in zip("xyz", right[0], strict=True))
+                text, owner = f"{axes} of point {name} look exchanged: {value} would be right", "point"
+                places = 3 * len(layout.points)
+            yield Fault("coordinates", owner, list(own), shift, places=places, text=text)
+
+
+# Verdicts of exchanges, in the words of ``dof.channels.csv``.
+VERDICTS = {"coordinates": "position"}
+# Proposals of exchanges: layout and names of the suspected points, the most suspected first, to faults.
+EXCHANGES: tuple[Callable[[Layout, Sequence[str]], Iterator[Fault]], ...] = (
+    _points,
+    _beams,
+    _lasers,
+    _coordinates,
+)

@@ -1,0 +1,24 @@
+"""Which beams belong to one laser: those that are nearly parallel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+# Beams within 8 degrees of each other belong to one laser.
+_SAME_BEAM = float(np.cos(np.radians(8.0)))
+
+
+def lasers_of(directions: Array, live: Sequence[int]) -> list[list[int]]:
+    """Return the channels in use of each beam direction, of directions (channel, 3)."""
+    groups: list[list[int]] = []
+    left = np.array(live, dtype=np.intp)
+    while len(left):
+        near = directions[left] @ directions[left[0]] > _SAME_BEAM
+        near[0] = True
+        groups.append(left[near].tolist())
+        left = left[~near]
+    return groups

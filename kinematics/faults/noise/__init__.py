@@ -1,1 +1,0 @@
-"""How much noise each channel has, and which channels have more than they should."""

@@ -1,0 +1,206 @@
+"""Errors with a stated size, estimated with the motion: positions of points, factors and delays of lasers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.packing import Packed
+from kinematics.faults.state import DELAY, IMAGINARY, REAL, SHIFTS, Model, State, Sums, model_of
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+WHICH = (*SHIFTS, REAL, IMAGINARY, DELAY)
+
+
+@dataclass(frozen=True)
+class LaserError:
+    """An error that all beams of a laser share, with a prior standard deviation.
+
+    Attributes
+    ----------
+    channels : tuple of int
+    gain, phase_rad, delay_rad : float
+        Standard deviations of the relative gain, of the phase, and of the phase lag at the mean frequency.
+    """
+
+    channels: tuple[int, ...]
+    gain: float = 0.0
+    phase_rad: float = 0.0
+    delay_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Parameters with normal priors.
+
+    Attributes
+    ----------
+    owner : ndarray, (6, channel), int
+        Which parameter moves a channel along each tangent of WHICH; -1 for none.
+    sd : ndarray, (V,)
+        Prior standard deviations.
+    """
+
+    owner: NDArray[np.intp] = field(default_factory=lambda: np.full((6, 0), -1))
+    sd: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def of(cls, data: Packed, position_sd_m: Array, lasers: Sequence[LaserError] = ()) -> Nuisance:
+        """Collect the parameters of the channels in use.
+
+        Parameters
+        ----------
+        data : Packed
+        position_sd_m : ndarray, (channel,)
+            Zero where not stated.
+        lasers : sequence of LaserError
+        """
+        owner = np.full((6, len(data.points)), -1)
+        sd: list[float] = []
+        place: dict[str, int] = {}
+        for channel in data.live:
+            if position_sd_m[channel] > 0.0:
+                name = data.points[channel]
+                if name not in place:
+                    place[name] = len(sd)
+                    sd += [float(position_sd_m[channel])] * 3
+                owner[:3, channel] = place[name] + np.arange(3)
+        for laser in lasers:
+            for row, size in enumerate((laser.gain, laser.phase_rad, laser.delay_rad)):
+                if size > 0.0:
+                    owner[3 + row, list(laser.channels)] = len(sd)
+                    sd.append(size)
+        return cls(owner, np.array(sd))
+
+    @property
+    def which(self) -> list[int]:
+        """Rows of ``owner`` that hold parameters."""
+        return [k for k in range(6) if np.any(self.owner[k] >= 0)] if len(self.sd) else []
+
+    def penalty(self, x: Array) -> float:
+        """Return half of the sum of (x / sd)^2."""
+        return 0.5 * float(np.sum((x / self.sd) ** 2)) if len(self.sd) else 0.0
+
+    def applied(self, model: Model, x: Array, data: Packed) -> Model:
+        """Return a model with the errors ``x`` (V,)."""
+        if not len(self.sd):
+            return model
+        padded = np.append(x, 0.0)
+        value = padded[self.owner]
+        model = model._replace(arms_m=model.arms_m + value[:3].T)
+        if not np.any(value[3:]):
+            return model
+        factor = (1.0 + value[3] + 1j * value[4]) * np.exp(-1j * data.ratio[:, None] * value[5])
+        return model._replace(factor=factor if model.factor is None else model.factor * factor)
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The information on the nuisance parameters at a state."""
+
+    state: State
+    nuisance: Nuisance
+
+    @cached_property
+    def tangents(self) -> ComplexArray:
+        """Tangents (q, group, channel, column) of all channels."""
+        channels = np.arange(len(self.state.data.points))
+        return self.state.tangents(channels, [WHICH[k] for k in self.nuisance.which])
+
+    @cached_property
+    def turned(self) -> ComplexArray:
+        """Their products with the norm of the channels."""
+        return self.state.products(np.arange(len(self.state.data.points)), self.tangents)
+
+    @cached_property
+    def owner(self) -> NDArray[np.intp]:
+        """Parameters (channel, q) of the tangents; the number of parameters for none."""
+        owner = self.nuisance.owner[self.nuisance.which].T
+        return np.where(owner >= 0, owner, len(self.nuisance.sd))
+
+    @cached_property
+    def taken(self) -> Array:
+        """Projections (V, D) of the tangents on the motion."""
+        from scipy.sparse import csr_array
+
+        span = self.state.own_span.conj().transpose(1, 0, 2)[:, None, :, :, None]
+        seen = span * self.tangents.transpose(2, 0, 1, 3)[:, :, :, None]
+        flat = seen.reshape(self.owner.size, -1)
+        at = self.owner.ravel()
+        count = len(self.nuisance.sd)
+        chosen = csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(count + 1, at.size))
+        return np.asarray((chosen @ np.concatenate([flat.real, flat.imag], axis=1))[:count])
+
+    @cached_property
+    def score(self) -> Array:
+        """Score (V,) of the residual, without the priors."""
+        own = np.real(np.sum(self.tangents.conj() * self.state.own_e[None], axis=(1, 3))).T
+        count = len(self.nuisance.sd)
+        return np.asarray(np.bincount(self.owner.ravel(), own.ravel(), count + 1)[:count], dtype=float)
+
+    @cached_property
+    def information(self) -> Array:
+        """Information (V, V), without the priors."""
+        count = len(self.nuisance.sd)
+        one, two = (
+            t.transpose(2, 0, 1, 3).reshape(self.owner.shape[0], self.owner.shape[1], -1)
+            for t in (self.tangents, self.turned)
+        )
+        own = np.real(one.conj() @ two.swapaxes(1, 2))
+        at = self.owner[:, :, None] * (count + 1) + self.owner[:, None, :]
+        whole = np.bincount(at.ravel(), own.ravel(), (count + 1) ** 2).reshape(count + 1, count + 1)
+        made = whole[:count, :count] - self.taken @ self.taken.T
+        return np.asarray(0.5 * (made + made.T))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse (V, V) of the information with the priors."""
+        return np.asarray(np.linalg.inv(self.information + np.diag(0.5 / self.nuisance.sd**2)))
+
+    def common(self, groups: NDArray[np.intp], tangents: ComplexArray, taken: Array) -> Array:
+        """Return the information (B, p, V) that tangents (p, group, B, n, column) share with the nuisance."""
+        sets, count = taken.shape[:2]
+        number = len(self.nuisance.sd)
+        made = np.zeros(sets * count * (number + 1))
+        at = np.arange(sets * count).reshape(sets, count, 1) * (number + 1)
+        for member in range(groups.shape[1]):
+            channels = groups[:, member]
+            one = tangents[:, :, :, member].transpose(2, 0, 1, 3).reshape(sets, count, -1)
+            two = self.turned[:, :, channels].transpose(2, 0, 1, 3).reshape(sets, len(self.turned), -1)
+            own = np.real(one.conj() @ two.swapaxes(1, 2))
+            index = at + self.owner[channels][:, None, :]
+            made += np.bincount(index.ravel(), own.ravel(), len(made))
+        return made.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
+
+    def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> tuple[Array, Array]:
+        """Return score and information of tangents next to the nuisance, which is not at its best here."""
+        shared = self.common(groups, tangents, sums.taken)
+        held = shared @ self.inverse
+        return sums.score - held @ self.score, sums.information - held @ shared.swapaxes(1, 2)
+
+
+def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, Array]:
+    """Return the fit with the most probable nuisance parameters, and these (V,)."""
+    base = model_of(data)
+    x = np.zeros(len(nuisance.sd))
+    state = State.of(data, base)
+    value = state.energy
+    for _ in range(rounds if len(x) else 0):
+        found = Marginal(state, nuisance)
+        step = found.inverse @ (found.score - 0.5 * x / nuisance.sd**2)
+        for part in (1.0, 0.5, 0.25):
+            trial = State.of(data, nuisance.applied(base, x + part * step, data))
+            left = trial.energy + nuisance.penalty(x + part * step)
+            if left <= value:
+                break
+        else:
+            break
+        fall, state, value, x = value - left, trial, left, x + part * step
+        if fall < 1e-3:
+            break
+    return state, x

@@ -1,0 +1,388 @@
+"""Readings over their noise in few columns, under the present assumptions about the channels.
+
+A fault that is the same at all lines changes the observation rows B of y = B z + noise. Within a segment of
+lines any unitary mixture of them leaves that model as it is: the one that gathers the motion z into as many
+columns as it has degrees of freedom leaves noise alone in all others, of which a sample is kept. Lines with
+missing values, or noise whose ratios change from line to line, are kept as they are: a missing value has the
+weight zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.fit.beams import BeamSet
+from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.noise_spectrum import noise_course
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels
+from stapeskit.spatial import dof_indices, point_rows
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+# A factor of readings by place in the measurement (-1 to 1) and frequency over its mean.
+Factor = Callable[[Array, Array], ComplexArray]
+# Segments of lines that are packed each by itself: a drift is seen so finely.
+_SEGMENTS = 12
+# Values up to which all lines are kept for faults that change from line to line, and segments of more.
+_FINE_VALUES, _FINE_SEGMENTS = 100_000, 64
+# Columns of noise that are kept in all, and values of them.
+_REST, _HELD = 512, 60_000
+# Values of lines with gaps that are looked at; more are thinned evenly.
+_MOST_VALUES = 60_000
+# Share of the motion outside the picked lines below which these hold all of it, but for rounding.
+_ALL_IN_PICKED = 1e-6
+# A ridge that keeps lines solvable whose channels do not determine the motion.
+RIDGE = 1e-12
+# Least eigenvalue of a correlation of noise.
+_SINGULAR = 0.05
+
+
+@dataclass(frozen=True)
+class Source:
+    """The determined lines of one body in one run, as measured.
+
+    Attributes
+    ----------
+    beams : BeamSet
+        For all degrees of freedom that the beams observe.
+    points : tuple of str, (channel,)
+    value : ndarray, (channel, line), complex
+        Readings, m; NaN where missing.
+    lines : ndarray, (n,), int
+        The lines of ``value`` that are used.
+    share, line : ndarray, (channel,) and (n,)
+        Their product is the sd of readings without gaps; ``share`` is zero of channels without readings.
+    sd : ndarray, (channel, n), or None
+        Of readings with gaps, or whose noise is no such product; infinite where missing.
+    tau, ratio : ndarray, (n,)
+        Place in the measurement, -1 to 1, and frequency over its mean.
+    spread : float
+        By what factor noise that neighbouring lines have in common widens slowly varying mixtures.
+    middle_hz : float
+        Mean frequency.
+    """
+
+    beams: BeamSet
+    points: tuple[str, ...]
+    value: ComplexArray
+    lines: NDArray[np.intp]
+    share: Array
+    line: Array
+    sd: Array | None
+    tau: Array
+    ratio: Array
+    spread: float = 1.0
+    middle_hz: float = 1.0
+
+    @classmethod
+    def of(cls, fit: LineFit, body: BodyChannels, freq_hz: Array, known: bool, spread: float = 1.0) -> Source:
+        """Take the readings of a fit; of noise that is not known, its proportions and course are used."""
+        noise = fit.noise if known else LineNoise(fit.noise.stated, noise_course(fit, freq_hz))
+        lines = np.flatnonzero(fit.solution.good)
+        used = fit.solution.used
+        live = used > 0
+        common = noise.common()
+        whole = common is not None and bool(np.all(used[live] == fit.value.shape[1])) and bool(np.all(live))
+        if not whole:
+            most = max(_MOST_VALUES // max(len(used), 1), 32)
+            if len(lines) > most:
+                lines = lines[np.unique(np.linspace(0, len(lines) - 1, most).round().astype(int))]
+        tau = np.linspace(-1.0, 1.0, len(lines)) if len(lines) > 1 else np.zeros(len(lines))
+        middle = float(np.mean(freq_hz[lines]))
+        ratio = freq_hz[lines] / middle
+        if common is not None and whole:
+            share, line, sd = common[0], common[1][lines], None
+        else:
+            sd = np.array(noise.at(lines))
+            sd[~(np.isfinite(sd) & np.isfinite(fit.value[:, lines].real))] = np.inf
+            some = np.isfinite(sd)
+            size = np.sqrt(np.sum(np.where(some, sd, 0.0) ** 2, axis=0) / np.maximum(np.sum(some, axis=0), 1))
+            share, line = live.astype(float), size
+        return cls(fit.beams, body.points, fit.value, lines, share, line, sd, tau, ratio, spread, middle)
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What is held true of the channels: where they are, how loud, and by what they are multiplied.
+
+    Attributes
+    ----------
+    arms_m, directions : ndarray, (channel, 3)
+    loud : ndarray, (channel,)
+        Noise over that of the source; infinite for channels that are left out.
+    factors : tuple of (list of int, Factor)
+        By what readings of channels are divided.
+    level : ndarray, (parts,)
+        Noise over that of the source in equal parts of the lines.
+    correlation : ndarray, (channel, channel), or None
+        Of the noise of channels of one point; None without.
+    """
+
+    arms_m: Array
+    directions: Array
+    loud: Array
+    factors: tuple[tuple[list[int], Factor], ...] = ()
+    level: Array = field(default_factory=lambda: np.ones(1))
+    correlation: Array | None = None
+
+    @property
+    def live(self) -> list[int]:
+        """Channels in use."""
+        return np.flatnonzero(np.isfinite(self.loud)).tolist()
+
+    def without(self, channels: list[int]) -> Assumed:
+        """Leave channels out."""
+        return self.louder(channels, np.inf)
+
+    def louder(self, channels: list[int], factor: float) -> Assumed:
+        """Raise the noise of channels by a factor."""
+        loud = self.loud.copy()
+        loud[channels] *= factor
+        return replace(self, loud=loud)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """One body in one run in columns, in units of its noise: complex noise has unit variance.
+
+    Attributes
+    ----------
+    source : Source
+    assumed : Assumed
+    y : ndarray, (group, channel, column), complex
+        Columns that hold the motion; groups share weights, time and frequency.
+    rest : ndarray, (group, channel, sample), complex
+        Columns without motion.
+    weight : ndarray, (group, channel)
+        One over the noise of a complex reading, 1 / m; zero where not used.
+    tau, ratio : ndarray, (group,)
+    whiten : ndarray, (channel, channel), or None
+        Takes the correlation out of the noise of channels of one point.
+    """
+
+    source: Source
+    assumed: Assumed
+    y: ComplexArray
+    rest: ComplexArray
+    weight: Array
+    tau: Array
+    ratio: Array
+    whiten: Array | None = None
+
+    @property
+    def live(self) -> list[int]:
+        """Channels in use."""
+        return self.assumed.live
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Point of each channel."""
+        return self.source.points
+
+    @property
+    def size(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.source.beams.dof)
+
+    def rows(self, arms_m: Array, directions: Array) -> Array:
+        """Return rows (..., m) in the orthonormal basis for positions and directions (..., 3)."""
+        beams = self.source.beams
+        x, y, z = arms_m[..., 0], arms_m[..., 1], arms_m[..., 2]
+        a, b, c = directions[..., 0], directions[..., 1], directions[..., 2]
+        made = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
+        return np.asarray(made[..., dof_indices(beams.dof)] @ beams.to_dof)
+
+    def under(self, assumed: Assumed) -> Packed:
+        """Return the source packed anew under other assumptions."""
+        return packed(self.source, assumed)
+
+    def louder(self, factor: float) -> Packed:
+        """Return the columns with the noise of all channels raised by one factor.
+
+        One factor of each channel would gather other columns: those gathered under wrong weights depend on
+        the residuals, where the beams see little motion.
+        """
+        return replace(
+            self,
+            assumed=replace(self.assumed, loud=self.assumed.loud * factor),
+            y=self.y / factor,
+            rest=self.rest / factor,
+            weight=self.weight / factor,
+        )
+
+    def merged(self, z: ComplexArray) -> Packed:
+        """Return all groups merged into one, for faults that are the same at all lines.
+
+        ``z`` (group, m, column) is the motion. Only data whose groups share their weights can be merged.
+        """
+        if len(self.y) == 1 or np.ptp(self.weight, axis=0).max(initial=0.0) > 1e-9 * self.weight.max():
+            return self
+        motion = z.transpose(1, 0, 2).reshape(z.shape[1], -1)
+        vectors = np.linalg.svd(motion, full_matrices=False)[2]
+        y = self.y.transpose(1, 0, 2).reshape(self.y.shape[1], -1) @ vectors.conj().T
+        return replace(
+            self,
+            y=y[None],
+            rest=self.rest[:1, :, :0],
+            weight=self.weight[:1],
+            tau=np.zeros(1),
+            ratio=np.ones(1),
+        )
+
+
+def initial(source: Source, body: BodyChannels) -> Packed:
+    """Pack a source as the file describes it."""
+    loud = np.where(source.share > 0.0, 1.0, np.inf)
+    return packed(source, Assumed(body.positions_mm * 1e-3, body.directions, loud))
+
+
+def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
+    """Pack a source under assumptions; ``fine``: for faults that change from line to line."""
+    place = np.linspace(0.0, 1.0, 2 * len(assumed.level) + 1)[1::2]
+    course = np.interp(np.linspace(0.0, 1.0, len(source.lines)), place, assumed.level)
+    live = np.isfinite(assumed.loud)
+    whiten = None if assumed.correlation is None else whitening(assumed.correlation, live)
+    loud = np.where(live, assumed.loud, 1.0)
+    single = fine and source.value.shape[0] * len(source.lines) < _FINE_VALUES
+    if source.sd is not None or single:
+        value = source.value[:, source.lines]
+        stated = source.share[:, None] * source.line if source.sd is None else source.sd
+        sd = stated * loud[:, None] * course
+        weight = np.where(live[:, None] & np.isfinite(sd), np.sqrt(0.5) / sd, 0.0)
+        value = np.where(weight > 0.0, value, 0.0)
+        divide(value, weight, assumed, source.tau, source.ratio)
+        weight = (weight / np.sqrt(source.spread)).T
+        y = whitened((weight * value.T)[:, :, None], whiten)
+        return Packed(source, assumed, y, y[:, :, :0], weight, source.tau, source.ratio, whiten)
+    made = _gathered(source, assumed, loud, live, course, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
+    return replace(made, whiten=whiten)
+
+
+def divide(value: ComplexArray, weight: Array, assumed: Assumed, tau: Array, ratio: Array) -> None:
+    """Divide readings (channel, n) by the assumed factors, in place, and raise their weights so."""
+    for channels, factor in assumed.factors:
+        by = np.broadcast_to(factor(tau, ratio), tau.shape)
+        value[channels] /= by
+        weight[channels] *= np.abs(by)
+
+
+def whitened(y: NDArray[Any], whiten: Array | None) -> NDArray[Any]:
+    """Apply a whitening (channel, channel) to values (group, channel, n)."""
+    return y if whiten is None else np.asarray(whiten @ y)
+
+
+def _gathered(
+    source: Source,
+    assumed: Assumed,
+    loud: Array,
+    live: NDArray[np.bool_],
+    course: Array,
+    whiten: Array | None,
+    most: int,
+) -> Packed:
+    size = len(source.beams.dof)
+    number = len(source.lines)
+    parts = int(np.clip(number // (2 * size), 1, most))
+    edges = np.linspace(0, number, parts + 1).round().astype(int)
+    shortest = int(np.min(np.diff(edges)))
+    columns = min(size, shortest)
+    samples = max(min(_REST // parts, _HELD // len(live) // parts, shortest - columns), 0)
+    beams = source.beams
+    basis = point_rows(assumed.arms_m, assumed.directions)[:, dof_indices(beams.dof)] @ beams.to_dof
+    made_y, made_rest, weights, tau, ratio = [], [], [], [], []
+    whole = number == source.value.shape[1]
+    for start, stop in pairwise(edges):
+        part = slice(start, stop)
+        value = source.value[:, part if whole else source.lines[part]]
+        mean = live / (np.sqrt(2.0) * source.share * loud)
+        if assumed.factors:
+            value, weight = np.array(value), np.repeat(mean[:, None], stop - start, axis=1)
+            divide(value, weight, assumed, source.tau[part], source.ratio[part])
+            mean = np.sqrt(np.mean(weight**2, axis=1))
+        line = 1.0 / (source.line[part] * course[part])
+        solve = solver(whitened((mean[:, None] * basis)[None], whiten))[0]
+        solve = (solve if whiten is None else solve @ whiten) * mean
+        z = _product(solve, value) * line
+        turn = np.linalg.qr(z.conj().T)[0][:, :columns]
+        # The beams may see no motion: its directions are noise then, and as good as any others.
+        y = value @ (line[:, None] * turn)
+        rest = mean[:, None] * _sampled(value, line, turn, y, samples)
+        made_y.append(whitened((mean[:, None] * y)[None], whiten)[0] / np.sqrt(source.spread))
+        made_rest.append(whitened(rest[None], whiten)[0])
+        # The course of the noise over the lines is in the motion of the columns.
+        weights.append(mean / np.sqrt(source.spread))
+        power = np.mean(np.abs(z) ** 2, axis=0)
+        share = power / max(float(np.sum(power)), 1e-300)
+        tau.append(float(share @ source.tau[part]))
+        ratio.append(float(share @ source.ratio[part]))
+    return Packed(
+        source,
+        assumed,
+        np.stack(made_y),
+        np.stack(made_rest),
+        np.stack(weights),
+        np.array(tau),
+        np.array(ratio),
+    )
+
+
+def _product(real: Array, value: ComplexArray) -> ComplexArray:
+    """Return a real matrix times a complex one, without a complex copy of it."""
+    return np.asarray((real @ np.ascontiguousarray(value).view(float)).view(complex))
+
+
+def _sampled(
+    value: ComplexArray, line: Array, turn: ComplexArray, y: ComplexArray, samples: int
+) -> ComplexArray:
+    """Return evenly spread columns of ``value * line`` square to those of ``turn`` (line, column).
+
+    ``y`` are the columns along ``turn``.
+    """
+    lines = value.shape[1]
+    if not samples:
+        return value[:, :0]
+    if samples == lines - turn.shape[1]:
+        other = np.linalg.qr(turn, mode="complete")[0][:, turn.shape[1] :]
+        return np.asarray(value @ (line[:, None] * other))
+    pick = np.linspace(0, lines - 1, samples).round().astype(int)
+    # Of the unit vectors of the picked lines, made square to the columns of ``turn``, all products are
+    # 1 - t t^H: the inverse root of that makes them orthonormal.
+    vectors, size, _ = np.linalg.svd(turn[pick], full_matrices=False)
+    left = 1.0 - size**2
+    if np.min(left) < _ALL_IN_PICKED:
+        chosen = np.zeros((lines, samples), dtype=complex)
+        chosen[pick, np.arange(samples)] = 1.0
+        chosen = np.linalg.qr(chosen - turn @ turn[pick].conj().T)[0]
+        return np.asarray(value @ (line[:, None] * chosen))
+    made = value[:, pick] * line[pick] - y @ turn[pick].conj().T
+    return np.asarray(made + (made @ vectors * (left**-0.5 - 1.0)) @ vectors.conj().T)
+
+
+def whitening(correlation: Array, live: NDArray[np.bool_]) -> Array:
+    """Return the inverse square root of the correlation of the channels in use; 1 for the others."""
+    held = np.where(np.outer(live, live), correlation, 0.0)
+    np.fill_diagonal(held, 1.0)
+    made, seen = np.eye(len(held)), np.zeros(len(held), dtype=bool)
+    for channel in np.flatnonzero(np.sum(held != 0.0, axis=1) > 1):
+        if not seen[channel]:
+            own = np.flatnonzero(held[channel])
+            seen[own] = True
+            values, vectors = np.linalg.eigh(held[np.ix_(own, own)])
+            made[np.ix_(own, own)] = (vectors / np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
+    return made
+
+
+def solver(rows: NDArray[Any]) -> NDArray[Any]:
+    """Return what solves for the motion (group, m, channel), of whitened rows (group, channel, m)."""
+    turned = rows.conj().swapaxes(1, 2)
+    gram = turned @ rows
+    size = gram.shape[-1]
+    ridge = RIDGE * np.maximum(np.trace(gram, axis1=1, axis2=2).real, 1e-300)
+    return np.asarray(np.linalg.solve(gram + ridge[:, None, None] * np.eye(size), turned))

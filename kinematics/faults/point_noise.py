@@ -1,0 +1,152 @@
+"""Noise that the channels of each point have in common, as x, y, z solved from three oblique beams have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.noise import ChannelNoise
+from kinematics.faults.packing import Packed
+from kinematics.faults.state import State
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+# Fewer samples, or more channels at a point, than this show no correlation.
+_LEAST_SAMPLES, _MOST_AT_POINT = 24, 6
+# Up to so many channels their correlation is made: the memory goes with the square.
+_MOST_CHANNELS = 3000
+# Rounds in which the covariance is corrected for the projection, of up to so many channels.
+_CORRECTIONS, _MOST_CORRECTED = 15, 150
+# Share of the largest information below which variances are not seen.
+_UNSEEN = 1e-6
+# Probability by which independent noise shows such correlations.
+_LIKELY = 1e-3
+# Samples of a prior without correlation.
+_SHRINK = 5.0
+
+
+def with_point_noise(state: State, noise: ChannelNoise) -> Packed:
+    """Return the data of a fit whose noise within points is whitened, where it is correlated."""
+    data = state.data
+    if (
+        len(data.points) > _MOST_CHANNELS
+        or not noise.held.shape[1]
+        or noise.least < _LEAST_SAMPLES
+        or len(_points(data)) < 2
+    ):
+        return data
+    if by_chance(state, noise.held, noise.least):
+        return data
+    found = point_covariance(state, noise.held[None], noise.least)
+    if found is None:
+        return data
+    correlation = scaled(found, noise.least)[0]
+    return data.under(replace(data.assumed, correlation=correlation))
+
+
+def point_covariance(state: State, residual: ComplexArray, samples: float) -> Array | None:
+    """Return the noise covariance (channel, channel) within each point, zero between points.
+
+    Parameters
+    ----------
+    state : State
+    residual : ndarray, (group, channel, n), complex
+        Whitened residuals.
+    samples : float
+        Independent values of a channel in them.
+
+    Returns
+    -------
+    ndarray or None
+        None when there are too few samples, or points with more than one channel.
+
+    Notes
+    -----
+    Residuals of noise of covariance C have the covariance Q C Q^T, Q the projector; the blocks of C are found
+    by repeated correction of those measured.
+    """
+    data = state.data
+    held = state.plain(residual)
+    flat = held.transpose(1, 0, 2).reshape(held.shape[1], -1)
+    own = _points(data)
+    if samples < _LEAST_SAMPLES or len(own) < 2 or max(map(len, own)) > _MOST_AT_POINT:
+        return None
+    wanted = np.zeros((len(flat),) * 2, dtype=bool)
+    for channels in own:
+        wanted[np.ix_(channels, channels)] = True
+    wanted[data.live, data.live] = True
+    measured = np.where(wanted, np.real(flat @ flat.conj().T) / samples, 0.0)
+    found = measured.copy()
+    if len(flat) <= _MOST_CORRECTED:
+        span = np.real(state.span[0])
+        project = np.eye(len(span)) - span @ span.T
+        if data.whiten is not None:
+            project = state.back @ project @ data.whiten
+        for _ in range(_CORRECTIONS):
+            found = found + np.where(wanted, measured - project @ found @ project.T, 0.0)
+    return found if np.all(np.diag(found)[data.live] > 0.0) else None
+
+
+def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
+    """Return the correlation (channel, channel) and the standard deviations (channel,); 1 where none.
+
+    With few samples it is shrunk towards none, so that its inverse is not too large.
+    """
+    size = np.diag(covariance)
+    sd = np.sqrt(np.where(size > 0.0, size, 1.0))
+    made = covariance / np.outer(sd, sd) / (1.0 + _SHRINK / samples)
+    np.fill_diagonal(made, 1.0)
+    return made, sd
+
+
+def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
+    """Return whether independent noise may show what residuals have in common within points.
+
+    Only the half of the points that show least is looked at: a fault of one point is no correlation of all.
+
+    Parameters
+    ----------
+    state : State
+        Of data without correlation.
+    residual : ndarray, (channel, n), complex
+        Residuals over noise.
+    samples : float
+        Independent values of a channel in them.
+
+    Notes
+    -----
+    Independent noise of variances s leaves residuals of covariance E = P diag(s) P, P the projector on them.
+    With s from the diagonal (Rao 1971, doi:10.1016/0047-259X(71)90001-7), a real part S_ij measured from N
+    complex values has the variance (E_ii E_jj + E_ij^2) / 2 N: a loud channel, which shows in others too, is
+    no correlation.
+    """
+    from scipy.special import chdtrc
+
+    measured = np.real(residual @ residual.conj().T) / samples
+    expected = np.diag(np.diag(measured))
+    if len(measured) <= _MOST_CORRECTED:
+        span = np.real(state.span[0])
+        project = np.eye(len(span)) - span @ span.T
+        variance = np.linalg.lstsq(project**2, np.diag(measured), rcond=_UNSEEN)[0]
+        expected = (project * np.maximum(variance, 0.0)) @ project
+    value, size = [], []
+    for own in _points(state.data):
+        one, two = (own[k] for k in np.triu_indices(len(own), 1))
+        spread = expected[one, one] * expected[two, two] + expected[one, two] ** 2
+        apart = (measured - expected)[one, two] ** 2
+        seen = spread > 0.0
+        value.append(2.0 * samples * float(np.sum(apart[seen] / spread[seen])))
+        size.append(max(int(np.sum(seen)), 1))
+    shown, number = np.array(value), np.array(size)
+    least = np.argsort(shown / number, kind="stable")[: (len(shown) + 1) // 2]
+    return bool(chdtrc(np.sum(number[least]), np.sum(shown[least])) > _LIKELY)
+
+
+def _points(data: Packed) -> list[NDArray[np.intp]]:
+    """Return the channels in use of the points that have several."""
+    groups: dict[str, list[int]] = {}
+    for channel in data.live:
+        groups.setdefault(data.points[channel], []).append(channel)
+    return [np.array(channels) for channels in groups.values() if len(channels) > 1]
