@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kinematics.faults.equal_noise import equalise_noise
 from kinematics.faults.findings import Finding, adapted, can_lose, corrected, joined
 from kinematics.faults.flexible import Structure, no_structure
+from kinematics.faults.masking import masking_pairs
 from kinematics.faults.nuisance import LaserError, Nuisance
 from kinematics.faults.packing import Assumed, Packed, Source, initial
 from kinematics.faults.point_noise import with_point_noise
@@ -45,9 +46,6 @@ _LEAST_POINTS, _SMALLEST_M, _OF_LEVER, _MORE = 4, 1e-7, 0.2, 1.5
 _MOST_POINTS = 1000
 # What each parameter of a single fault, and the choice of its place, costs of log likelihood next to these.
 _PER_PARAMETER = 5.0
-# Pairs of channels that hide each other: channels up to which all are compared, pairs that are tried, the
-# share of the misfit that a pair must explain, and of information below which it cannot be seen.
-_MOST_PAIRED, _TRIED, _EXPLAINED, _UNSEEN = 600, 3, 0.9, 1e-6
 
 
 @dataclass(frozen=True)
@@ -310,7 +308,7 @@ class _Diagnose:
         -----
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
-        for one, two in _pairs(first):
+        for one, two in masking_pairs(first):
             if not can_lose(data, [one, two]):
                 continue
             last = self.searched(data.under(data.assumed.without([one, two])))
@@ -353,34 +351,6 @@ def _own_course(search: Search, channel: int, scale: float) -> bool:
         number += len(e) - 1
     left -= scale * number
     return bool(left < _SURE * scale * np.sqrt(max(number, 1)) or left < _SHARE * whole)
-
-
-def _pairs(first: Search) -> list[tuple[int, int]]:
-    """Return the pairs of channels that explain most when left out, the best first.
-
-    Notes
-    -----
-    Leaving out channels S takes the energy e_S^H (P_SS)^-1 e_S, P the projector on the residuals.
-    """
-    state, live = first.given, np.array(first.live)
-    if len(live) > _MOST_PAIRED or len(first.x):
-        return []
-    e, span = state.own_e[:, live], state.own_span[:, live]
-    norm = np.eye(len(live)) if state.norm is None else state.norm[np.ix_(live, live)]
-    p = np.real(norm - span @ span.conj().swapaxes(1, 2))
-    energy = np.real(e @ e.conj().swapaxes(1, 2))
-    own = np.diagonal(p, axis1=1, axis2=2)
-    seen = np.diagonal(energy, axis1=1, axis2=2)
-    outer = own[:, :, None] * own[:, None, :]
-    det = outer - p**2
-    taken = own[:, :, None] * seen[:, None, :] + seen[:, :, None] * own[:, None, :] - 2.0 * p * energy
-    made = np.sum(np.where(det > _UNSEEN * outer, taken / np.where(det > 0.0, det, 1.0), 0.0), axis=0)
-    names = np.array([first.data.points[c] for c in live])
-    made = np.where(names[:, None] == names, 0.0, np.triu(made, 1))
-    order = np.argsort(-made, axis=None)[:_TRIED]
-    least = _EXPLAINED * first.excess()
-    chosen = [np.unravel_index(k, made.shape) for k in order]
-    return [(int(live[i]), int(live[j])) for i, j in chosen if made[i, j] > least]
 
 
 def _made(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:

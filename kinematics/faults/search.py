@@ -366,9 +366,7 @@ class Search:
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
 
     def _loud(self, whole: bool) -> list[tuple[float, Finding]]:
-        """Return channels whose noise is larger than it should be, with their log evidence.
-
-        ``whole``: judge the energy as it is; otherwise without what a fault of the channel's row explains.
+        """Return channels that are too loud and their log evidence; unless ``whole`` less what a fault explains.
 
         Notes
         -----
