@@ -366,7 +366,7 @@ class Search:
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
 
     def _loud(self, whole: bool) -> list[tuple[float, Finding]]:
-        """Return channels that are too loud and their log evidence; unless ``whole`` less what a fault explains.
+        """Return loud channels and their log evidence; unless ``whole`` without what faults explain.
 
         Notes
         -----
