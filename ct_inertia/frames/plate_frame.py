@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 
 _LEAST_EDGE_MM = calibrated("plate_frame.least_edge_mm")
 _STEEP = calibrated("plate_frame.steep_side")
-# Cosine to the main face from which the border of the field of view (which may cut the plate at any angle)
-# is parallel to it and ends nothing.
+# Cosine to the main face from which the border of the field of view is parallel to it and ends nothing.
 _BORDER_STEEP = 0.995
 _RIM_MM = calibrated("plate_frame.rim_mm")
 # Cosine from which two directions are taken for one: a side of the hull that a plane side covers already, and

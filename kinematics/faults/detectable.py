@@ -67,8 +67,10 @@ def detectable(fit: LineFit, body: BodyChannels, q: ComplexArray, alarm: float) 
     inverse = packed.unpack(fit.solution.inverse[:, pick], fit.beams.basis.shape[1])
     count = len(body.points)
     gain, angle, shift = (np.full(count, np.nan) for _ in range(3))
-    for point in dict.fromkeys(body.points):
-        own = np.array([c for c, name in enumerate(body.points) if name == point])
+    channels: dict[str, list[int]] = {}
+    for channel, point in enumerate(body.points):
+        channels.setdefault(point, []).append(channel)
+    for own in map(np.array, channels.values()):
         kept = _kept(fit.beams.basis[own], weight[own], inverse)
         turns = q[pick, 3:]
         local = q[pick, :3] + np.cross(turns, body.positions_mm[own[0]] * 1e-3)

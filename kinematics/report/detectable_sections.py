@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.detectable import detectable
 from kinematics.faults.detectable_joint import SHIFT_UM, TURN_DEG, Joint, invisible, joint
-from kinematics.faults.diagnose import FALSE_ALARM
+from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
 from kinematics.report.draw_motion import full_motion
 from stapeskit.page import page
 from stapeskit.page.drawings import shortened
@@ -39,7 +39,7 @@ def _found(result: Points2Dof) -> list[Markup]:
     points: list[tuple[str, ...]] = []
     for number, body in enumerate(result.measurement.bodies):
         fit = result.fits[0, number]
-        if not fit.solution.good.any() or fit.is_rounding():
+        if not fit.solution.good.any() or fit.is_rounding() or len(body.points) > MOST_CHANNELS:
             continue
         alarm = FALSE_ALARM / max(1, len(result.fits)) / (4.0 * len(body.points))
         least = detectable(fit, body, q[0, number], alarm)
@@ -54,6 +54,10 @@ def _found(result: Points2Dof) -> list[Markup]:
         points += _point_rows(body, [(unit, values) for _, unit, values in kinds])
     if not rows:
         return []
+    large = [body.body for body in result.measurement.bodies if len(body.points) > MOST_CHANNELS]
+    left_out = (
+        f" Not computed for {', '.join(large)}, of more than {MOST_CHANNELS} channels." if large else ""
+    )
     run = f" in run {result.motion.runs[0]}" if len(result.motion.runs) > 1 else ""
     blind = any(cell == "-" for row in (*rows, *points) for cell in row)
     dash = " A dash: it would never show." if blind else ""
@@ -62,7 +66,7 @@ def _found(result: Points2Dof) -> list[Markup]:
         page.table(("body", "error of", "typical", "largest", "at"), rows, words=True),
         page.text(
             f"The smallest error{run} that is found with 95 % probability, along the direction in which it "
-            f"shows least; smaller ones can hide behind a clean verdict.{dash}"
+            f"shows least; smaller ones can hide behind a clean verdict.{dash}{left_out}"
         ),
         page.folded(
             "Every point",

@@ -27,6 +27,8 @@ ComplexArray = NDArray[np.complex128]
 PHASES = 8
 SHARE = 0.12
 _MOST_FACES = 5000
+# Points drawn of a body.
+_MOST_POINTS = 400
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,12 @@ def _corners(cloud: Array) -> Array:
     return np.asarray(cloud[np.unique(np.argmax(cloud @ directions.T, axis=0))])
 
 
+def _fewer(cloud: Array) -> Array:
+    """Return points evenly out of many, with the outermost: more cannot be told apart in the picture."""
+    step = -(-len(cloud) // _MOST_POINTS)
+    return cloud if step == 1 else np.unique(np.vstack([cloud[::step], _corners(cloud)]), axis=0)
+
+
 def chosen_line(result: Points2Dof, scenery: Scenery) -> tuple[int, int]:
     """Return run and line with the largest motion of the stapes, or of the first body."""
     own = surface_body(result.motion.bodies) or 0
@@ -136,7 +144,7 @@ def stroboscope_figure(result: Points2Dof, now: Moment, scenery: Scenery | None 
     from matplotlib.colors import BoundaryNorm
 
     scenery = scenery or Scenery()
-    clouds = [np.unique(body.positions_mm, axis=0) for body in result.measurement.bodies]
+    clouds = [_fewer(np.unique(body.positions_mm, axis=0)) for body in result.measurement.bodies]
     everything = np.concatenate([*clouds, scenery.vertices_mm, np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
     span = float(np.max(high - low)) or 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -201,7 +202,7 @@ def _verdicts(result: Points2Dof, run: int, number: int) -> list[ChannelVerdict]
 def channel_labels(body: BodyChannels) -> list[str]:
     """Return a short name of every channel: its point, and which of its beams when there are several."""
     short, seen = distinct(body.points, 12), dict.fromkeys(body.points, 0)
-    several = {name for name in seen if body.points.count(name) > 1}
+    several = {name for name, count in Counter(body.points).items() if count > 1}
     labels = []
     for name in body.points:
         seen[name] += 1
@@ -226,9 +227,17 @@ def _row_names(view: Axes, body: BodyChannels, height: float, verdicts: list[Cha
 def _draw_rms(view: Axes, one: ResidualMap, verdicts: list[ChannelVerdict], number: int, last: bool) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    rows = np.arange(len(one.rms)) + 0.5
-    tints = [colour(number) if v.verdict == "ok" else FAULT for v in verdicts] or colour(number)
-    view.barh(rows, np.nan_to_num(one.rms), height=0.8 if len(rows) <= 120 else 1.0, color=tints, lw=0)
+    rows, width = np.arange(len(one.rms)) + 0.5, np.nan_to_num(one.rms)
+    wrong = np.array([v.verdict != "ok" for v in verdicts], dtype=bool)
+    wrong = wrong if len(wrong) else np.zeros(len(rows), dtype=bool)
+    if len(rows) <= 120:
+        view.barh(rows[~wrong], width[~wrong], height=0.8, color=colour(number), lw=0)
+    else:  # one shape: thousands of bars take minutes
+        edges = np.arange(len(rows) + 1.0)
+        view.stairs(
+            np.where(wrong, 0.0, width), edges, orientation="horizontal", fill=True, color=colour(number)
+        )
+    view.barh(rows[wrong], width[wrong], height=0.8 if len(rows) <= 120 else 1.0, color=FAULT, lw=0)
     view.axvline(1.0, color=INK, lw=0.7)
     view.set_ylim(len(rows), 0)
     most = float(np.nanmax(np.append(one.rms, 1.0)))
