@@ -10,6 +10,7 @@ from kinematics.faults.catalogue import KINDS, VERDICTS
 from kinematics.faults.findings import Finding
 from kinematics.measurement import BodyChannels
 
+# Cosine above which directions count as parallel: 2.6 degrees, what a positioned head holds.
 _ALONG = 0.999
 
 

@@ -13,7 +13,9 @@ from kinematics.measurement import BodyChannels
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Probability with which a fault of the stated size is found.
 POWER = 0.95
+# Lines that the information is summed over; it is scaled to all.
 _MOST_LINES = 400
 
 

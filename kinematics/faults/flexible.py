@@ -8,13 +8,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.calibrated import calibrated
 from kinematics.faults.state import State
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_ONE_POINT = 0.85
+_ONE_POINT: float = calibrated("flexible.one_point_share")
+# Probability below which a structure of the residuals is reported.
 _LIKELY = 1e-3
-_TWO_POINTS = 0.93
+_TWO_POINTS: float = calibrated("flexible.two_points_share")
 # Parts of the lines in which the energy is looked at.
 _PARTS = 12
 

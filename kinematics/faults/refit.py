@@ -17,6 +17,7 @@ from kinematics.faults.state import Model, State, model_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Limit of steps of Gauss and Newton for a fault and the nuisance parameters.
 _ROUNDS = 6
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")

@@ -16,8 +16,10 @@ from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Least standard deviation, as a share of the largest reading, or absolutely: exact data have none.
 _FLOOR = 1e-12
 _LEAST = 1e-100
+# Smallest diagonal entry of R, of unit columns, for a fit of few channels to count as determined.
 _DETERMINED = 1e-3
 
 

@@ -24,6 +24,7 @@ from kinematics.faults.score_tests import Tested, score_tests
 from kinematics.faults.state import State, model_of
 
 Array = NDArray[np.float64]
+# Share of clean files that may raise an alarm.
 FALSE_ALARM = 0.01
 # At how many places each kind is fitted: where it is most significant, and where leaving out helps most.
 _TESTED = {"channel": 2, "point": 1, "laser": 1, "body": 1}
@@ -37,6 +38,7 @@ _NEAR = 3.0
 # Bonferroni is too strict.
 _SHARES: tuple[float, ...] = calibrated("faults.alarm_share")
 _ALARM_SHARE = dict(zip(("channel", "point", "laser", "body"), _SHARES, strict=True))
+# Share of the alarm probability that the tests of noise have.
 _NOISE_SHARE = 0.05
 _SORT = {"points": "point", "beams": "channel", "lasers": "laser"}
 # How many times the stated sd noise must be to be reported; less is a matter of chi2.

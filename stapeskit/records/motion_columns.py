@@ -18,6 +18,7 @@ from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
 
 Array = NDArray[np.float64]
+# Above it a double is no exact count.
 LARGEST_COUNT = 1e15
 _PER_REFERENCE = "_per_ref"
 

@@ -17,6 +17,7 @@ from stapeskit.vocabulary import named
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Fewer channels or points show no scatter.
 _LEAST_OWNERS = 4
 # Residual directions per degree of freedom below which gains and a body that bends look alike.
 _REDUNDANT = 2.0
