@@ -22,11 +22,12 @@ _MOST, _LEAST = 12_000, 120
 _LEAST_FACING, _FLAT_FACING = 30.0, 300.0
 # Rounds of the fit of widths, and medians of the residual from which on an edge is an outlier.
 _ROUNDS, _OUTLIER = 6, 3.0
-# Neighbouring edges share noise and curvature: they count together within cells of this many widths.
+# Width of the cells in which neighbouring edges, which share noise and curvature, count once: six widths of
+# the blur, beyond which two edges share no voxel.
 _CELL_WIDTHS = 6.0
 # Places across an edge, in widths, where the shape is compared; further in, the far side of a wall begins.
 _PLACES = np.arange(-4.4, 1.41, 0.4)
-# Departures are significant beyond this many standard deviations: normal ones exceed it in 3e-5 of scans.
+# Standard deviations of a significant departure: a normal variate exceeds 4 with a probability of 6e-5.
 _SIGNIFICANT = 4.0
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")

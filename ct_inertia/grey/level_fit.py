@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 # Samples of a voxel along each axis, and the range of grey values (share of the contrast) over which a sample
 # changes from outside to inside: about what changes across its own width.
 _FINE = 2
+# A sample spans half a voxel; with a blur of one voxel the grey value changes by about a quarter over it.
 _SOFT = 0.25
 # Rounds of the fit, with and without the contrast, and the change of the contrast below which it ends before:
 # the least standard deviation that is stated for it.

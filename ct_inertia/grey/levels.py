@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 # Voxels of air from which a mean is taken: its noise is 5 % of a voxel's; and in an eighth of the box, 7 %.
 _LEAST_AIR = 400
+# In an eighth of the box: 1 / sqrt(200) = 7 % of the noise of a voxel.
 _LEAST_OCTANT = 200
 _CLIPPED = calibrated("levels.clipped")
 _MOST_CLIPPED = calibrated("levels.most_clipped")

@@ -27,7 +27,7 @@ _DEFAULT_SIGMA_VOXELS = calibrated("preparation.default_sigma_voxels")
 # Edge voxels of the first look at the blur, from which only the reach of what is measured follows.
 _FEW_EDGES = 800
 _LONG_VOXELS = calibrated("preparation.long_voxels")
-# The first retrieval of a sharp scan underestimates its length.
+# Rounds of phase retrieval: the first underestimates the length of a sharp scan, later ones add what is left.
 _RETRIEVALS = 3
 
 

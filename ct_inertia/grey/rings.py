@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _LEAST_RING = calibrated("artefacts.least_ring")
 _STANDS_OUT = calibrated("artefacts.stands_out")
 _LEAST_COLUMNS, _LEAST_IN_COLUMN = 400, 6
-# The tail of blur is below 0.3 % from here on, in widths.
+# In widths of the blur: a Gaussian edge has 0.3 % of its height left here, Phi(-2.75).
 _TAIL = 2.75
 
 

@@ -336,7 +336,7 @@ def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
 
 
 def _own_course(search: Search, channel: int, scale: float) -> bool:
-    """Return whether a factor of its own in every part of the lines accounts for a channel's residuals."""
+    """Return whether one gain for each part of the band removes the residuals of a channel."""
     state = search.state
     root = np.sqrt(np.maximum(1.0 - state.leverage[:, channel], 1e-3))
     residual = state.plain(state.e)[:, channel] / root[:, None]

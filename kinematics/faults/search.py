@@ -368,13 +368,12 @@ class Search:
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
 
     def _loud(self, whole: bool) -> list[tuple[float, Finding]]:
-        """Return loud channels and their log evidence; unless ``whole`` without what faults explain.
+        """Return loud channels and their log evidence; ``whole``: of all their energy, no fault fitted first.
 
         Notes
         -----
         The energy of N complex values is chi-squared with 2 N degrees of freedom, an F where the variance is
-        an estimate. The evidence is the likelihood of a larger variance, less Bayes' penalty for its size
-        (Schwarz 1978, doi:10.1214/aos/1176344136).
+        estimated; the evidence is the likelihood less a penalty (Schwarz 1978, doi:10.1214/aos/1176344136).
         """
         from scipy.special import chdtrc, fdtrc
 

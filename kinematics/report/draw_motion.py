@@ -105,7 +105,7 @@ def _corners(cloud: Array) -> Array:
 
 
 def _fewer(cloud: Array) -> Array:
-    """Return points evenly out of many, with the outermost: more cannot be told apart in the picture."""
+    """Return every n-th point, and the outermost ones, so that about _MOST_POINTS are drawn."""
     step = -(-len(cloud) // _MOST_POINTS)
     return cloud if step == 1 else np.unique(np.vstack([cloud[::step], _corners(cloud)]), axis=0)
 

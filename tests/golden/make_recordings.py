@@ -42,7 +42,7 @@ def faults(folder: Path) -> None:
 
 
 def repeats(folder: Path) -> None:
-    """Five repeats with creep, in one table; two levels; files of their own."""
+    """Write four repeats, steady and with creep, and two levels of excitation in a file each."""
     from tests.kinematics.simulated import HEADER, csv_rows, scene
 
     made = folder / "repeats"

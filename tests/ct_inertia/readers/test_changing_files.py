@@ -26,10 +26,10 @@ def scan(tmp_path):
 
 
 def test_a_map_that_loses_its_file_reads_zeros_and_counts_them(scan):
-    if compiled() is None:
-        pytest.skip("maps are guarded by a compiled kernel; without it pieces are read")
     array = mapped(scan, np.dtype("<u2"), 0, SHAPE, scan.name)
-    assert isinstance(array, np.ndarray)
+    assert isinstance(array, np.ndarray) == (compiled() is not None)
+    if compiled() is None:  # pieces are read, see the next test
+        return
     before, whole = lost_pages(), int(array.sum(dtype=np.int64))
     os.truncate(scan, 1 << 16)
     assert int(array[-1].sum()) == 0
