@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -103,4 +105,4 @@ def test_runs_of_lines_cover_all_of_them(channels, lines):
     runs = list(spans(channels, lines))
     assert runs[0].start == 0
     assert runs[-1].stop == lines
-    assert all(a.stop == b.start for a, b in zip(runs, runs[1:], strict=False))
+    assert all(a.stop == b.start for a, b in pairwise(runs))

@@ -1,4 +1,4 @@
-"""Tests on repeats one by one: trends, levels, outliers and shifts that were put in, and noise that is known."""
+"""Tests on repeats one by one: trends, levels, outliers, shifts and noise as they were put in."""
 
 from __future__ import annotations
 
