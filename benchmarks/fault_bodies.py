@@ -36,6 +36,8 @@ class Reading:
     culprits : list of int
     verdict : str
         As in ``dof.channels.csv``.
+    twist : ndarray, (6, freq), complex
+        The true motion, m and rad.
     """
 
     points: list[str]
@@ -47,6 +49,7 @@ class Reading:
     sd: Array
     culprits: list[int] = field(default_factory=list)
     verdict: str = ""
+    twist: ComplexArray = field(default_factory=lambda: np.zeros((6, 0), dtype=complex))
 
 
 @dataclass
@@ -177,7 +180,7 @@ def draw(
     if gaps:
         value[rng.random(shape) < gaps] = np.nan
     points = [f"P{p + 1}" for p in point_of]
-    return Reading(points, at, beams, head, freq, value, sd, sorted(culprits), verdict)
+    return Reading(points, at, beams, head, freq, value, sd, sorted(culprits), verdict, twist)
 
 
 Made = tuple[list[int], str]

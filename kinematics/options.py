@@ -94,6 +94,13 @@ class _MeasurementOptions(OptionTable):
         (),
         example=["stapes:3", "base:7:z"],
     )
+    correct: bool = option(
+        FLAG,
+        "correct the faults that are identified by their estimates, whose uncertainty goes into the motion, "
+        "and leave out channels whose fault has no size that the data determine",
+        False,
+        example=True,
+    )
     fiducials: Path | None = option(
         file("fiducials file"),
         "points that tie vibrometer and scan: name, x_mm, y_mm, z_mm, x_ref_mm, y_ref_mm, z_ref_mm "
@@ -337,6 +344,12 @@ class LdvOptions(_SeriesTable, _MeasurementOptions):
         ),
         excludes("frame", "plate_points", "which tie the vibrometer to the scan"),
         *(needs(name, "calibrate") for name in ("axes_sd", "beam_sd")),
+        excludes(
+            "correct",
+            "calibrate",
+            "which takes faults for errors of the geometry",
+            "Correct the file by what {correct} reports, and calibrate then",
+        ),
     )
 
     @property

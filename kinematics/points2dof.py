@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.faults.across.lines import exchanged_lines
 from kinematics.faults.across.phase import phase_notice
+from kinematics.faults.adaptation import Correction, correction_notices, shown
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.screening import Screened, empty_faults, is_whole, screened
 from kinematics.faults.unit_slips import unit_slips
 from kinematics.faults.verdicts import ChannelVerdict, channel_verdicts, fault_notices
-from kinematics.fit.beams import BeamSet, beam_set, unseen_motions
+from kinematics.fit.beams import unseen_motions
 from kinematics.fit.frf_ratio import parse_reference, per_reference
 from kinematics.fit.neglected_motion import neglected_notice
 from kinematics.fit.reference_noise import with_record_noise
@@ -27,6 +28,7 @@ from kinematics.motion_checks import check_determined, far_away, uncommon_lines
 from kinematics.options import LdvOptions
 from kinematics.registration.calibrate import Calibration
 from kinematics.registration.calibrated_fit import calibrated
+from kinematics.registration.correction_errors import with_corrections
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.handedness import check_axes
 from kinematics.registration.laser_notices import channels_at_fault, laser_notices
@@ -35,8 +37,8 @@ from kinematics.registration.motion_errors import motion_errors
 from kinematics.registration.placement import Placement, place
 from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import pooled, separate, with_gain_errors
-from kinematics.searched_fits import searched_fits, with_lasers
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from kinematics.searched_fits import beam_sets, corrected_fits, searched_fits, with_lasers
+from stapeskit.faults import Fault, raise_all
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
@@ -69,6 +71,8 @@ class Options:
         readings refer to; it enters the covariance of absolute motion.
     lasers : LaserPriors
         How well gain, phase and delay of the lasers agree.
+    correct : bool
+        Correct the faults that are identified by their estimates.
 
     Raises
     ------
@@ -84,6 +88,7 @@ class Options:
     repeats: str = "pool"
     reference_noise: float = 0.0
     lasers: LaserPriors = field(default_factory=LaserPriors)
+    correct: bool = False
 
     def __post_init__(self) -> None:
         faults = []
@@ -119,6 +124,7 @@ def fit_options(options: LdvOptions) -> Options:
         options.repeats,
         options.reference_noise,
         LaserPriors(options.gain_sd_percent, options.phase_sd_deg, options.delay_sd_us),
+        options.correct,
     )
 
 
@@ -146,6 +152,8 @@ class Points2Dof:
         What the comparison of repeats and levels gave, for each run that had any.
     lasers : LaserErrors or None
         How far the lasers agree, unless they do so exactly.
+    corrections : tuple of Correction
+        What was done about faults, when that was asked for.
     """
 
     motion: RigidMotion
@@ -159,6 +167,7 @@ class Points2Dof:
     calibration: Calibration | None = None
     repeats: tuple[RunRepeats, ...] = ()
     lasers: LaserErrors | None = None
+    corrections: tuple[Correction, ...] = ()
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -205,7 +214,7 @@ def points2dof(
     repeats = pooled(measurement) if options.repeats == "pool" else separate(measurement)
     measurement = repeats.measurement
     placed = measurement.mapped(placement.transform)
-    beams = _beam_sets(placed, options.dof)
+    beams = beam_sets(placed, options.dof)
     screens = [
         Screened(body, tuple({} for _ in placed.runs), ())
         if whole
@@ -218,25 +227,29 @@ def points2dof(
         calibration = calibrated(placed, options.dof, options.calibrate, options.robust)
         placed = calibration.measurement
         screens = [replace(screen, body=body) for screen, body in zip(screens, placed.bodies, strict=True)]
-        beams = _beam_sets(placed, options.dof)
+        beams = beam_sets(placed, options.dof)
     lasers = Lasers.of(placed, options.laser_priors)
     found = searched_fits(placed, screens, beams, options.robust)
     if lasers is not None:
         found = with_lasers(found, lasers, beams, options.robust) or found
+    corrections: tuple[Correction, ...] = ()
+    if options.correct and not found.clean:
+        found, corrections = corrected_fits(found, options.dof, options.robust)
     placed, screens, fits, known = found.placed, list(found.screens), found.fits, found.known
     diagnoses = found.diagnoses
+    reported = shown(corrections, diagnoses)
     verdicts: list[ChannelVerdict] = []
     notices = [*measurement.notices, *placement.notices, *slips]
     notices += [] if calibration is None else calibration.notices
     for screen in screens:
         notices += screen.notices
     notices += [] if whole else uncommon_lines(placed)
-    notices += [*far_away(placed), *found.notices]
+    notices += [*far_away(placed), *found.notices, *correction_notices(placed, corrections)]
     for run in range(len(placed.runs)):
         for number, screen in enumerate(screens):
             key = (run, number)
             notices += _body_notices(placed, run, screen.body, fits[key], diagnoses[key], known[key])
-            verdicts += _verdicts(placed.runs[run], screen, run, fits[key], diagnoses[key])
+            verdicts += _verdicts(placed.runs[run], screen, run, fits[key], reported[key])
     notices += check_axes(placed, placement.transform, fits, _left_by_one(diagnoses))
     motion = with_record_noise(_motion(placed, fits, options.dof), placed, fits)
     check_determined(motion)
@@ -253,6 +266,7 @@ def points2dof(
         shared=motion_errors(placed, fits, placement, errors, calibration),
         provenance=dict(provenance or {}),
     )
+    motion = with_corrections(motion, placed, fits, corrections)
     motion = with_gain_errors(motion, repeats.repeats if options.repeats == "pool" else ())
     if not _spoils_motion(diagnoses):
         notices += exchanged_lines(motion) + phase_notice(motion, mass)
@@ -276,20 +290,8 @@ def points2dof(
         calibration,
         repeats.repeats,
         errors,
+        corrections,
     )
-
-
-def _beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
-    """Factorise every body; what any of them cannot observe is told in one message."""
-    beam_sets: list[BeamSet] = []
-    faults: list[Fault] = []
-    for body in placed.bodies:
-        try:
-            beam_sets.append(beam_set(body.body, body.positions_mm, body.directions, dof))
-        except StapeskitError as fault:
-            faults += fault.faults
-    raise_all(KinematicsError, faults)
-    return beam_sets
 
 
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:

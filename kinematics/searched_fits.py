@@ -9,19 +9,24 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.errors import KinematicsError
 from kinematics.faults.across.all_bodies import told_across
+from kinematics.faults.adaptation import Correction, corrections_of
 from kinematics.faults.causes.explain import explained
 from kinematics.faults.diagnose import MOST_CHANNELS, Diagnosis, too_large
 from kinematics.faults.records import searched_body
 from kinematics.faults.screening import Screened
-from kinematics.fit.beams import BeamSet
+from kinematics.fit.beams import BeamSet, beam_set
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.lasers import Lasers
+from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
+# Rounds of correcting and searching again; a search finds several faults itself.
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,19 @@ class SearchedFits:
     def clean(self) -> bool:
         """Whether nothing was found."""
         return not any(diagnosis.findings for diagnosis in self.diagnoses.values())
+
+
+def beam_sets(placed: Measurement, dof: tuple[str, ...]) -> list[BeamSet]:
+    """Factorise every body; raise what any of them cannot observe in one message."""
+    beam_sets: list[BeamSet] = []
+    faults: list[Fault] = []
+    for body in placed.bodies:
+        try:
+            beam_sets.append(beam_set(body.body, body.positions_mm, body.directions, dof))
+        except StapeskitError as fault:
+            faults += fault.faults
+    raise_all(KinematicsError, faults)
+    return beam_sets
 
 
 def searched_fits(
@@ -122,3 +140,27 @@ def with_lasers(
     screens = [replace(screen, body=body) for screen, body in zip(found.screens, placed.bodies, strict=True)]
     again = searched_fits(placed, screens, beams, robust)
     return replace(again, applied=estimate.values) if again.clean else None
+
+
+def corrected_fits(
+    found: SearchedFits, dof: tuple[str, ...], robust: str
+) -> tuple[SearchedFits, tuple[Correction, ...]]:
+    """Return the fits after the faults were corrected that can be, and what was done about each.
+
+    What is corrected is searched again: another fault may have hidden behind it.
+    """
+    done: list[Correction] = []
+    for _ in range(_ROUNDS):
+        corrections = corrections_of(found.placed, found.fits, found.diagnoses, done)
+        if not corrections:
+            break
+        done += corrections
+        placed = found.placed
+        for correction in corrections:
+            placed = correction.corrected(placed)
+        screens = [
+            replace(screen, body=body) for screen, body in zip(found.screens, placed.bodies, strict=True)
+        ]
+        again = searched_fits(placed, screens, beam_sets(placed, dof), robust)
+        found = replace(again, applied=found.applied)
+    return found, tuple(done)

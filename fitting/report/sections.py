@@ -36,6 +36,7 @@ SOURCE_WORDS = {
     "plate_frame": "plate frame in the scan",
     "footplate_frame": "footplate frame (motion and mass together)",
     "position": "point positions",
+    "correction": "corrected faults of points and lasers",
     "inplane_stiffness": "stiffness in the plane of the ligament",
     "damping_exponent": "exponent of the damping law",
 }

@@ -100,6 +100,8 @@ def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Move
     return arms, made
 
 
+# Directions that differ by less are written alike.
+_SAME_BEAM = 1e-6
 _SETS = ("channel", "point", "laser")
 KINDS: dict[str, Kind] = {
     "gain": Kind(
@@ -242,16 +244,24 @@ class Layout:
 
 
 def _points(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:
-    """Exchange the positions of two points."""
+    """Exchange the positions of two points, and their beams where these differ."""
     arms, count = layout.data.assumed.arms_m, len(layout.points)
+    beams = layout.data.assumed.directions
     for one, two in combinations(names, 2):
         first, second = layout.points[one], layout.points[two]
         apart = arms[second[0]] - arms[first[0]]
         shift = np.vstack([np.tile(apart, (len(first), 1)), np.tile(-apart, (len(second), 1))])
         text = f"points {one} and {two} exchanged"
-        yield Fault(
-            "label_swap", "points", [*first, *second], shift, places=count * (count - 1) // 2, text=text
-        )
+        places = count * (count - 1) // 2
+        yield Fault("label_swap", "points", [*first, *second], shift, places=places, text=text)
+        alike = [int(np.argmax(beams[second] @ beams[c])) for c in first]
+        if sorted(alike) == list(range(len(second))):
+            second = [second[k] for k in alike]
+            turn = beams[second] - beams[first]
+            if np.max(np.abs(turn)) > _SAME_BEAM:
+                shift, turn = np.vstack([shift[: len(first)], -shift[: len(first)]]), np.vstack([turn, -turn])
+                text = f"{text} with their beams"
+                yield Fault("label_swap", "points", [*first, *second], shift, turn, places, text)
 
 
 def _beams(layout: Layout, names: Sequence[str]) -> Iterator[Fault]:

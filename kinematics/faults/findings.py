@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS
 from kinematics.faults.packing import Packed
 from kinematics.faults.refit import FaultFit
+
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Finding:
         The estimate in words, where it is not made from ``fit`` or ``size``.
     code, step : str
         Code of the warning and what to do, of a cause that many channels share; empty otherwise.
+    remedied : ndarray, (channel, freq), complex, optional
+        The readings without a cause that has no size to be estimated.
     """
 
     kind: str
@@ -42,6 +47,7 @@ class Finding:
     text: str = ""
     code: str = ""
     step: str = ""
+    remedied: ComplexArray | None = None
 
     @property
     def owner(self) -> str:

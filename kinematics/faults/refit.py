@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, lgamma, log, pi
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.nuisance import Marginal, Nuisance
-from kinematics.faults.packing import Packed, packed
+from kinematics.faults.packing import Packed, Source, packed
 from kinematics.faults.state import Model, State, model_of
 
 Array = NDArray[np.float64]
@@ -36,17 +36,38 @@ class FaultFit:
     covariance : ndarray, (p, p)
     drop : float
         Fall of the objective: residual energy and half the squares of the nuisance parameters over their sd.
+    source : Source, optional
+        Of the readings.
     """
 
     fault: Fault
     parameters: Array
     covariance: Array
     drop: float
+    source: Source | None = None
 
     @property
     def channels(self) -> list[int]:
         """The channels of the fault."""
         return self.fault.channels
+
+    def factor_at(self, freq_hz: Array) -> ComplexArray:
+        """Return the factor of the readings, and its relative derivatives, (p + 1, freq).
+
+        Without rows for faults of the geometry.
+        """
+        factor = KINDS[self.fault.kind].factor if self.fault.kind in KINDS else None
+        if factor is None or self.source is None:
+            return np.zeros((0, len(freq_hz)), dtype=complex)
+        place = np.interp(np.arange(len(freq_hz)), self.source.lines, self.source.tau)
+        ratio = freq_hz / self.source.middle_hz
+        steps = _STEP * self.fault.scale(1.0)
+        value = np.broadcast_to(factor(self.parameters, place, ratio), freq_hz.shape)
+        made = [value]
+        for k, step in enumerate(steps):
+            more = factor(self.parameters + step * np.eye(len(steps))[k], place, ratio)
+            made.append((more - value) / step / value)
+        return np.stack(made)
 
 
 @dataclass(frozen=True)
@@ -106,7 +127,17 @@ class Refit:
                 now, inverse = self._improved(judge, fault, now)
         value = now.value
         covariance = 0.5 * inverse[: fault.size, : fault.size]
-        return FaultFit(fault, now.theta, covariance, before - value)
+        return FaultFit(fault, now.theta, covariance, before - value, self.data.source)
+
+    def refined(self, fit: FaultFit) -> FaultFit:
+        """Return a fit of a fault that changes from line to line, by single lines instead of segments."""
+        if not fit.fault.varies or self.data.source.sd is not None:
+            return fit
+        data, _ = self.fine
+        start = self._try(data, fit.fault, fit.parameters, self.start)
+        now, inverse = self._improved(data, fit.fault, start)
+        size = fit.fault.size
+        return replace(fit, parameters=now.theta, covariance=0.5 * inverse[:size, :size])
 
     def _improved(self, data: Packed, fault: Fault, now: _Trial) -> tuple[_Trial, Array]:
         """Take steps until they help no more; return the inverse of the information too."""

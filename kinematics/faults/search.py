@@ -232,7 +232,13 @@ class Search:
         top, finding = scored[0]
         near = 0.5 * top if finding.kind == "flexible" else top - _NEAR
         rivals = tuple(other for value, other in scored[1:] if value > near and differ(finding, other))
-        return replace(finding, rivals=rivals[:2])
+        finding = replace(finding, rivals=rivals[:2])
+        if finding.fit is None:
+            return finding
+        fit = self.refit.refined(finding.fit)
+        if fit is not finding.fit:
+            fit = replace(fit, covariance=fit.covariance * self.scale)
+        return replace(finding, fit=fit)
 
     def _evidence(self, fit: FaultFit) -> float:
         return log_evidence(fit, self.scale, self.data.source.beams.lever_m)
@@ -279,10 +285,11 @@ class Search:
 
     def _owners(self) -> dict[str, Sequence[Sequence[int]]]:
         """Return the places where faults are looked for."""
-        leverage = np.max(np.where(self.data.weight > 0.0, self.given.leverage, 0.0), axis=0)
-        size = self.data.size
+        size, used = self.data.size, self.data.weight > 0.0
+        kept = np.sum(np.where(used, 1.0 - self.given.leverage, 0.0), axis=0)
+        seen = kept > (1.0 - _UNSEEN) * np.sum(used, axis=0)
         return {
-            "channel": [[c] for c in self.live if leverage[c] < _UNSEEN],
+            "channel": [[c] for c in self.live if seen[c]],
             "point": [own for own in self.points.values() if len(self.live) - len(own) >= size],
             "laser": self._lasers(),
             "body": [self.live] if len(self.live) == np.count_nonzero(self.data.source.share) else [],

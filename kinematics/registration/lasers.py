@@ -199,13 +199,13 @@ def laser_parts(fit: LineFit, lasers: Index, count: int) -> ComplexArray:
     own = [int(laser) for laser in np.unique(lasers)]
     rest = fit.q.copy()
     for laser in own[:-1]:
-        parts[laser] = _part(fit, lasers == laser)
+        parts[laser] = channel_part(fit, lasers == laser)
         rest -= parts[laser]
     parts[own[-1]] = rest
     return parts
 
 
-def _part(fit: LineFit, mine: NDArray[np.bool_]) -> ComplexArray:
+def channel_part(fit: LineFit, mine: NDArray[np.bool_]) -> ComplexArray:
     """Return the part (freq, m) of some channels: (A^T W A)^-1 A^T W y over these."""
     beams = fit.beams
     basis, value = beams.basis[mine], fit.value[mine]

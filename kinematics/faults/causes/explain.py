@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
@@ -51,8 +52,8 @@ def explained(
     Notes
     -----
     All causes are tried for a body that seems to bend. Outliers inflate the noise where it is estimated and
-    can pass for faults of channels: they are tried whenever there are any, and faults of channels are
-    accepted next to them, but not next to scattered gains, which are such faults themselves.
+    can pass for faults of channels: they are tried whenever there are any, and believed when fewer faults
+    remain without them. No fault is accepted next to scattered gains, which are such faults themselves.
     """
     bends = any(finding.kind == "flexible" for finding in found.findings)
     if fit.is_rounding() or (known and not found.findings):
@@ -72,19 +73,24 @@ def explained(
                 continue
             if bends and len(left.findings) > _NEXT_TO_IT:
                 continue
-            if left.findings and (cause is gains or (not bends and _same_channels(left, found))):
+            if left.findings and cause is gains:
                 continue
-            return replace(left, findings=(*left.findings, _finding(made, p_value)), kept=1.0), again
+            if not bends and found.findings and len(left.findings) >= len(found.findings):
+                continue
+            finding = _finding(made, p_value, None if cause is gains else made.remedied.displacement[run])
+            return replace(left, findings=(*left.findings, finding), kept=1.0), again
     return None
 
 
-def _same_channels(left: Diagnosis, found: Diagnosis) -> bool:
-    """Tell whether faults of channels remain as they were."""
-    one, two = ([sorted(finding.channels) for finding in some.findings] for some in (left, found))
-    return bool(two) and one == two
-
-
-def _finding(made: Explanation, p_value: float) -> Finding:
+def _finding(made: Explanation, p_value: float, remedied: NDArray[np.complex128] | None) -> Finding:
     return Finding(
-        made.verdict, made.channels, p_value, None, made.size, text=made.text, code=made.code, step=made.step
+        made.verdict,
+        made.channels,
+        p_value,
+        None,
+        made.size,
+        text=made.text,
+        code=made.code,
+        step=made.step,
+        remedied=remedied,
     )

@@ -1,0 +1,120 @@
+"""Is the motion after ``points2dof --correct`` right within its stated uncertainty?
+
+    python benchmarks/corrections.py --scenes 20
+
+Bodies and faults are those of ``fault_bodies``. For each fault: how often its channels were corrected, left
+out, or not acted on; the error of the motion against the truth, as a share of the motion, before and after;
+and how often it lies within 1.96 stated standard deviations (0.95 is right), over all degrees of freedom, for
+single lines and for the mean over the lines in proportion to the motion, to which shared errors matter most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.points2dof import Options, Points2Dof, points2dof
+from kinematics.registration.lasers import LaserPriors
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+EXACT = LaserPriors(0.0, 0.0, 0.0)
+
+
+def fitted(made: Reading, correct: bool, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
+    """Fit a reading whose lasers agree."""
+    body = BodyChannels(
+        "incus",
+        tuple(made.points),
+        made.positions_mm,
+        made.directions,
+        made.value[None],
+        made.sd[None] if stated else None,
+        not stated,
+        np.full(len(made.points), position_sd_mm or np.nan),
+    )
+    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
+    dof = ("y", "alpha", "gamma") if made.head.max() == 0 else Options().dof
+    return points2dof(data, options=Options(dof, lasers=EXACT, correct=correct))
+
+
+def errors(result: Points2Dof, truth: ComplexArray) -> tuple[Array, Array, Array]:
+    """Return the rms error over the motion (m,), and errors over stated sd of lines and of their mean."""
+    motion = result.motion
+    error = motion.q[0, 0] - truth
+    weight = truth.conj() / np.sum(np.abs(truth) ** 2, axis=0)
+    shared = motion.shared
+    slopes = np.zeros((0, *error.shape)) if shared is None else shared.derivatives[:, 0, 0]
+    spread = np.zeros((0, 0)) if shared is None else shared.covariance
+    noise = np.real(np.einsum("fmm->fm", motion.covariance[0, 0]))
+    parts = []
+    for part in (np.real, np.imag):
+        slope = part(slopes)
+        variance = 0.5 * noise + np.einsum("pfm,pq,qfm->fm", slope, spread, slope)
+        parts.append(part(error) / np.sqrt(variance))
+        mean = part(np.sum(weight * error, axis=0))
+        slope = part(np.sum(weight * slopes, axis=1))
+        variance = 0.5 * np.sum(np.abs(weight) ** 2 * noise, axis=0) + np.einsum(
+            "pm,pq,qm->m", slope, spread, slope
+        )
+        parts.append(mean / np.sqrt(variance))
+    size = np.sqrt(np.sum(np.abs(error) ** 2, axis=0) / np.sum(np.abs(truth) ** 2, axis=0))
+    return size, np.concatenate([parts[0], parts[2]]), np.concatenate([parts[1], parts[3]])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenes", type=int, default=10, help="per cell")
+    parser.add_argument("--lines", type=int, default=120)
+    parser.add_argument("--position-um", type=float, default=0.0, help="position errors, stated")
+    parser.add_argument("--no-sd", action="store_true", help="do not state the noise")
+    parser.add_argument("--body", default="", help="only bodies whose name holds this")
+    parser.add_argument("--fault", default="", help="only faults whose name holds this")
+    parser.add_argument("--seed", type=int, default=5)
+    arguments = parser.parse_args()
+    print(
+        "| body | fault | corrected | left out | error before, % | after, % | lines covered | mean covered |"
+    )
+    print("|-|-|-|-|-|-|-|-|")
+    mm, lines = 1e-3 * arguments.position_um, arguments.lines
+    for body in BODIES:
+        for fault in FAULTS if arguments.body in body else ():
+            if not possible(fault, body) or arguments.fault not in fault:
+                continue
+            before, after, single, mean, actions = [], [], [], [], list[str]()
+            for number in range(arguments.scenes):
+                seed = 1000 * arguments.seed + number
+                truth = draw(seed, body, lines=lines, position_sd_mm=mm).twist.T
+                made = draw(seed, body, fault, lines=lines, position_sd_mm=mm)
+                plain, right = (fitted(made, way, not arguments.no_sd, mm) for way in (False, True))
+                places = [("x", "y", "z", "alpha", "beta", "gamma").index(d) for d in right.motion.dof]
+                before.append(np.sqrt(np.mean(errors(plain, truth[:, places])[0] ** 2)))
+                size, one, whole = errors(right, truth[:, places])
+                after.append(np.sqrt(np.mean(size**2)))
+                single.append(np.mean(np.abs(one) < 1.96))
+                mean.append(np.mean(np.abs(whole) < 1.96))
+                actions += sorted({c.action for c in right.corrections})
+            share = [actions.count(name) / arguments.scenes for name in ("corrected", "left out")]
+            print(
+                f"| {body} | {fault} | {share[0]:.2f} | {share[1]:.2f} | {100 * np.median(before):.2g} | "
+                f"{100 * np.median(after):.2g} | {np.mean(single):.3f} | {np.mean(mean):.3f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

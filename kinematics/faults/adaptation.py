@@ -1,0 +1,270 @@
+"""Act on findings: correct the measurement by their estimates, or leave their channels out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.catalogue import Fault
+from kinematics.faults.describe import channel_list, describe
+from kinematics.faults.diagnose import Diagnosis
+from kinematics.faults.findings import Finding
+from kinematics.fit.beams import observability
+from kinematics.fit.rigid_fit import LineFit
+from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Key = tuple[int, int]
+CORRECTED, LEFT_OUT, RAISED = "corrected", "left out", "its sd raised"
+# Weakest observability of the motion that the channels that stay must keep; channels more than motions.
+_OBSERVED, _SPARE = 1e-3, 2
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is done about one finding.
+
+    Attributes
+    ----------
+    run, body : int
+        Where it was found; geometry is corrected in all runs.
+    channels : list of int
+    action : str
+        CORRECTED, LEFT_OUT or RAISED.
+    verdict, estimate : str
+        Of the finding, in words.
+    finding : Finding
+    parameters : ndarray, (p,)
+    covariance : ndarray, (p, p)
+        Of the estimate; empty for what has no size.
+    factor : ndarray, (p + 1, freq), complex
+        By what the readings are divided, and its relative derivatives; empty for geometry.
+    arms_m, directions : ndarray, (channel, 3)
+        Of the body before the correction.
+    """
+
+    run: int
+    body: int
+    channels: list[int]
+    action: str
+    verdict: str
+    estimate: str
+    finding: Finding
+    parameters: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    factor: ComplexArray = field(default_factory=lambda: np.zeros((0, 0), dtype=complex))
+    arms_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    directions: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def fault(self) -> Fault | None:
+        """The fault of the catalogue that is corrected."""
+        fit = self.finding.fit
+        return fit.fault if fit is not None and self.action == CORRECTED else None
+
+    def as_json(self, measurement: Measurement) -> dict[str, Any]:
+        """Return what was done by the names of the files; readings were divided by the factor, where any."""
+        body = measurement.bodies[self.body]
+        return {
+            "run": measurement.runs[self.run],
+            "body": body.body,
+            "points": list(dict.fromkeys(body.points[c] for c in self.channels)),
+            "verdict": self.verdict,
+            "estimate": self.estimate,
+            "action": self.action,
+        }
+
+    def corrected(self, measurement: Measurement) -> Measurement:
+        """Return a measurement after the correction."""
+        body = self._body(measurement, measurement.bodies[self.body])
+        bodies = measurement.bodies
+        return replace(measurement, bodies=(*bodies[: self.body], body, *bodies[self.body + 1 :]))
+
+    def _body(self, measurement: Measurement, body: BodyChannels) -> BodyChannels:
+        found, fault, own = self.finding, self.fault, self.channels
+        if self.action == LEFT_OUT:
+            return _with_readings(body, self.run, own, np.nan)
+        if self.action == RAISED:
+            return _louder(measurement, body, self.run, own, found.size)
+        if found.remedied is not None:
+            every = list(range(len(body.points)))
+            return _with_readings(body, self.run, every, found.remedied)
+        if fault is None:
+            return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * found.size))
+        if len(self.factor):
+            values = body.displacement[self.run, own] / self.factor[0]
+            body = _with_readings(body, self.run, own, values)
+            if body.sd is None:
+                return body
+            sd = np.array(body.sd)
+            sd[self.run, own] /= np.abs(self.factor[0])
+            return replace(body, sd=sd)
+        arms, directions = fault.geometry(body.positions_mm * 1e-3, body.directions, self.parameters)
+        spread = body.position_sd_mm.copy()
+        if fault.kind == "position":
+            spread[own] = np.nan  # the error that is left is that of the estimate
+        return replace(body, positions_mm=arms * 1e3, directions=directions, position_sd_mm=spread)
+
+
+def _with_readings(
+    body: BodyChannels, run: int, channels: list[int], values: ComplexArray | float
+) -> BodyChannels:
+    displacement = body.displacement.copy()
+    displacement[run, channels] = values
+    return replace(body, displacement=displacement)
+
+
+def _louder(
+    measurement: Measurement, body: BodyChannels, run: int, channels: list[int], factor: float
+) -> BodyChannels:
+    """Return a body with the noise of channels raised; unstated noise is relative then."""
+    rate = (2.0 * np.pi * measurement.freq_hz) ** measurement.order
+    sd = np.array(np.broadcast_to(1.0 / rate, body.displacement.shape) if body.sd is None else body.sd)
+    sd[run, channels] *= factor
+    return replace(body, sd=sd, relative=body.relative or body.sd is None)
+
+
+def corrections_of(
+    placed: Measurement,
+    fits: dict[Key, LineFit],
+    diagnoses: dict[Key, Diagnosis],
+    before: Iterable[Correction] = (),
+) -> list[Correction]:
+    """Return what is done about each finding that can be acted on.
+
+    Parameters
+    ----------
+    placed : Measurement
+        As it was searched.
+    fits : dict of LineFit
+        By (run, body).
+    diagnoses : dict of Diagnosis
+    before : iterable of Correction
+        Of earlier rounds: what is found again in the same channels is left out.
+
+    Notes
+    -----
+    A fault is corrected where the data determine its size and tell it from other faults. Otherwise its
+    channels are left out, where the others still determine the motion. Of the same change of geometry
+    found in several runs the mean is used, weighted by the information.
+    """
+    seen = {(one.body, channel) for one in before for channel in one.channels}
+    made: list[Correction] = []
+    for (run, number), diagnosis in sorted(diagnoses.items()):
+        fit = fits[run, number]
+        for found in diagnosis.findings:
+            again = any((number, channel) in seen for channel in found.channels)
+            correction = _correction(placed, fit, (run, number), found, again)
+            if correction is None:
+                continue
+            other = next((k for k, one in enumerate(made) if _same_geometry(one, correction)), None)
+            if other is not None:
+                made[other] = _pooled(made[other], correction)
+            elif not any(_overlap(one, correction) for one in made):
+                made.append(correction)
+    return made
+
+
+def _overlap(one: Correction, two: Correction) -> bool:
+    """Return whether two corrections concern the same channels, in one run or through the geometry."""
+    if one.body != two.body or not set(one.channels) & set(two.channels):
+        return False
+    both_values = one.run != two.run and all(c.fault is None or len(c.factor) for c in (one, two))
+    return not both_values and one.finding.remedied is None and two.finding.remedied is None
+
+
+def _same_geometry(one: Correction, two: Correction) -> bool:
+    a, b = one.fault, two.fault
+    same = a is not None and b is not None and (one.body, a.kind) == (two.body, b.kind)
+    return same and one.channels == two.channels and not len(one.factor) and one.estimate != ""
+
+
+def _pooled(one: Correction, two: Correction) -> Correction:
+    """Return the mean of two estimates of one error, weighted by their information."""
+    if not len(one.parameters):
+        return one
+    first, second = (np.linalg.pinv(c.covariance, rcond=1e-12, hermitian=True) for c in (one, two))
+    covariance = np.linalg.pinv(first + second, rcond=1e-12, hermitian=True)
+    mean = covariance @ (first @ one.parameters + second @ two.parameters)
+    return replace(one, parameters=mean, covariance=covariance)
+
+
+def _correction(
+    placed: Measurement, fit: LineFit, key: Key, found: Finding, again: bool
+) -> Correction | None:
+    run, number = key
+    body = placed.bodies[number]
+    verdict, estimate = describe(found, body)
+    first = Correction(run, number, list(found.channels), CORRECTED, verdict, estimate, found)
+    if found.remedied is not None or (found.kind == "position" and found.fit is None and found.size > 0.0):
+        return None if again and found.remedied is None else first
+    if found.kind == "flexible" or found.code:
+        return None
+    if found.kind == "noise" and not again:
+        return replace(first, action=RAISED)
+    if found.fit is None or found.rivals or again or not _determined(found, fit.beams.lever_m):
+        out = sorted({c for one in (found, *found.rivals) for c in one.channels})
+        return replace(first, action=LEFT_OUT, channels=out) if _spares(body, fit, out) else None
+    fault, p = found.fit.fault, found.fit.parameters
+    covariance = found.fit.covariance
+    stated = np.nan_to_num(body.position_sd_mm[found.channels[0]]) * 1e-3
+    if fault.kind == "position" and stated > 0.0:
+        # Next to the fault the stated error of the point itself is free within its prior, and adds that.
+        values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(p)))
+        covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return replace(
+        first,
+        parameters=p,
+        covariance=covariance,
+        factor=found.fit.factor_at(placed.freq_hz),
+        arms_m=body.positions_mm * 1e-3,
+        directions=body.directions,
+    )
+
+
+def _determined(found: Finding, lever_m: float) -> bool:
+    """Return whether the size of a fault is known better than by what is common."""
+    if found.fit is None or not len(found.fit.parameters):
+        return True
+    scale = found.fit.fault.scale(lever_m)
+    scaled = found.fit.covariance / np.outer(scale, scale)
+    return bool(np.max(np.linalg.eigvalsh(scaled)) < 1.0)
+
+
+def _spares(body: BodyChannels, fit: LineFit, out: list[int]) -> bool:
+    """Return whether the other channels determine the motion with some redundancy."""
+    rest = [c for c in range(len(body.points)) if c not in set(out) and fit.solution.used[c] > 0]
+    dof = fit.beams.dof
+    if len(rest) < len(dof) + _SPARE:
+        return False
+    return bool(observability(body.positions_mm[rest] * 1e-3, body.directions[rest], dof)[-1] > _OBSERVED)
+
+
+def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) -> dict[Key, Diagnosis]:
+    """Return diagnoses that name what was corrected, too, as it was found."""
+    made = dict(diagnoses)
+    for one in corrections:
+        key = (one.run, one.body)
+        words = f"{one.estimate}; {one.action}"
+        step = f"Correct the file: this run went on with it {one.action}"
+        finding = replace(one.finding, kind=one.verdict, fit=None, rivals=(), text=words, step=step)
+        made[key] = replace(made[key], findings=(finding, *made[key].findings))
+    return made
+
+
+def correction_notices(placed: Measurement, corrections: Iterable[Correction]) -> list[Notice]:
+    """Return one warning for each correction."""
+    made = []
+    for one in corrections:
+        body = placed.bodies[one.body]
+        where = f" in run {placed.runs[one.run]}" if len(placed.runs) > 1 else ""
+        whole = len(one.channels) == len(body.points)
+        names = f"body {body.body}" if whole else channel_list(one.channels, body)
+        made.append(Notice("corrected", f"{names}{where}: {one.verdict}, {one.estimate}; {one.action}."))
+    return made
