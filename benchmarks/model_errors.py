@@ -199,11 +199,9 @@ def causes(ears: int) -> None:
 
 def named(fit: KDFit) -> tuple[str, tuple[str, ...]]:
     """Return the cause that is named or part of the model, and its look-alikes."""
-    if fit.fluid is not None and fit.fluid.used:
-        return "fluid", ()
-    if fit.diagnosis is None or fit.diagnosis.named is None:
-        return "", ()
-    return fit.diagnosis.named.name, fit.diagnosis.look_alikes
+    if fit.diagnosis is not None and fit.diagnosis.named is not None:
+        return fit.diagnosis.named.name, fit.diagnosis.look_alikes
+    return ("fluid" if fit.fluid is not None and fit.fluid.used else ""), ()
 
 
 def matches(found: str, name: str) -> bool:

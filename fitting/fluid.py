@@ -125,7 +125,8 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
         )
         size = other.law.exponent
         left = other.ligament.p_value
-        refits.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left))
+        unknowns = 1.0 + other.law.unknowns - best.law.unknowns
+        refits.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left, unknowns))
     return refits
 
 

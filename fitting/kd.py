@@ -171,7 +171,8 @@ def _laws(
         fits, undetermined = _fits(loaded, options)
         extended = tuple(with_ligament(fit, both, options.causes) for fit in fits)
         if options.fluid == "auto" and not any(one.ligament is not None for one in extended):
-            extended = tuple(with_ligament(fit, both, (*options.causes, FLUID), needed=False) for fit in fits)
+            names = tuple(dict.fromkeys((*options.causes, FLUID)))
+            extended = tuple(with_ligament(fit, both, names) for fit in fits)
         settled = tuple(fit for fit in extended if fit.ligament is not None)
         if options.causes and not settled:
             raise FittingError(_without_result(options))

@@ -117,7 +117,6 @@ def with_ligament(
     fit: LawFit,
     both: Observation,
     names: tuple[str, ...] = (),
-    needed: bool = True,
     sizes: Mapping[str, float] | None = None,
 ) -> LawFit:
     """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
@@ -128,8 +127,6 @@ def with_ligament(
     both : Observation
     names : tuple of str
         Causes of the catalogue that are part of the model.
-    needed : bool
-        Whether they always are, or only where there is no result without them.
     sizes : mapping of str to float, optional
         Where the fit starts as well, in the units of the causes.
     """
@@ -148,7 +145,7 @@ def with_ligament(
             replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in terms
         )
 
-    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, needed, begun)
+    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, begun)
     if ligament is None:
         return fit
     extended = LawFit(

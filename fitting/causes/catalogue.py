@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.calibrated import calibrated
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
 from stapeskit.page.quantities import MASS
@@ -23,7 +24,11 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Applied = tuple[JointLines, Equations]
 # Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159), m.
 HEAD_M = (0.0, 3.4e-3, 0.0)
+# Shared errors of the place of that mass.
+HEAD_PLACE = "mass.head_place"
 _HOLDER_QUALITY = 10.0
+# Steps of one width of a resonance at half power.
+_HOLDERS_HZ = np.geomspace(450.0, 5000.0, 26)
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,10 @@ class Cause:
         Whether its term is more than a score: damping laws are fitted as such.
     positive : bool
         Whether a negative size is impossible.
+    family : str
+        Causes of one family are the same error at different places; the likeliest of them is refitted.
+    nuisances : tuple of str
+        Shared errors that the cause brings with it; its term sets their effect.
     """
 
     title: str
@@ -86,6 +95,8 @@ class Cause:
     starts: tuple[float, ...] = (0.0,)
     refitted: bool = True
     positive: bool = False
+    family: str = ""
+    nuisances: tuple[str, ...] = ()
 
 
 def title_of(name: str) -> str:
@@ -104,7 +115,7 @@ def term_of(name: str, setting: Setting) -> Term:
     """Return the unknown term of a cause; its parameter counts units of the cause."""
     cause = CAUSES[name]
     starts = tuple(value for value in cause.starts if value != 0.0)
-    return Term(name, cause.term(setting), cause.per_unit, starts=starts)
+    return Term(name, cause.term(setting), cause.per_unit, starts=starts, nuisances=cause.nuisances)
 
 
 def _between_bodies(factor: Callable[[float, Array], ComplexArray]) -> Callable[[Setting], Apply]:
@@ -202,21 +213,54 @@ def _holder(frequency_hz: float) -> Callable[[Setting], Apply]:
     return made
 
 
-def _point_mass(value: float, _: Setting) -> Array:
-    """Return the inertial parameters of a mass at the head."""
-    mass, place = MASS.si(value), np.array(HEAD_M)
-    tensor = mass * (place @ place * np.eye(3) - np.outer(place, place))
-    entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[0, 2]]
-    return np.array([mass, *(mass * place), *entries])
+def _head_mass(setting: Setting) -> Apply:
+    """Add a mass at the head, whose place is known to a standard deviation along each axis.
+
+    Notes
+    -----
+    The place counts: 5 mg that sit 0.1 mm off move M12 by as much as the stapes itself has.
+    """
+    root = np.outer(setting.lines.root_mass, setting.lines.root_mass)
+    place, sd = np.array(HEAD_M), 1e-3 * calibrated("causes.head_place_sd_mm")
+    here = matrix_from_parameters(_point(place))
+    steps = [matrix_from_parameters(_point(place + step) - _point(place - step)) for step in sd * np.eye(3)]
+
+    def apply(value: float, lines: JointLines, equations: Equations) -> Applied:
+        mass = MASS.si(value)
+        changes, slopes = lines.mass_changes.copy(), lines.mass_slopes.copy()
+        own = [number for number, name in enumerate(lines.sources) if name == HEAD_PLACE]
+        for number, step in zip(own, steps, strict=False):
+            slopes[number] = 0.5 * mass * step
+            changes[number] = slopes[number] / root
+        heavier = lines.mass + mass * here / root
+        return replace(lines, mass=heavier, mass_changes=changes, mass_slopes=slopes), equations
+
+    return apply
+
+
+def _point(place: Array) -> Array:
+    """Return the inertial parameters of a mass of 1 kg at a place (m)."""
+    return np.array([1.0, *place, *_entries(place @ place * np.eye(3) - np.outer(place, place))])
+
+
+def _entries(tensor: Array) -> Array:
+    """Return xx, yy, zz, xy, yz, xz of a tensor."""
+    return np.asarray(tensor[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]])
 
 
 def _centre(axis: int) -> Callable[[float, Setting], Array]:
-    """Return the change of the inertial parameters when the centre of mass lies elsewhere (mm)."""
+    """Return the change of the inertial parameters when the body lies elsewhere (mm) in its frame.
+
+    Notes
+    -----
+    Moments of inertia about the footplate centre follow by the theorem of parallel axes.
+    """
 
     def change(value: float, setting: Setting) -> Array:
-        change_si = np.zeros(10)
-        change_si[1 + axis] = 1e-3 * value * setting.mass[0, 0]
-        return change_si
+        parameters = parameters_from_matrix(setting.mass)
+        mass, centre = parameters[0], parameters[1:4] / parameters[0]
+        shift = 1e-3 * value * np.eye(3)[axis]
+        return np.asarray(mass * (_point(centre + shift) - _point(centre)))
 
     return change
 
@@ -279,10 +323,12 @@ CAUSES: dict[str, Cause] = {
         "a mass at the head of the stapes",
         MASS.symbol,
         MASS.si(1.0),
-        _mass(_point_mass),
+        _head_mass,
         True,
         example=MASS.of(1e-7),
         starts=(0.0, MASS.of(4e-6)),
+        nuisances=(HEAD_PLACE,) * 3,
+        positive=True,
     ),
     "centre_x": Cause("a centre of mass elsewhere along x", "mm", 1e-3, _mass(_centre(0)), True, example=0.1),
     "centre_y": Cause("a centre of mass elsewhere along y", "mm", 1e-3, _mass(_centre(1)), True, example=0.1),
@@ -308,9 +354,9 @@ CAUSES: dict[str, Cause] = {
     ),
     **{
         f"holder_{round(hz)}_hz": Cause(
-            f"a resonance of the holder near {round(hz)} Hz", "%", 0.01, _holder(hz)
+            f"a resonance of the holder near {round(hz)} Hz", "%", 0.01, _holder(hz), family="holder"
         )
-        for hz in np.geomspace(500.0, 4500.0, 6)
+        for hz in _HOLDERS_HZ
     },
     "mass": Cause(
         "another mass and density", "%", 0.01, _mass(_part(slice(0, 10))), scored=False, example=10.0

@@ -2,8 +2,9 @@
 it.
 
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
-misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations), the criterion
-of Schwarz (1978), doi:10.1214/aos/1176344136; causes whose refits are nearly as good are its look-alikes.
+misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the
+criterion of Schwarz (1978), doi:10.1214/aos/1176344136; causes whose refits are nearly as good are its
+look-alikes.
 """
 
 from __future__ import annotations
@@ -19,11 +20,17 @@ from fitting.causes.catalogue import CAUSES, Setting, term_of
 from fitting.causes.scores import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
+from fitting.ligament.inplane_stiffness import inverse_of
+from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.ligament import extended_fit
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
 
 Array = NDArray[np.float64]
+# Probability of a score below which a cause that may be far from first order is refitted to be sure.
+_DOUBTFUL = 0.05
+# Steps of a refit, and of one beside a cause that explains the data.
+_MOST, _FEW = 60, 20
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Refit:
         another unit.
     p_value : float
         Probability of the chi2 that is left, or a larger one.
+    unknowns : float
+        By how many the unknowns of the model grow; nuisance parameters count by what the data say of them.
     """
 
     name: str
@@ -52,6 +61,7 @@ class Refit:
     fall: float
     effect: Array
     p_value: float
+    unknowns: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -83,10 +93,14 @@ class Diagnosis:
     searched: bool = False
     corrected: dict[str, tuple[float, float]] = field(default_factory=dict)
 
+    def evidence(self, refit: Refit) -> float:
+        """Return the fall of chi2 less what its unknowns explain by chance."""
+        return refit.fall - self.threshold * refit.unknowns
+
     @property
     def named(self) -> Refit | None:
         """The cause that the data speak for, or None."""
-        return self.refits[0] if self.refits and self.refits[0].fall > self.threshold else None
+        return self.refits[0] if self.refits and self.evidence(self.refits[0]) > 0.0 else None
 
     @property
     def look_alikes(self) -> tuple[str, ...]:
@@ -94,8 +108,8 @@ class Diagnosis:
         named = self.named
         if named is None:
             return ()
-        close = named.fall - calibrated("causes.look_alike_chi2")
-        return tuple(one.name for one in self.refits[1:] if one.fall > max(close, self.threshold))
+        close = max(self.evidence(named) - calibrated("causes.look_alike_chi2"), 0.0)
+        return tuple(one.name for one in self.refits[1:] if self.evidence(one) > close)
 
 
 def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
@@ -104,7 +118,13 @@ def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
 
 
 def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
-    """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable."""
+    """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable.
+
+    Causes that may be far from first order are also refitted where their score is doubtful; a large fall of
+    chi2 calls for the search, too.
+    """
+    from scipy.special import chdtri
+
     setting = setting_of(problem, ligament)
     present = {term.name for term in ligament.equations.terms}
     names = tuple(name for name in CAUSES if name not in present)
@@ -119,50 +139,84 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
         name: CAUSES[name].example * tested.response[:entries, place] * units
         for place, name in enumerate(names)
     }
-    order = [scored[place] for place in np.argsort(p_values, kind="stable")]
-    order = [place for place in order if CAUSES[names[place]].refitted]
-    refits = []
+    ranked = [scored[place] for place in np.argsort(p_values, kind="stable")]
+    leading = _first_of_families(ranked, names)
+    likely = [place for place in leading if CAUSES[names[place]].refitted]
     searched = bool(alarm or ligament.p_value < calibrated("causes.misfit_p"))
-    if searched:
-        for place in order[: int(calibrated("causes.shortlist"))]:
-            one = _refit(ligament, names[place], terms[place], tested, place, units)
-            if one is not None:
-                refits.append(one)
-    refits.sort(key=lambda one: -one.fall)
+    if not searched:
+        likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
+    refits: list[Refit] = []
+    for place in likely[: int(calibrated("causes.shortlist"))]:
+        explained = any(one.p_value > calibrated("causes.misfit_p") for one in refits)
+        one = _refit(ligament, names[place], terms[place], tested, place, units, explained)
+        refits += [] if one is None else [one]
+    if not searched:
+        least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
+        searched = any(one.fall > least for one in refits)
+        refits = refits if searched else []
     equations = 2 * ligament.equations.n * ligament.lines.count
+    shown = sorted(leading)
     kept = Scores(
-        tested.z[scored],
-        tested.estimate[scored],
-        tested.sd[scored],
-        tested.correlation[np.ix_(scored, scored)],
-        tested.response[:, scored],
+        tested.z[shown],
+        tested.estimate[shown],
+        tested.sd[shown],
+        tested.correlation[np.ix_(shown, shown)],
+        tested.response[:, shown],
     )
-    return Diagnosis(
-        tuple(names[place] for place in scored),
-        kept,
-        tuple(refits),
-        float(np.log(equations)),
-        sensitivities,
-        searched,
+    found = Diagnosis(
+        tuple(names[place] for place in shown), kept, (), float(np.log(equations)), sensitivities, searched
     )
+    return with_refits(found, refits)
+
+
+def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:
+    """Return the causes in their order, the first of each family only."""
+    first: dict[str, int] = {}
+    for place in ranked:
+        first.setdefault(CAUSES[names[place]].family or names[place], place)
+    return list(first.values())
+
+
+def _large(name: str) -> bool:
+    """Return whether a cause may be so large that its score says little of it."""
+    return len(CAUSES[name].starts) > 1
 
 
 def _refit(
-    ligament: LigamentFit, name: str, term: Term, start_scores: Scores, place: int, units: Array
+    ligament: LigamentFit,
+    name: str,
+    term: Term,
+    start_scores: Scores,
+    place: int,
+    units: Array,
+    explained: bool,
 ) -> Refit | None:
-    """Fit with one cause from the estimate of its score and from its other starts; the best one, or None."""
+    """Fit with one cause from the estimate of its score and from its other starts; the best one, or None.
+
+    Where another cause explains the data already, only what settles as well at once can look like it.
+    """
     from scipy.special import chdtrc
 
     best = None
-    for begin in (float(start_scores.estimate[place]), *CAUSES[name].starts):
+    starts = (float(start_scores.estimate[place]), *CAUSES[name].starts)
+    for begin in starts[: 1 if explained else None]:
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
-        fitted = extended_fit(ligament.lines, ligament.equations, start, (term,), np.array([begin]))
-        if fitted is not None and (best is None or fitted[1].chi2 < best[1].chi2 - 1e-6):
+        fitted = extended_fit(
+            ligament.lines,
+            ligament.equations,
+            start,
+            (term,),
+            np.array([begin]),
+            _FEW if explained else _MOST,
+        )
+        if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
             best = fitted
+        if best is not None and chdtrc(best[2].n_dof, best[2].chi2) > calibrated("causes.misfit_p"):
+            break
     if best is None:
         return None
-    equations, fit = best
+    lines, equations, fit = best
     level = max(1.0, fit.level)
     change = (fit.parameters[: len(units)] - ligament.joint.parameters[: len(units)]) * units
     fall = (ligament.joint.chi2 - fit.chi2) / level
@@ -170,7 +224,22 @@ def _refit(
     if CAUSES[name].positive and size < 0.0:
         return None
     left = float(chdtrc(fit.n_dof, fit.chi2))
-    return Refit(name, size, float(start_scores.sd[place]), fall, change, left)
+    more = lines.errors - ligament.lines.errors
+    unknowns = 1.0 + _informed(fit, more) / np.log(2 * equations.n * lines.count)
+    return Refit(name, size, float(start_scores.sd[place]), fall, change, left, unknowns)
+
+
+def _informed(fit: JointFit, count: int) -> float:
+    """Return what the prior of the last unknowns costs in chi2: the ratio of its volume to the posterior's.
+
+    Notes
+    -----
+    Laplace's approximation of the evidence (MacKay 1992, doi:10.1162/neco.1992.4.3.415).
+    """
+    if not count:
+        return 0.0
+    left = inverse_of(fit.at.hessian)[-count:, -count:]
+    return max(0.0, -float(np.linalg.slogdet(left)[1]))
 
 
 def relative_effect(change: Array, stiffness: Array, damping: Array) -> Array:
@@ -192,7 +261,8 @@ def largest_effect(change: Array, stiffness: Array, damping: Array) -> tuple[int
 
 def with_refits(diagnosis: Diagnosis, more: Sequence[Refit]) -> Diagnosis:
     """Return a diagnosis with further refits, e.g. under other damping laws."""
-    return replace(diagnosis, refits=tuple(sorted((*diagnosis.refits, *more), key=lambda one: -one.fall)))
+    refits = sorted((*diagnosis.refits, *more), key=lambda one: -diagnosis.evidence(one))
+    return replace(diagnosis, refits=tuple(refits))
 
 
 def with_corrected(diagnosis: Diagnosis, ligament: LigamentFit) -> Diagnosis:

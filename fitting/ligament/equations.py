@@ -38,6 +38,8 @@ class Term:
         What is known beforehand, in units of the parameter; 0: nothing.
     starts : tuple of float
         Where a fit starts besides 0, in units of the parameter.
+    nuisances : tuple of str
+        Sources of further shared errors of unit variance, whose changes of the mass matrix ``apply`` sets.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Term:
     unit: float
     sd: float = 0.0
     starts: tuple[float, ...] = ()
+    nuisances: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -139,10 +142,11 @@ class Equations:
         return replace(self, terms=(*self.terms, *terms), prior=self.prior.extended(precision))
 
     def applied(self, lines: JointLines, parameters: Array) -> tuple[JointLines, Equations]:
-        """Return lines and equations with the terms among the parameters in them."""
+        """Return lines and equations with the terms among the parameters in them; one of 0 does nothing."""
         applied: tuple[JointLines, Equations] = (lines, self)
         for term, value in zip(self.terms, parameters[self.term], strict=True):
-            applied = term.apply(float(value), *applied)
+            if value:
+                applied = term.apply(float(value), *applied)
         return applied
 
 

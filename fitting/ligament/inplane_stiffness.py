@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 INPLANE_DOF: tuple[str, ...] = ("x", "z", "beta")
 ROWS, COLUMNS = dof_indices(PRINCIPAL_DOF), dof_indices(INPLANE_DOF)
 _N = len(PRINCIPAL_DOF)
-# The stiffness in the plane is needed to a tenth only: a step of a thirtieth of its uncertainty ends the fit.
-_TOLERANCE, _STEPS = 1e-3, 25
+# The stiffness in the plane is needed to a tenth only: a step of a tenth of its uncertainty ends the fit.
+_TOLERANCE, _STEPS = 1e-2, 25
 # One over the sd of an exponent that is not to move, since the piston equations determine it.
 _FIXED = 1e6
 
@@ -99,12 +99,11 @@ def inplane_stiffness(
         ),
     )
     begin = np.concatenate([mean / units, [law.exponent] * spare])
-    fit = _solved(corrected, equations, begin)
-    if fit is None or chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):
-        fit = _solved(lines, equations, begin)
+    used = corrected
+    fit = _solved(used, equations, begin)
+    if fit is not None and chdtrc(fit.n_dof, fit.chi2) < calibrated("ligament.inplane_least_p"):
         used = lines
-    else:
-        used = corrected
+        fit = _solved(used, equations, fit.parameters)
     mean, sd = _inplane_prior(
         piston, calibrated("ligament.inplane_default"), calibrated("ligament.inplane_default_sd")
     )

@@ -41,7 +41,7 @@ def _regressor_noise(measured: JointLines, unknown: Equations, fit: JointFit) ->
     lines, equations = unknown.applied(measured, parameters)
     precision = at.whitening.conj().swapaxes(1, 2) @ at.whitening
     explained = at.gain @ at.whitening.conj().swapaxes(1, 2)
-    motion = lines.covariance - explained @ explained.conj().swapaxes(1, 2)
+    motion = lines.noise - explained @ explained.conj().swapaxes(1, 2)
     weights = _weights(lines, equations, parameters)
     constant = _constant_operators(lines, equations, parameters, len(weights))
     count = len(weights)

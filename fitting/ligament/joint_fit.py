@@ -35,17 +35,22 @@ ComplexArray = NDArray[np.complex128]
 # Step, squared, in units of the parameters' uncertainty, that ends the fit without shared errors, which is a
 # start.
 _START_TOLERANCE = 1e-2
+# A Hessian is kept for the next step when the step is shorter (squared, in units of the parameters'
+# uncertainty) than the first, and as long as the squares fall by the second.
+_NEAR, _KEEP = 30.0, 0.05
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """Objective with slopes, and what the covariance needs.
+    """Objective with its gradient, and what Hessian and covariance need.
 
     Attributes
     ----------
     value : float
-    gradient, hessian : ndarray, (p,), (p, p)
+    gradient : ndarray, (p,)
         With priors.
+    hessian : ndarray, (p, p)
+        Gauss-Newton, with priors; of an earlier point where it was not asked for.
     residual : ndarray, (lines, n), complex
         L^-1 e with Ce = L L^H.
     whitening : ndarray, (lines, n, n), complex
@@ -98,14 +103,22 @@ class JointFit:
         return self.chi2 / max(self.n_dof, 1)
 
 
-def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expansion:
-    """Evaluate objective, gradient and Gauss-Newton Hessian."""
-    errors = parameters[unknown.unknowns :]
+def expand(
+    measured: JointLines, unknown: Equations, parameters: Array, hessian: Array | None = None
+) -> Expansion:
+    """Evaluate objective and gradient, and the Gauss-Newton Hessian unless one is given.
+
+    Notes
+    -----
+    With the multiplier v = Ce^-1 e the gradient is 2 Re sum v^H B_q yhat: of the shared errors only sums over
+    lines are formed, which costs little. Their columns are formed for the Hessian alone.
+    """
+    errors, p = parameters[unknown.unknowns :], unknown.unknowns
     lines, equations = unknown.applied(measured, parameters)
     bare = operator_of(lines, equations, parameters)
     turn = turned(lines, errors)
     operator = times_turn(bare, turn)
-    gain = lines.covariance @ operator.conj().swapaxes(1, 2)
+    gain = lines.noise @ operator.conj().swapaxes(1, 2)
     residual = (operator @ lines.y[:, :, None])[:, :, 0]
     shift = None if lines.rests is None else lines.rests @ errors
     if shift is not None:
@@ -119,25 +132,33 @@ def expand(measured: JointLines, unknown: Equations, parameters: Array) -> Expan
     multiplier = (whitening.conj().swapaxes(1, 2) @ white[:, :, None])[:, :, 0]
     fitted = lines.y - (gain @ multiplier[:, :, None])[:, :, 0]
     moved = moved_motion(fitted, turn, shift)
-    operators = term_operators(measured, unknown, parameters) if unknown.terms else None
-    columns = [whitening @ _structural_columns(lines, equations, parameters, moved)]
-    if operators is not None:
+    columns = [_structural_columns(lines, equations, parameters, moved)]
+    operators = None
+    if unknown.terms:
+        operators = term_operators(measured, unknown, parameters)
         raw = fitted if lines.factors is None else fitted / lines.factors
-        columns.append(whitening @ np.moveaxis((operators @ raw[:, :, None])[..., 0], 0, 2))
+        columns.append(np.moveaxis((operators @ raw[:, :, None])[..., 0], 0, 2))
+    structural = np.concatenate(columns, axis=2).reshape(-1, p)
+    gradient = np.empty(len(parameters))
+    gradient[:p] = 2.0 * (multiplier.ravel().conj() @ structural).real
+    rows = inertia_rows(equations, parameters)
+    heavy = np.flatnonzero(np.any(lines.mass_changes, axis=(1, 2)))
     if lines.errors:
-        columns.append(_error_columns(lines, equations, parameters, whitening, bare, fitted, moved))
-    jacobian = np.concatenate(columns, axis=2).reshape(lines.count * equations.n, -1)
-    rows = np.concatenate([jacobian.real, jacobian.imag])
-    flat = np.concatenate([white.real.ravel(), white.imag.ravel()])
-    prior, p = equations.prior, equations.unknowns
+        gradient[p:] = 2.0 * _error_slopes(lines, bare, rows, multiplier, fitted, moved)
+    prior = equations.prior
     off = prior.root @ (parameters[:p] - prior.mean)
-    value = float(flat @ flat) + 0.5 * float(off @ off) + 0.5 * float(errors @ errors)
-    gradient = 2.0 * (rows.T @ flat)
+    value = float(np.sum(np.abs(white) ** 2)) + 0.5 * float(off @ off) + 0.5 * float(errors @ errors)
     gradient[:p] += prior.root.T @ off
     gradient[p:] += errors
-    hessian = 2.0 * (rows.T @ rows)
-    hessian[:p, :p] += prior.root.T @ prior.root
-    hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
+    if hessian is None:
+        made = [whitening @ structural.reshape(lines.count, equations.n, p)]
+        if lines.errors:
+            made.append(_error_columns(lines, rows, whitening, bare, fitted, moved, heavy))
+        jacobian = np.concatenate(made, axis=2).reshape(lines.count * equations.n, -1)
+        real = np.concatenate([jacobian.real, jacobian.imag])
+        hessian = 2.0 * (real.T @ real)
+        hessian[:p, :p] += prior.root.T @ prior.root
+        hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
     return Expansion(value, gradient, hessian, white, whitening, gain, fitted, operators)
 
 
@@ -167,31 +188,49 @@ def _structural_columns(
     return np.concatenate(columns, axis=2)
 
 
+def _error_slopes(
+    lines: JointLines,
+    bare: ComplexArray,
+    rows: Array,
+    multiplier: ComplexArray,
+    fitted: ComplexArray,
+    moved: ComplexArray,
+) -> Array:
+    """Return Re sum over lines of v^H B_k yhat for the shared errors, (k,)."""
+    pulled = (multiplier.conj()[:, None, :] @ bare)[:, 0]
+    slopes = np.zeros(lines.errors)
+    for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
+        sums = (pulled[:, place].T @ fitted[:, place]).ravel()
+        slopes += (sums @ lines.maps[body].reshape(DOFS * DOFS, -1)).real
+    if lines.rests is not None:
+        slopes += (pulled.ravel() @ lines.rests.reshape(-1, lines.errors)).real
+    load = ((lines.omega**2)[:, None] * (multiplier.conj() @ rows)).T @ moved[:, :DOFS]
+    return np.asarray(slopes - lines.mass_changes.reshape(-1, DOFS * DOFS) @ load.ravel().real)
+
+
 def _error_columns(
     lines: JointLines,
-    equations: Equations,
-    parameters: Array,
+    rows: Array,
     whitening: ComplexArray,
     bare: ComplexArray,
     fitted: ComplexArray,
     moved: ComplexArray,
+    heavy: NDArray[np.int_],
 ) -> ComplexArray:
     """Return the derivatives of the whitened residual by the shared errors, (lines, n, k)."""
-    k = lines.errors
-    change = np.empty((lines.count, 2 * DOFS, k), dtype=complex)
-    for body, place in enumerate((slice(0, DOFS), slice(DOFS, 2 * DOFS))):
-        flat = lines.maps[body].transpose(1, 0, 2).reshape(DOFS, DOFS * k)
-        change[:, place] = (fitted[:, place] @ flat).reshape(lines.count, DOFS, k)
+    n = len(rows)
+    white = whitening @ bare
+    halves = np.stack([white[:, :, :DOFS], white[:, :, DOFS:]], axis=2)
+    motion = np.stack([fitted[:, :DOFS], fitted[:, DOFS:]], axis=1)
+    products = halves[..., :, None] * motion[:, None, :, None, :]
+    columns = products.reshape(lines.count * n, -1) @ lines.maps.reshape(-1, lines.errors)
     if lines.rests is not None:
-        change += lines.rests
-    columns = (whitening @ bare) @ change
-    heavy = np.flatnonzero(np.any(lines.mass_changes, axis=(1, 2)))
+        columns += (white @ lines.rests).reshape(lines.count * n, -1)
     if len(heavy):
-        rows = inertia_rows(equations, parameters) @ lines.mass_changes[heavy]
-        load = moved[:, :DOFS] @ rows.transpose(2, 1, 0).reshape(DOFS, -1)
-        load = (lines.omega**2)[:, None, None] * load.reshape(lines.count, -1, len(heavy))
-        columns[:, :, heavy] -= whitening @ load
-    return np.asarray(columns)
+        load = (whitening @ rows)[..., :, None] * ((lines.omega**2)[:, None] * moved[:, :DOFS])[:, None, None]
+        changes = lines.mass_changes[heavy].reshape(len(heavy), -1).T
+        columns[:, heavy] -= load.reshape(lines.count * n, -1) @ changes
+    return np.asarray(columns.reshape(lines.count, n, -1))
 
 
 def fit_joint(
@@ -224,27 +263,58 @@ def fit_joint(
     )
 
 
+def equation_error_start(lines: JointLines, equations: Equations, begin: Array, rounds: int = 3) -> Array:
+    """Return weighted least squares of the equations of the motion as it is, (p,): a start of the likelihood.
+
+    The equations are linear in all but an exponent, so that it needs no start close by; each round weights by
+    the noise at the last estimate. Noise of the deflection biases it.
+    """
+    lines, prior, now = lines.without_errors(), equations.prior, begin[: equations.unknowns]
+    for _ in range(rounds):
+        at = expand(lines, equations, now, np.empty(0))
+        rows = at.whitening @ _structural_columns(lines, equations, now, lines.y)
+        rows = rows.reshape(-1, equations.unknowns)
+        right = rows @ now - at.residual.ravel()
+        hessian = 2.0 * (rows.conj().T @ rows).real + prior.root.T @ prior.root
+        slope = 2.0 * (rows.conj().T @ right).real + prior.root.T @ (prior.root @ prior.mean)
+        now = solve_symmetric(hessian, slope)
+    return np.concatenate([now, begin[equations.unknowns :]])
+
+
 def _descend(lines: JointLines, equations: Equations, start: Array, tolerance: float, most: int) -> JointFit:
-    """Take Gauss-Newton steps, damped after Levenberg where a step fails."""
+    """Take Gauss-Newton steps, damped after Levenberg where a step fails.
+
+    A Hessian is kept while steps with it fall fast: the gradient, which is exact, costs a fraction of it.
+    """
     now = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
     at = expand(lines, equations, now)
-    damping, converged, count = 0.0, False, 0
+    damping, converged, count, fresh, before = 0.0, False, 0, True, np.inf
     while count < most and not converged:
         count += 1
         step = -solve_symmetric(at.hessian + damping * np.diag(np.diag(at.hessian)), at.gradient)
         decrement = float(-at.gradient @ step)
+        if not fresh and decrement > _KEEP * before:
+            at, fresh = expand(lines, equations, now), True
+            before = np.inf
+            continue
+        before = decrement
         converged = decrement < tolerance and damping < 1.0
         if converged and decrement < 1e-3 * tolerance:
             break
+        keep = at.hessian if lines.errors and decrement < _NEAR else None
         try:
-            trial = expand(lines, equations, now + step)
+            trial = expand(lines, equations, now + step, keep)
         except np.linalg.LinAlgError:
             damping, converged = max(10.0 * damping, 1e-3), False
             continue
         if np.isfinite(trial.value) and trial.value <= at.value * (1.0 + 1e-12):
-            now, at = now + step, trial
+            now, at, fresh = now + step, trial, keep is None
             damping = damping / 10.0 if damping > 1e-6 else 0.0
+        elif fresh:
+            damping, converged = max(10.0 * damping, 1e-3), False
         else:
-            damping = max(10.0 * damping, 1e-3)
+            at, fresh, converged, before = expand(lines, equations, now), True, False, np.inf
+    if not fresh:
+        at = expand(lines, equations, now)
     n_dof = 2 * equations.n * lines.count - equations.prior.free
     return JointFit(now, 2.0 * at.value, n_dof, converged, count, at)

@@ -39,6 +39,7 @@ class JointLines:
     y : ndarray, (lines, 12), complex
         Structure, then base.
     covariance : ndarray, (lines, 12, 12), complex
+        Before the factors.
     mass : ndarray, (6, 6)
         Ones on its diagonal.
     root_mass : ndarray, (6,)
@@ -53,7 +54,7 @@ class JointLines:
     mass_slopes : ndarray, (k, 6, 6)
         The changes of the mass matrix in SI.
     factors : ndarray, (lines, 12), complex, or None
-        What the motion as measured was multiplied by, e.g. for a delay.
+        What the motion as measured was multiplied by, e.g. for a delay; y has them in it.
     """
 
     omega: Array
@@ -78,6 +79,13 @@ class JointLines:
         """Number of shared errors k."""
         return len(self.sources)
 
+    @property
+    def noise(self) -> ComplexArray:
+        """Covariance of y, (lines, 12, 12)."""
+        if self.factors is None:
+            return self.covariance
+        return np.asarray(self.covariance * (self.factors[:, :, None] * self.factors.conj()[:, None, :]))
+
     def without_errors(self) -> JointLines:
         """Return the lines with the shared errors left out."""
         return replace(
@@ -89,6 +97,26 @@ class JointLines:
             mass_slopes=self.mass_slopes[:0],
         )
 
+    def with_nuisances(self, sources: tuple[str, ...]) -> JointLines:
+        """Return the lines with further shared errors, which change nothing until a term sets their effect.
+
+        Sources that the lines have already are left as they are.
+        """
+        new = tuple(name for name in sources if name not in self.sources)
+        if not new:
+            return self
+        still, rests = np.zeros((len(new), DOFS, DOFS)), None
+        if self.rests is not None:
+            rests = np.concatenate([self.rests, np.zeros((self.count, 2 * DOFS, len(new)))], axis=2)
+        return replace(
+            self,
+            maps=np.concatenate([self.maps, np.zeros((2, DOFS, DOFS, len(new)))], axis=3),
+            rests=rests,
+            mass_changes=np.concatenate([self.mass_changes, still]),
+            sources=(*self.sources, *new),
+            mass_slopes=np.concatenate([self.mass_slopes, still]),
+        )
+
     def corrected(self, errors: Array) -> JointLines:
         """Return the lines with shared errors (k,) removed from motion and mass, and none left unknown."""
         turn = np.zeros((2 * DOFS, 2 * DOFS), dtype=complex)
@@ -97,14 +125,13 @@ class JointLines:
             turn[place, place] = np.eye(DOFS) + self.maps[body] @ errors
         y = self.y @ turn.T if self.rests is None else self.y @ turn.T + self.rests @ errors
         mass = self.mass + np.tensordot(errors, self.mass_changes, 1)
-        changed = replace(self, y=y, covariance=turn @ self.covariance @ turn.conj().T, mass=mass)
+        changed = replace(self, y=y, covariance=turn @ self.noise @ turn.conj().T, mass=mass, factors=None)
         return changed.without_errors()
 
     def multiplied(self, factors: ComplexArray) -> JointLines:
         """Return the lines with the motion multiplied by factors (lines, 12)."""
-        covariance = self.covariance * (factors[:, :, None] * factors.conj()[:, None, :])
         before = factors if self.factors is None else self.factors * factors
-        return replace(self, y=self.y * factors, covariance=covariance, factors=before)
+        return replace(self, y=self.y * factors, factors=before)
 
 
 def joint_lines(problem: Problem, both: Observation) -> JointLines:

@@ -17,10 +17,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.calibrated import calibrated
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, semidefinite
-from fitting.ligament.joint_fit import JointFit, fit_joint
+from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
 from fitting.ligament.prior import Prior, coupling_prior
@@ -31,6 +32,12 @@ from stapeskit.spatial import DOF_NAMES
 Array = NDArray[np.float64]
 _N = len(PRINCIPAL_DOF)
 Extension = Callable[[JointLines], tuple[Term, ...]]
+# Least size from which an outer search begins, in the unit of a term, how far it goes (logarithm), and the
+# squared step, in units of the uncertainty, that is left after it.
+_SMALLEST, _WIDTH, _SETTLED = 0.1, 1.5, 1e-3
+# Steps at or below which a fit is not worth an outer search.
+_FEW = 20
+Extended = tuple[JointLines, Equations, JointFit]
 
 
 def applies(problem: Problem, both: Observation) -> bool:
@@ -50,7 +57,6 @@ def fit_ligament(
     both: Observation,
     start: Array,
     extend: Extension | None = None,
-    needed: bool = True,
     begun: tuple[Array, Array] | None = None,
 ) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
@@ -65,10 +71,8 @@ def fit_ligament(
         Scaled K and D of the plain model.
     extend : callable, optional
         Returns further unknowns of the lines.
-    needed : bool
-        Whether they are always in the model, or only where there is no result without them.
     begun : (ndarray, ndarray), optional
-        Another start with them: scaled K and D, and their values.
+        The first start with them: scaled K and D, and their values.
 
     Returns
     -------
@@ -78,47 +82,73 @@ def fit_ligament(
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
-    joint = None
-    for coupling in (equations.prior.mean[len(begins) :], np.zeros(_N * _N)):
-        joint = fit_joint(lines, equations, np.concatenate([begins, coupling]))
+    terms = extend(lines) if extend is not None else ()
+    prior = equations.prior.mean[len(begins) :]
+    fitted = None
+    if terms and begun is not None:
+        first = np.concatenate([begun[0], begins[len(start) :], prior])
+        fitted = _prepared(lines, equations, first, terms, begun[1])
+    if fitted is None or not _explained(fitted[2]):
+        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)))
+        if not terms:
+            fitted = (lines, equations, joint) if joint is not None and joint.converged else None
+        elif joint is not None:
+            fitted = _better(fitted, _from_all_starts(lines, equations, joint, terms))
+    if fitted is None or not semidefinite(fitted[2].parameters[: equations.entries]):
+        return None
+    return ligament_in_si(problem, *fitted)
+
+
+def _explained(fit: JointFit) -> bool:
+    """Return whether chi2 leaves nothing to be found by further starts."""
+    from scipy.special import chdtrc
+
+    return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
+
+
+def _from_valleys(
+    lines: JointLines, equations: Equations, begins: Array, couplings: tuple[Array, ...]
+) -> JointFit | None:
+    """Return the fit from the first coupling that settles; those that lead to one valley are tried once.
+
+    Without shared errors, which costs little, starts show whether they lead to the same valley.
+    """
+    joint: JointFit | None = None
+    seen: list[float] = []
+    for coupling in couplings:
+        bare = fit_joint(lines.without_errors(), equations, np.concatenate([begins, coupling]), 1e-2)
+        if any(abs(bare.chi2 - value) < 1e-3 * value for value in seen):
+            continue
+        seen.append(bare.chi2)
+        joint = fit_joint(lines, equations, np.concatenate([bare.parameters, np.zeros(lines.errors)]))
         if joint.converged:
             break
-    good = joint is not None and joint.converged and semidefinite(joint.parameters[: equations.entries])
-    if extend is not None and joint is not None and (needed or not good):
-        terms = extend(lines)
-        fitted = _from_all_starts(lines, equations, joint, terms)
-        if begun is not None:
-            first = np.concatenate([begun[0], begins[len(start) :], equations.prior.mean[len(begins) :]])
-            fitted = _better(fitted, _prepared(lines, equations, first, terms, begun[1]))
-        if fitted is None or not semidefinite(fitted[1].parameters[: equations.entries]):
-            return None
-        return ligament_in_si(problem, lines, *fitted)
-    return ligament_in_si(problem, lines, equations, joint) if good and joint is not None else None
+    return joint
 
 
 def _from_all_starts(
     lines: JointLines, equations: Equations, fit: JointFit, terms: tuple[Term, ...]
-) -> tuple[Equations, JointFit] | None:
+) -> Extended | None:
     """Return the best fit with further unknowns from nothing and from the other starts of each.
 
-    A start far from nothing is prepared by a fit of the other unknowns at that value.
+    A start far from nothing is prepared by a fit of the other unknowns at that value. A fit that explains the
+    data ends the search.
     """
     best = extended_fit(lines, equations, fit, terms)
     for place, term in enumerate(terms):
         for value in term.starts:
+            if best is not None and _explained(best[2]) and not term.nuisances:
+                return best
             begin = np.zeros(len(terms))
             begin[place] = value
             best = _better(best, _prepared(lines, equations, fit.parameters, terms, begin))
     return best
 
 
-Extended = tuple[Equations, JointFit]
-
-
 def _better(one: Extended | None, other: Extended | None) -> Extended | None:
     if one is None or other is None:
         return other if one is None else one
-    return other if other[1].chi2 < one[1].chi2 - 1e-6 else one
+    return other if other[2].chi2 < one[2].chi2 - 1e-6 else one
 
 
 def _prepared(
@@ -129,7 +159,7 @@ def _prepared(
     for term, value in zip(terms, begin, strict=True):
         applied = term.apply(float(value), *applied)
     try:
-        there = fit_joint(*applied, start)
+        there = fit_joint(*applied, equation_error_start(*applied, start))
     except np.linalg.LinAlgError:
         return None
     return extended_fit(lines, equations, there, terms, begin)
@@ -141,16 +171,51 @@ def extended_fit(
     fit: JointFit,
     terms: tuple[Term, ...],
     begin: Array | None = None,
-) -> tuple[Equations, JointFit] | None:
-    """Minimise with further unknowns, from values ``begin`` (0) of theirs; None when it does not settle."""
+    most: int = 60,
+) -> Extended | None:
+    """Minimise with further unknowns, from values ``begin`` (0) of theirs; None if it needs more steps."""
+    lines = lines.with_nuisances(tuple(name for term in terms for name in term.nuisances))
+    start = np.insert(fit.parameters, equations.unknowns, np.zeros(len(terms)) if begin is None else begin)
+    value = 0.0 if begin is None else float(begin[0])
     extended = equations.with_terms(terms)
-    begin = np.zeros(len(terms)) if begin is None else begin
-    start = np.insert(fit.parameters, equations.unknowns, begin)
+    found = _settled(lambda: fit_joint(lines, extended, start, most=most))
+    if found is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
+        found = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
+    return None if found is None else (lines, extended, found)
+
+
+def _settled(fit: Callable[[], JointFit]) -> JointFit | None:
+    """Return a fit that converges; None for others and where there is no likelihood."""
     try:
-        joint_fit = fit_joint(lines, extended, start)
+        found = fit()
     except np.linalg.LinAlgError:
         return None
-    return (extended, joint_fit) if joint_fit.converged else None
+    return found if found.converged else None
+
+
+def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit, middle: float) -> JointFit:
+    """Minimise over the value of one term in an outer search, along a valley too curved for joint steps.
+
+    With a mass at the head all of K and D grow, while its place, and with it the direction of the valley,
+    depends on the mass.
+    """
+    from scipy.optimize import minimize_scalar
+
+    place = equations.unknowns
+    found: dict[float, JointFit] = {}
+
+    def profile(logarithm: float) -> float:
+        applied = term.apply(float(np.exp(logarithm)), lines, equations)
+        inner = fit_joint(*applied, equation_error_start(*applied, fit.parameters))
+        found[logarithm] = inner
+        return inner.chi2
+
+    size = np.log(max(abs(middle), _SMALLEST))
+    bounds = (size - _WIDTH, size + _WIDTH)
+    minimize_scalar(profile, bounds=bounds, method="bounded", options={"xatol": 1e-2})
+    best = min(found, key=lambda one: found[one].chi2)
+    start = np.insert(found[best].parameters, place, np.exp(best))
+    return fit_joint(lines, equations.with_terms((term,)), start, tolerance=_SETTLED)
 
 
 def _piston_equations(problem: Problem, lines: JointLines) -> Equations:

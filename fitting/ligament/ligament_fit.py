@@ -183,7 +183,7 @@ def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fi
         sources[source] = 0.5 * (half + half.T)
     if np.any(coupling):
         sources[INPLANE_STIFFNESS] = by_inplane @ inplane.covariance @ by_inplane.T
-    effects = [SharedEffect("shared", lines.sources, shared, moved, lines.mass_slopes[:, ROWS][:, :, ROWS])]
+    effects = [SharedEffect("shared", lines.sources, shared, moved, applied.mass_slopes[:, ROWS][:, :, ROWS])]
     still = np.zeros((2 * len(pairs(_N)), _N, _N))
     effects.append(SharedEffect(INPLANE_STIFFNESS, (), inplane.covariance, by_inplane, still))
     total = noise + response @ shared @ response.T
