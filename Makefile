@@ -5,7 +5,7 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
-.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz fuzz-few faults sanitize sample paper docs site pictures clean
+.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz fuzz-few faults sanitize lock audit sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -21,21 +21,22 @@ help:
 	@echo "make paper        the paper, recomputed: demo/paper.html"
 	@echo "make docs         the pages that are made from the sources"
 	@echo "make site         the documentation as a website, in site/"
+	@echo "make lock         locks/: versions and hashes of all packages anew; make audit: known vulnerabilities"
 	@echo "make sample       make the sample study anew"
 
 setup: $(TOOLS)
 
-$(READY): pyproject.toml constraints.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch] */kernels/*.[ch])
+$(READY): pyproject.toml locks/run.txt tools/setup.sh hatch_build.py $(wildcard */native/*.[ch] */kernels/*.[ch])
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
 
 # what tests and checks need beyond the package
-$(TOOLS): $(READY)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt --group dev
+$(TOOLS): $(READY) locks/dev.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary --require-hashes -r locks/dev.txt
 	@touch $(TOOLS)
 
-$(SITE): $(READY)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt --group docs
+$(SITE): $(READY) locks/docs.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary --require-hashes -r locks/docs.txt
 	@touch $(SITE)
 
 demo: $(READY)
@@ -126,6 +127,13 @@ fuzz: $(TOOLS)
 # the same cases every time, for .ci/run: a minute at most
 fuzz-few: $(TOOLS)
 	$(BIN)/python -m tests.fuzz --minutes 1 --blocks 15
+
+lock:
+	PYTHON="$(PYTHON)" sh tools/lock.sh
+
+audit: $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --group lock
+	$(BIN)/python -m pip_audit --require-hashes -r locks/dev.txt
 
 clean:
 	rm -rf .venv demo site

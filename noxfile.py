@@ -12,14 +12,15 @@ nox.needs_version = ">=2025.10.14"
 nox.options.default_venv_backend = "uv|virtualenv"
 
 
-def _install(session: nox.Session, *more: str) -> None:
-    session.install("-e", ".[all]", *more, *nox.project.dependency_groups(nox.project.load_toml(), "dev"))
+def _install(session: nox.Session) -> None:
+    session.install("--require-hashes", "-r", "locks/dev.txt")
+    session.install("--no-deps", "--no-build-isolation", "-e", ".")
 
 
 @nox.session
 def check(session: nox.Session) -> None:
     """Lint, types, import rules."""
-    _install(session, "-c", "constraints.txt")
+    _install(session)
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("mypy")
@@ -29,14 +30,14 @@ def check(session: nox.Session) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """Run the tests with the pinned versions."""
-    _install(session, "-c", "constraints.txt")
+    _install(session)
     session.run("pytest", "-n", "2", *session.posargs, env={"OPENBLAS_NUM_THREADS": "1"})
 
 
 @nox.session(default=False)
 def newest(session: nox.Session) -> None:
     """Run the tests with the newest versions of all packages."""
-    _install(session)
+    session.install("-e", ".[all]", *nox.project.dependency_groups(nox.project.load_toml(), "dev"))
     session.run("pytest", "-n", "2", *session.posargs, env={"OPENBLAS_NUM_THREADS": "1"})
 
 

@@ -23,14 +23,16 @@ elif [ -n "$missing" ]; then
 fi
 
 "$PYTHON" -m venv .venv
-# Dependency groups need pip 25.1.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check "pip>=25.1"
-install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -c constraints.txt -e ".[all]"; }
-install || {
-    command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null && exit 1
-    echo "no C compiler, and none could be downloaded: installing without the compiled kernels"
-    STAPESKIT_KERNELS=numpy install
-}
+pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
+# Versions and content hashes of everything that is downloaded: "make lock" writes the list.
+pip --prefer-binary --require-hashes -r locks/run.txt
+if command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null; then
+    pip --no-deps --no-build-isolation -e .
+else
+    # pip fetches zig's compiler for the build; without it numpy does what the kernels would
+    pip --no-deps -e . || STAPESKIT_KERNELS=numpy pip --no-deps --no-build-isolation -e .
+fi
 # What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
 .venv/bin/python -m compileall -q stapeskit kinematics ct_inertia fitting pipeline
 .venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure' 2>/dev/null || true
