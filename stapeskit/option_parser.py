@@ -35,7 +35,9 @@ class Given:
 
     def make(self, table: type[Table]) -> Table:
         """Return a table of options out of the values."""
-        return table(**{one.field: self._values[one.field] for one in declared(table)})
+        return table(
+            **{declaration.field: self._values[declaration.field] for declaration in declared(table)}
+        )
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,9 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--version", action="version", version=f"stapeskit {__version__}")
         self.tables: tuple[type[OptionTable], ...] = (*tables, Terminal)
         self.rules = (*(rule for table in self.tables for rule in table.rules), *rules)
-        self.declared = {one.field: one for table in self.tables for one in declared(table)}
+        self.declared = {
+            declaration.field: declaration for table in self.tables for declaration in declared(table)
+        }
         add_arguments(self, self.declared.values())
 
     def error(self, message: str) -> NoReturn:
@@ -114,43 +118,47 @@ class Parser(argparse.ArgumentParser):
         options = [word for word in unknown if word.startswith("-")]
         faults += [self._unknown(word) for word in options or unknown]
         texts = {name: value for name, value in vars(known).items() if value not in (None, [])}
-        values = {name: one.default for name, one in self.declared.items()}
+        values = {name: declaration.default for name, declaration in self.declared.items()}
         if "config" in texts:
             values |= self._config(Path(texts["config"][-1]), texts, faults)
         for name, given in texts.items():
             self._read(self.declared[name], given, values, faults)
         absent = [
             fault
-            for one in self.declared.values()
-            for fault in one.missing_files(values[one.field], f"{{{one.name}}}")
+            for declaration in self.declared.values()
+            for fault in declaration.missing_files(values[declaration.field], f"{{{declaration.name}}}")
         ]
         faults += [*absent, *self._check(values, faults)]
-        flags = {one.name: one.flag for one in self.declared.values()}
+        flags = {declaration.name: declaration.flag for declaration in self.declared.values()}
         raise_all(StapeskitError, [in_words(fault, lambda name: flags.get(name, name)) for fault in faults])
         return Given(values)
 
-    def _read(self, one: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
+    def _read(self, declaration: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
         """Read the texts of an option, and check that the files it names exist."""
-        if one.kind.is_flag:
-            values[one.field] = True
+        if declaration.kind.is_flag:
+            values[declaration.field] = True
             return
         texts = [given] if isinstance(given, str) else given
-        texts = texts if one.kind.repeats else texts[-1:]
+        texts = texts if declaration.kind.repeats else texts[-1:]
         before = len(faults)
         for text in texts:
-            with fault_of(one, text, faults):
-                one.kind.read([text] if one.kind.repeats else text)
+            with fault_of(declaration, text, faults):
+                declaration.kind.read([text] if declaration.kind.repeats else text)
         if len(faults) == before:
-            values[one.field] = one.kind.read(texts if one.kind.repeats else texts[0])
+            values[declaration.field] = declaration.kind.read(texts if declaration.kind.repeats else texts[0])
 
     def _check(self, values: dict[str, Any], faults: list[Fault]) -> list[Fault]:
         """Return what is missing and, where all values are readable, what contradicts itself."""
         missing = [
             Fault(
-                f"{{{one.name}}}", "given", "nothing", self.prog, f"Run {self.prog} --help to see the options"
+                f"{{{declaration.name}}}",
+                "given",
+                "nothing",
+                self.prog,
+                f"Run {self.prog} --help to see the options",
             )
-            for one in self.declared.values()
-            if one.required and values[one.field] in (None, ())
+            for declaration in self.declared.values()
+            if declaration.required and values[declaration.field] in (None, ())
         ]
         if faults or missing:
             return missing
@@ -160,7 +168,9 @@ class Parser(argparse.ArgumentParser):
     def _join_values(self, words: list[str], faults: list[Fault]) -> list[str]:
         """Join each option to its value, so that a minus does not read as an option: ``--seed=-1,0,2``."""
         options = {
-            one.flag: one for one in self.declared.values() if not one.positional and not one.kind.is_flag
+            declaration.flag: declaration
+            for declaration in self.declared.values()
+            if not declaration.positional and not declaration.kind.is_flag
         }
         joined: list[str] = []
         while words:
@@ -170,9 +180,14 @@ class Parser(argparse.ArgumentParser):
             elif words and (not words[0].startswith("-") or _NUMBERS.match(words[0])):
                 joined.append(f"{word}={words.pop(0)}")
             else:
-                one = options[word]
+                declaration = options[word]
                 faults.append(
-                    Fault(f"{{{one.name}}}", f"given with a value, {one.metavar}", "none", self.prog)
+                    Fault(
+                        f"{{{declaration.name}}}",
+                        f"given with a value, {declaration.metavar}",
+                        "none",
+                        self.prog,
+                    )
                 )
         return joined
 
@@ -193,18 +208,22 @@ class Parser(argparse.ArgumentParser):
         except ValueError as fault:
             faults.append(Fault("{config}", "valid TOML", fault, path.name))
             return {}
-        known = {one.name: one for one in self.declared.values() if one.field != "config"}
-        names = known | {one.key: one for one in known.values()}
+        known = {
+            declaration.name: declaration
+            for declaration in self.declared.values()
+            if declaration.field != "config"
+        }
+        names = known | {declaration.key: declaration for declaration in known.values()}
         values: dict[str, Any] = {}
         for key, value in table.items():
-            one = names.get(key.replace("-", "_"))
-            if one is None:
+            declaration = names.get(key.replace("-", "_"))
+            if declaration is None:
                 close = difflib.get_close_matches(key.replace("-", "_"), known, 1)
                 hint = f"Did you mean {close[0].replace('_', '-')}?" if close else ""
                 faults.append(Fault("a key of {config}", "an option of the command", key, path.name, hint))
-            elif one.field not in texts:
-                with fault_of(one, value, faults, key, path.name):
-                    values[one.field] = one.kind.read(value)
+            elif declaration.field not in texts:
+                with fault_of(declaration, value, faults, key, path.name):
+                    values[declaration.field] = declaration.kind.read(value)
         return values
 
 
@@ -212,41 +231,45 @@ def add_arguments(parser: argparse.ArgumentParser, options: Iterable[Option]) ->
     """Add options to a parser; it keeps the texts, which their kinds read."""
     groups: dict[str, Any] = {"": parser}
     options = list(options)
-    flags = {one.name: one.flag for one in options}
-    for one in options:
-        if one.group not in groups:
-            groups[one.group] = parser.add_argument_group(one.group)
-        help_text = help_of(one, flags).replace("%", "%%")
-        if one.positional:
-            count = "*" if one.kind.repeats else "?"
-            parser.add_argument(one.field, nargs=count, metavar=one.metavar, help=help_text)
-        elif one.kind.is_flag:
-            groups[one.group].add_argument(
-                one.flag, dest=one.field, action="store_const", const=True, help=help_text
+    flags = {declaration.name: declaration.flag for declaration in options}
+    for declaration in options:
+        if declaration.group not in groups:
+            groups[declaration.group] = parser.add_argument_group(declaration.group)
+        help_text = help_of(declaration, flags).replace("%", "%%")
+        if declaration.positional:
+            count = "*" if declaration.kind.repeats else "?"
+            parser.add_argument(declaration.field, nargs=count, metavar=declaration.metavar, help=help_text)
+        elif declaration.kind.is_flag:
+            groups[declaration.group].add_argument(
+                declaration.flag, dest=declaration.field, action="store_const", const=True, help=help_text
             )
         else:
-            groups[one.group].add_argument(
-                one.flag, dest=one.field, action="append", metavar=one.metavar, help=help_text
+            groups[declaration.group].add_argument(
+                declaration.flag,
+                dest=declaration.field,
+                action="append",
+                metavar=declaration.metavar,
+                help=help_text,
             )
 
 
-def help_of(one: Option, flags: Mapping[str, str]) -> str:
+def help_of(declaration: Option, flags: Mapping[str, str]) -> str:
     """Return the help of an option with its default, references to others as the command writes them."""
-    text = written(one.help, lambda name: flags.get(name, name))
-    if one.default in (None, False, "", (), {}):
+    text = written(declaration.help, lambda name: flags.get(name, name))
+    if declaration.default in (None, False, "", (), {}):
         return text
-    return f"{text} (default {', '.join(one.kind.words(one.default))})"
+    return f"{text} (default {', '.join(declaration.kind.words(declaration.default))})"
 
 
 @contextmanager
 def fault_of(
-    one: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
+    declaration: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
 ) -> Iterator[None]:
     """Add the fault of a value that the block finds unfit to the list."""
     try:
         yield
     except (ValueError, TypeError):
-        faults.append(one.fault(value, thing, where))
+        faults.append(declaration.fault(value, thing, where))
 
 
 def _nearest(word: str, options: Sequence[str]) -> list[str]:

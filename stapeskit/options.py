@@ -144,16 +144,18 @@ class Values:
 
     def __init__(self, values: Mapping[str, Any], options: Iterable[Option]) -> None:
         self._values = values
-        self._options = {name: one for one in options for name in (one.field, one.name)}
+        self._options = {
+            name: declaration for declaration in options for name in (declaration.field, declaration.name)
+        }
 
     def __getattr__(self, name: str) -> Any:
-        one = self._options.get(name)
-        return None if one is None else self._values.get(one.field)
+        declaration = self._options.get(name)
+        return None if declaration is None else self._values.get(declaration.field)
 
     def has(self, name: str) -> bool:
         """Return whether an option has another value than its default."""
-        one = self._options.get(name)
-        return one is not None and self._values.get(one.field) != one.default
+        declaration = self._options.get(name)
+        return declaration is not None and self._values.get(declaration.field) != declaration.default
 
     def given(self, *names: str) -> list[Option]:
         """Return those of the options that have another value than their default."""
@@ -226,28 +228,30 @@ class OptionTable:
 
     def __post_init__(self) -> None:
         faults = []
-        for one in declared(type(self)):
-            value = getattr(self, one.field)
+        for declaration in declared(type(self)):
+            value = getattr(self, declaration.field)
             if value is None:
                 continue
             try:
-                object.__setattr__(self, one.field, one.kind.read(value))
+                object.__setattr__(self, declaration.field, declaration.kind.read(value))
             except (ValueError, TypeError):
-                faults.append(one.fault(value))
+                faults.append(declaration.fault(value))
         raise_all(self.error, faults)
         raise_all(self.error, self.contradictions())
 
     def contradictions(self) -> list[Fault]:
         """Return the faults of the rules that the values break."""
         options = declared(type(self))
-        values = Values({one.field: getattr(self, one.field) for one in options}, options)
+        values = Values(
+            {declaration.field: getattr(self, declaration.field) for declaration in options}, options
+        )
         return [fault for rule in self.rules if (fault := rule.fault(values)) is not None]
 
     @classmethod
     def of(cls, **named: Any) -> Self:
         """Make the table from options by the names that they have on the command line."""
-        names = {one.name: one.field for one in declared(cls)}
-        names |= {one.field: one.field for one in declared(cls)}
+        names = {declaration.name: declaration.field for declaration in declared(cls)}
+        names |= {declaration.field: declaration.field for declaration in declared(cls)}
         unknown = [name for name in named if name not in names]
         raise_all(
             cls.error,
@@ -261,15 +265,17 @@ class OptionTable:
     def parameters(self) -> dict[str, Any]:
         """Return the values by key, files apart, as JSON-able data: for the provenance."""
         return {
-            one.key: plain(getattr(self, one.field)) for one in declared(type(self)) if not one.kind.is_file
+            declaration.key: plain(getattr(self, declaration.field))
+            for declaration in declared(type(self))
+            if not declaration.kind.is_file
         }
 
     def input_files(self) -> dict[str, Path | None]:
         """Return the files that are read, by the name of their option."""
         return {
-            one.name: getattr(self, one.field)
-            for one in declared(type(self))
-            if one.kind.is_file and not one.kind.repeats
+            declaration.name: getattr(self, declaration.field)
+            for declaration in declared(type(self))
+            if declaration.kind.is_file and not declaration.kind.repeats
         }
 
 
@@ -279,17 +285,24 @@ def declared(table: type[OptionTable]) -> tuple[Option, ...]:
 
 
 def _declared(table: type[OptionTable]) -> Iterator[Option]:
-    for one in dataclasses.fields(table):
-        if _DECLARED not in one.metadata:
+    for declaration in dataclasses.fields(table):
+        if _DECLARED not in declaration.metadata:
             continue
-        rest = dict(one.metadata[_DECLARED])
+        rest = dict(declaration.metadata[_DECLARED])
         unit, key, command_only = (rest.pop(name) for name in ("unit", "key", "command_only"))
-        name = one.name.removesuffix(f"_{unit}") if unit else one.name
-        default = one.default_factory() if callable(one.default_factory) else one.default
+        name = declaration.name.removesuffix(f"_{unit}") if unit else declaration.name
+        default = (
+            declaration.default_factory() if callable(declaration.default_factory) else declaration.default
+        )
         default = None if default is None else rest["kind"].read(default)
         place = "" if command_only else table.table
         yield Option(
-            one.name, name, place, key or (f"{name}_{unit}" if unit else name), default=default, **rest
+            declaration.name,
+            name,
+            place,
+            key or (f"{name}_{unit}" if unit else name),
+            default=default,
+            **rest,
         )
 
 
@@ -323,24 +336,26 @@ def read_table(
     faults : list of Fault
         Unknown keys (with the nearest), missing ones, unfit values, files that do not exist, contradictions.
     """
-    options = {one.key: one for one in declared(kind) if one.table}
+    options = {declaration.key: declaration for declaration in declared(kind) if declaration.table}
     faults = [unknown_key(kind, key, where, others) for key in values if key not in options]
     chosen: dict[str, Any] = {}
-    for key, one in options.items():
+    for key, declaration in options.items():
         if key not in values:
-            if one.required:
+            if declaration.required:
                 step = "scan2kd --template shows a whole study file"
-                faults.append(Fault(one.place, "given", "nothing", where, step))
+                faults.append(Fault(declaration.place, "given", "nothing", where, step))
             continue
         try:
-            value = one.kind.read(values[key])
+            value = declaration.kind.read(values[key])
         except (ValueError, TypeError):
-            faults.append(one.fault(values[key], one.place, where))
+            faults.append(declaration.fault(values[key], declaration.place, where))
             continue
-        if one.kind.is_file:
-            faults += one.missing_files(value, one.place, where, folder) if check_files else []
+        if declaration.kind.is_file:
+            faults += (
+                declaration.missing_files(value, declaration.place, where, folder) if check_files else []
+            )
             value = tuple(folder / path for path in value) if isinstance(value, tuple) else folder / value
-        chosen[one.field] = value
+        chosen[declaration.field] = value
     try:
         return (None if faults else kind(**chosen)), faults
     except StapeskitError as error:
@@ -351,8 +366,13 @@ def unknown_key(
     kind: type[OptionTable], key: str, where: str, others: Iterable[type[OptionTable]] = ()
 ) -> Fault:
     """Return the fault of an unknown key, with the nearest of its own table or the same key of another."""
-    own = [one.key for one in declared(kind) if one.table]
-    homes = [one.place for other in others for one in declared(other) if one.table and one.key == key]
+    own = [declaration.key for declaration in declared(kind) if declaration.table]
+    homes = [
+        declaration.place
+        for other in others
+        for declaration in declared(other)
+        if declaration.table and declaration.key == key
+    ]
     close = difflib.get_close_matches(key, own, 1, cutoff=0.5) or homes
     step = f"Did you mean {close[0]}?" if close else f"Its keys are {', '.join(own)}"
     return Fault(f"a key of [{kind.table}]", "a known one", key, where, step)
@@ -386,7 +406,7 @@ def vocabulary(*tables: type[OptionTable]) -> Callable[[str], str]:
     """Return how a study file writes the name of an option, looking in the first table first."""
     places: dict[str, str] = {}
     for table in tables:
-        for one in declared(table):
-            if one.table:
-                places.setdefault(one.name, one.place)
+        for declaration in declared(table):
+            if declaration.table:
+                places.setdefault(declaration.name, declaration.place)
     return lambda name: places.get(name, name)

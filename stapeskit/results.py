@@ -89,7 +89,7 @@ class Result:
 
 def extended(kind: type[Kind], core: Any, **more: Any) -> Kind:
     """Return a result with the fields of what was computed and more fields."""
-    return kind(**{one.name: getattr(core, one.name) for one in fields(core)}, **more)
+    return kind(**{part.name: getattr(core, part.name) for part in fields(core)}, **more)
 
 
 def shortened(text: str, most: int = _WIDEST) -> str:

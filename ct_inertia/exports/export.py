@@ -84,7 +84,7 @@ def export(
 
 def files_of(formats: Iterable[str]) -> tuple[str, ...]:
     """Return the files that exports in these formats may write."""
-    return tuple(dict.fromkeys(name for one in formats for name in EXPORTS[one].files))
+    return tuple(dict.fromkeys(name for format_name in formats for name in EXPORTS[format_name].files))
 
 
 def units_of(formats: Iterable[str]) -> dict[str, dict[str, str]]:

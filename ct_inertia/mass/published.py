@@ -86,21 +86,25 @@ def comparisons(values: Mapping[str, float]) -> list[dict[str, Any]]:
         By the names of `PUBLISHED`.
     """
     return [
-        {**asdict(one), "value": values[one.quantity], "z": _z(one, values[one.quantity])}
-        for one in PUBLISHED
-        if one.quantity in values
+        {**asdict(entry), "value": values[entry.quantity], "z": _z(entry, values[entry.quantity])}
+        for entry in PUBLISHED
+        if entry.quantity in values
     ]
 
 
-def _z(one: Published, value: float) -> float | None:
-    return None if one.sd is None else (value - one.mean) / one.sd
+def _z(entry: Published, value: float) -> float | None:
+    return None if entry.sd is None else (value - entry.mean) / entry.sd
 
 
 def unusual_notice(values: Mapping[str, float]) -> list[Notice]:
     """Warn of quantities that lie more than 3 standard deviations from every publication."""
     found = []
     for quantity, value in values.items():
-        of = [(abs(z), one) for one in PUBLISHED if one.quantity == quantity and (z := _z(one, value))]
+        of = [
+            (abs(z), published)
+            for published in PUBLISHED
+            if published.quantity == quantity and (z := _z(published, value))
+        ]
         if of and min(z for z, _ in of) > _OUTSIDE:
             z, nearest = min(of, key=lambda entry: entry[0])
             name, unit = NAMES[quantity]

@@ -65,21 +65,21 @@ def bound_record_noise(
     if body.sd is None or body.relative:
         return None
     shared = []
-    for one in measured.record_noise:
-        channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
-        if one.run == run and len(channels) > 1:
-            shared.append((one, channels))
+    for record in measured.record_noise:
+        channels = [k for k, point in enumerate(body.points) if (body.body, point) in record.points]
+        if record.run == run and len(channels) > 1:
+            shared.append((record, channels))
     if not shared:
         return None
     value, wide = body.displacement[run], body.sd[run].copy()
     own = body.sd[run] ** 2
     records = []
-    for one, channels in shared:
+    for record, channels in shared:
         size = np.abs(value[channels])
         others = np.nansum(size, axis=0) - size
-        wide[channels] = np.sqrt(wide[channels] ** 2 + one.sd**2 * size * others)
-        own[channels] = np.maximum(own[channels] - (one.sd * size) ** 2, _LEAST_OWN * own[channels])
-        records.append((np.array(channels), 2.0 * one.sd**2))
+        wide[channels] = np.sqrt(wide[channels] ** 2 + record.sd**2 * size * others)
+        own[channels] = np.maximum(own[channels] - (record.sd * size) ** 2, _LEAST_OWN * own[channels])
+        records.append((np.array(channels), 2.0 * record.sd**2))
     own[list(without)] = np.inf
     bound = wide**2
     bound[list(left)] = np.inf
@@ -136,7 +136,7 @@ def holds_record_noise(measured: Measurement, body: BodyChannels) -> bool:
     if not measured.record_noise:
         return False
     points = {(body.body, point) for point, number in Counter(body.points).items() if number > 1}
-    return any(points.intersection(one.points) for one in measured.record_noise)
+    return any(points.intersection(record.points) for record in measured.record_noise)
 
 
 def with_record_noise(
@@ -162,13 +162,13 @@ def with_record_noise(
     if not measured.record_noise:
         return motion
     covariance = motion.covariance.copy()
-    for one in measured.record_noise:
+    for record in measured.record_noise:
         for number, body in enumerate(measured.bodies):
-            channels = [k for k, point in enumerate(body.points) if (body.body, point) in one.points]
+            channels = [k for k, point in enumerate(body.points) if (body.body, point) in record.points]
             if len(channels) < 2 or body.sd is None or body.relative:
                 continue
-            fit = fits[one.run, number]
-            value, sd = body.displacement[one.run, channels], body.sd[one.run, channels]
+            fit = fits[record.run, number]
+            value, sd = body.displacement[record.run, channels], body.sd[record.run, channels]
             used = np.isfinite(value.real) & np.isfinite(sd) & (sd > 0.0)
             weight = np.where(used, 1.0 / np.where(used, sd, 1.0) ** 2, 0.0)
             held = np.where(used, value, 0.0)
@@ -178,5 +178,5 @@ def with_record_noise(
             alone = gain * np.abs(held.T)[:, None, :]
             together = np.einsum("fic,cf->fi", gain, held)
             added = together[:, :, None] * together[:, None, :].conj() - alone @ alone.transpose(0, 2, 1)
-            covariance[one.run, number] += 2.0 * (one.sd**2)[:, None, None] * added
+            covariance[record.run, number] += 2.0 * (record.sd**2)[:, None, None] * added
     return replace(motion, covariance=covariance)

@@ -75,7 +75,7 @@ def assemble(
         all of one kind together.
     """
     options = options or InputOptions()
-    raise_all(KinematicsError, check_used(options, [one.file for one in files]))
+    raise_all(KinematicsError, check_used(options, [recording.file for recording in files]))
     recordings, notices = apply_stated(files, options)
     recordings, dropped = without_dc(recordings)
     notices += dropped
@@ -84,14 +84,14 @@ def assemble(
         raise KinematicsError(Fault("the vibrometer files", "with values of one point", "none", "", step))
     named, dropped = with_runs(with_bodies(recordings, points, options), options)
     notices += dropped
-    flat = [one for _, one in named]
+    flat = [recording for _, recording in named]
     raise_all(KinematicsError, value_faults(flat))
     _check(flat, points)
     notices += _per(flat)
     places, matched, faults = _placed(flat)
     notices += matched
     raise_all(KinematicsError, [*_twice(flat, places), *faults])
-    order = Counter(one.order for one in flat).most_common(1)[0][0]
+    order = Counter(recording.order for recording in flat).most_common(1)[0][0]
     takes = places.takes if any(t.repeat or np.isfinite(t.level) for t in places.takes) else ()
     shape = (len(places.takes), len(places.lines))
     records = () if takes else noise_of_records(flat, places.take_of, places.lines_of, shape)
@@ -109,7 +109,7 @@ def assemble(
         takes=takes,
         common_sd=common,
         record_noise=records,
-        line_spread=max(one.line_spread for one in flat),
+        line_spread=max(recording.line_spread for recording in flat),
     )
 
 
@@ -126,27 +126,27 @@ def without_dc(
     kept, dropped, empty = [], Counter[str](), []
     step = "Export the lines above 0 Hz"
     below = [
-        Fault("the frequencies", "positive", f"{np.min(one.freq_hz):g} Hz", one.where, step)
-        for _, one in recordings
-        if np.any(one.freq_hz < 0.0)
+        Fault("the frequencies", "positive", f"{np.min(recording.freq_hz):g} Hz", recording.where, step)
+        for _, recording in recordings
+        if np.any(recording.freq_hz < 0.0)
     ]
     raise_all(KinematicsError, below)
-    for file, one in recordings:
-        good = one.freq_hz > 0.0
+    for file, recording in recordings:
+        good = recording.freq_hz > 0.0
         if np.all(good):
-            kept.append((file, one))
+            kept.append((file, recording))
             continue
         dropped[file] += 1
         if not np.any(good):
-            empty.append(one.where)
+            empty.append(recording.where)
             continue
         shortened = replace(
-            one,
-            freq_hz=one.freq_hz[good],
-            value=one.value[good],
-            sd=None if one.sd is None else one.sd[good],
-            coherence=None if one.coherence is None else one.coherence[good],
-            common_sd=None if one.common_sd is None else one.common_sd[good],
+            recording,
+            freq_hz=recording.freq_hz[good],
+            value=recording.value[good],
+            sd=None if recording.sd is None else recording.sd[good],
+            coherence=None if recording.coherence is None else recording.coherence[good],
+            common_sd=None if recording.common_sd is None else recording.common_sd[good],
         )
         kept.append((file, shortened))
     if empty and not kept:
@@ -163,25 +163,25 @@ def _check(recordings: Sequence[Recording], points: Points | None) -> None:
     positions: dict[tuple[str, str], tuple[Array, Place | str]] = {}
     lost: dict[str, list[str]] = {}
     blind: dict[str, list[str]] = {}
-    for one in recordings:
-        key = (one.body, one.point)
+    for recording in recordings:
+        key = (recording.body, recording.point)
         known = None if points is None else points.positions.get(key)
         if known is not None and points is not None:
             positions.setdefault(key, (known, points.file))
-        if np.all(np.isfinite(one.position_mm)):
-            first, where = positions.setdefault(key, (one.position_mm, one.where))
-            if np.any(np.abs(first - one.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
+        if np.all(np.isfinite(recording.position_mm)):
+            first, where = positions.setdefault(key, (recording.position_mm, recording.where))
+            if np.any(np.abs(first - recording.position_mm) > _SAME_PLACE_MM + 1e-5 * np.abs(first)):
                 step = f"Correct it; {named('length_unit')} says the unit where a file does not"
-                got = f"{_shown(first)} and {_shown(one.position_mm)} mm"
-                thing = f"the position of point {one.point} of body {one.body}"
-                fault = Fault(thing, "one", got, f"{where} and {one.where}", step)
+                got = f"{_shown(first)} and {_shown(recording.position_mm)} mm"
+                thing = f"the position of point {recording.point} of body {recording.body}"
+                fault = Fault(thing, "one", got, f"{where} and {recording.where}", step)
                 faults.append(fault)
-                positions[key] = (one.position_mm, one.where)
-        if not np.all(np.isfinite(one.direction)):
-            blind.setdefault(one.body, []).append(one.point)
-    for one in recordings:
-        if (one.body, one.point) not in positions:
-            lost.setdefault(one.body, []).append(one.point)
+                positions[key] = (recording.position_mm, recording.where)
+        if not np.all(np.isfinite(recording.direction)):
+            blind.setdefault(recording.body, []).append(recording.point)
+    for recording in recordings:
+        if (recording.body, recording.point) not in positions:
+            lost.setdefault(recording.body, []).append(recording.point)
     for body, names in lost.items():
         step = f"Give them with {named('points')} points.csv (body, point, x_mm, y_mm, z_mm)"
         faults.append(
@@ -206,8 +206,8 @@ def _listed(names: Sequence[str]) -> str:
 def _per(recordings: Sequence[Recording]) -> list[Notice]:
     """Refuse responses to different quantities in one run; report the quantity that the motion refers to."""
     by_run: dict[str, dict[str, Place | str]] = {}
-    for one in recordings:
-        by_run.setdefault(one.run, {}).setdefault(one.per, one.where)
+    for recording in recordings:
+        by_run.setdefault(recording.run, {}).setdefault(recording.per, recording.where)
     faults = []
     for run, by_unit in by_run.items():
         if len(by_unit) > 1:
@@ -232,37 +232,39 @@ def _per_name(per: str) -> str:
 
 def _placed(recordings: Sequence[Recording]) -> tuple[_Places, tuple[Notice, ...], list[Fault]]:
     """Number runs, channels and lines, the channels of a body together; report how lines were matched."""
-    takes = list(dict.fromkeys((one.run, one.repeat, _level(one)) for one in recordings))
-    bodies = list(dict.fromkeys(one.body for one in recordings))
-    keys = list(dict.fromkeys(_channel(one) for one in recordings))
+    takes = list(
+        dict.fromkeys((recording.run, recording.repeat, _level(recording)) for recording in recordings)
+    )
+    bodies = list(dict.fromkeys(recording.body for recording in recordings))
+    keys = list(dict.fromkeys(_channel(recording) for recording in recordings))
     channels = tuple(sorted(keys, key=lambda channel: bodies.index(channel[0])))
     number = {channel: place for place, channel in enumerate(channels)}
-    channel_of = [number[_channel(one)] for one in recordings]
-    lengths = [len(one.freq_hz) for one in recordings]
+    channel_of = [number[_channel(recording)] for recording in recordings]
+    lengths = [len(recording.freq_hz) for recording in recordings]
     grid, faults = join_lines(
-        np.concatenate([one.freq_hz for one in recordings]),
+        np.concatenate([recording.freq_hz for recording in recordings]),
         np.repeat(channel_of, lengths),
-        np.repeat([bodies.index(one.body) for one in recordings], lengths),
+        np.repeat([bodies.index(recording.body) for recording in recordings], lengths),
         bodies,
     )
     places = _Places(
         tuple(Take(run, repeat, float("nan") if level is None else level) for run, repeat, level in takes),
         channels,
         grid.freq_hz,
-        tuple(takes.index((one.run, one.repeat, _level(one))) for one in recordings),
+        tuple(takes.index((recording.run, recording.repeat, _level(recording))) for recording in recordings),
         tuple(channel_of),
         tuple(np.split(grid.line, np.cumsum(lengths)[:-1])),
     )
     return places, grid.notices, faults
 
 
-def _level(one: Recording) -> float | None:
-    return one.level if np.isfinite(one.level) else None
+def _level(recording: Recording) -> float | None:
+    return recording.level if np.isfinite(recording.level) else None
 
 
-def _channel(one: Recording) -> Channel:
-    x, y, z = (round(float(value) * 1e6) for value in one.direction)
-    return one.body, one.point, (x, y, z)
+def _channel(recording: Recording) -> Channel:
+    x, y, z = (round(float(value) * 1e6) for value in recording.direction)
+    return recording.body, recording.point, (x, y, z)
 
 
 def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
@@ -272,12 +274,12 @@ def _twice(recordings: Sequence[Recording], places: _Places) -> list[Fault]:
     for number, key in enumerate(zip(places.take_of, places.channel_of, strict=True)):
         for other in seen.get(key, []):
             if np.intersect1d(places.lines_of[number], places.lines_of[other]).size:
-                one = recordings[number]
-                name = f"{one.body} {one.point} ({direction_name(one.direction)})"
+                recording = recordings[number]
+                name = f"{recording.body} {recording.point} ({direction_name(recording.direction)})"
                 step = (
                     f"Name different excitations with {named('run')} NAME=FILE, or leave one of the two out"
                 )
-                got = f"two that share frequencies ({recordings[other].where} and {one.where})"
+                got = f"two that share frequencies ({recordings[other].where} and {recording.where})"
                 faults.append(Fault(f"the channel {name}", "there once in a run", got, "", step))
                 break
         seen.setdefault(key, []).append(number)
@@ -297,14 +299,14 @@ def _bodies(
         value = np.full(shape, np.nan + 1j * np.nan)
         first: dict[int, Recording] = {}
         entries = []
-        for number, one in enumerate(recordings):
+        for number, recording in enumerate(recordings):
             channel = places.channel_of[number] - start
-            if one.body != body:
+            if recording.body != body:
                 continue
-            first.setdefault(channel, one)
+            first.setdefault(channel, recording)
             where = (places.take_of[number], channel, places.lines_of[number])
-            value[where] = one.value / (2j * np.pi * one.freq_hz) ** one.order
-            entries.append((where, one))
+            value[where] = recording.value / (2j * np.pi * recording.freq_hz) ** recording.order
+            entries.append((where, recording))
         sd, relative, noise_notices = body_noise(body, entries, value, order)
         notices += noise_notices
         names = tuple(places.channels[row][1] for row in rows)
@@ -319,15 +321,16 @@ def _bodies(
     return tuple(channels_of), notices
 
 
-def _position(one: Recording, recordings: Sequence[Recording], points: Points | None) -> Array:
+def _position(recording: Recording, recordings: Sequence[Recording], points: Points | None) -> Array:
     """Return the position of a point: of the points file, else of its recording, else of another one."""
     listed: Mapping[tuple[str, str], Array] = {} if points is None else points.positions
-    if (one.body, one.point) in listed:
-        return listed[one.body, one.point]
-    if np.all(np.isfinite(one.position_mm)):
-        return one.position_mm
+    if (recording.body, recording.point) in listed:
+        return listed[recording.body, recording.point]
+    if np.all(np.isfinite(recording.position_mm)):
+        return recording.position_mm
     return next(
         other.position_mm
         for other in recordings
-        if (other.body, other.point) == (one.body, one.point) and np.all(np.isfinite(other.position_mm))
+        if (other.body, other.point) == (recording.body, recording.point)
+        and np.all(np.isfinite(other.position_mm))
     )

@@ -50,14 +50,14 @@ def with_common_noise(
             continue
         together = not pooled and all(_same(changed[place], first) for place in members)
         for place in members:
-            one = changed[place]
-            if one.common_sd is None:
+            recording = changed[place]
+            if recording.common_sd is None:
                 continue
             if together:
-                common[run, lines_of[place]] = one.common_sd
-            elif one.sd is not None:
-                spread = np.hypot(one.sd, one.common_sd * np.abs(one.value))
-                changed[place] = replace(one, sd=spread, common_sd=None)
+                common[run, lines_of[place]] = recording.common_sd
+            elif recording.sd is not None:
+                spread = np.hypot(recording.sd, recording.common_sd * np.abs(recording.value))
+                changed[place] = replace(recording, sd=spread, common_sd=None)
     return changed, common if np.any(common > 0.0) else None
 
 
@@ -77,7 +77,7 @@ def noise_of_records(
         members = [place for place, take in enumerate(take_of) if take == run]
         groups: list[list[int]] = []
         for place in members:
-            own = next((one for one in groups if _same(recordings[one[0]], recordings[place])), None)
+            own = next((group for group in groups if _same(recordings[group[0]], recordings[place])), None)
             groups.append([place]) if own is None else own.append(place)
         if len(groups) < 2:
             continue
@@ -96,8 +96,8 @@ def noise_of_records(
     return tuple(record_noises)
 
 
-def _same(one: Recording, other: Recording) -> bool:
+def _same(first: Recording, second: Recording) -> bool:
     """Return whether two recordings have the same noise of the reference."""
-    if one.common_sd is None or other.common_sd is None:
+    if first.common_sd is None or second.common_sd is None:
         return False
-    return np.array_equal(one.common_sd, other.common_sd) and np.array_equal(one.freq_hz, other.freq_hz)
+    return np.array_equal(first.common_sd, second.common_sd) and np.array_equal(first.freq_hz, second.freq_hz)

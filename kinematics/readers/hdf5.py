@@ -155,9 +155,9 @@ def _own(file: Any, name: str) -> Recordings:
     with np.errstate(over="ignore"):
         size = np.sqrt(np.sum(direction**2, axis=1))
     faults += [
-        Fault("direction", "a unit vector (within 1e-3)", f"length {one:g}", f"{name}, channel {k}")
-        for k, one in enumerate(size, 1)
-        if abs(one - 1.0) > 1e-3
+        Fault("direction", "a unit vector (within 1e-3)", f"length {length:g}", f"{name}, channel {k}")
+        for k, length in enumerate(size, 1)
+        if abs(length - 1.0) > 1e-3
     ]
     raise_all(KinematicsError, faults)
     scale = unit.scale * (np.sqrt(2.0) if amplitude == "rms" else 1.0)
@@ -255,7 +255,7 @@ def _texts(file: Any, key: str, count: int, name: str, faults: list[Fault]) -> l
         texts = [f"{v:g}" for v in values.reshape(-1)] if values.dtype.kind in "fiu" else texts_of(values)
     elif key in file.attrs:
         raw = file.attrs[key]
-        texts = [text_of(one) for one in np.asarray(raw).reshape(-1)]
+        texts = [text_of(entry) for entry in np.asarray(raw).reshape(-1)]
         texts = [part.strip() for part in texts[0].split(";")] if len(texts) == 1 else texts
     else:
         return []

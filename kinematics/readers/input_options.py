@@ -188,6 +188,6 @@ def check_used(options: InputOptions, files: Sequence[str]) -> list[Fault]:
         (f"{{body}} {name}", item.file) for name, items in options.bodies for item in items if item.file
     ]
     for thing, file in named:
-        if not any(is_file(file, one) for one in files):
+        if not any(is_file(file, other) for other in files):
             faults.append(Fault(f"the file of {thing}", f"one of {known}", file, "", "Correct its name"))
     return faults

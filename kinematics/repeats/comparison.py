@@ -109,7 +109,7 @@ class RunRepeats:
         if self.verdict == "repeats_untested":
             return f"{many} {fate} untested ({gains}): too few lines, channels or repeats to compare"
         but = "though they disagree: " if self.were_pooled else "and disagree: "
-        return f"{many} {fate} {but}" + "; ".join(self.said(one) for one in self.found)
+        return f"{many} {fate} {but}" + "; ".join(self.said(test) for test in self.found)
 
     def said(self, test: RepeatTest) -> str:
         """Write one finding in words."""

@@ -96,7 +96,7 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
         want = f"{least:.3g} Hz at least for records of {samples / sample_rate_hz:.3g} s"
         raise KinematicsError(Fault("the resolution", want, f"{how.resolution_hz:.3g} Hz", where, step))
     count = lines // width
-    x = np.stack([_lines(one, samples, width, count) for one, _ in checked], axis=1)
+    x = np.stack([_lines(signal, samples, width, count) for signal, _ in checked], axis=1)
     y = np.stack([_lines(many, samples, width, count) for _, many in checked], axis=2)
     freq = (1.0 + np.arange(count) * width + 0.5 * (width - 1)) * sample_rate_hz / samples
     power = np.mean(np.abs(x) ** 2, axis=(1, 2))

@@ -68,16 +68,16 @@ def stepped_frf(
     how = how or SteppedSine()
     fits: list[_Fitted] = []
     faults: list[Fault] = []
-    for one, place in _named(steps, where):
+    for step, place in _named(steps, where):
         with collecting(faults):
-            cut = int(how.settle * len(one.reference))
-            check_signals(one.reference, one.responses, sample_rate_hz, place)
-            signals = np.vstack([one.reference[cut:], one.responses[:, cut:]])
-            fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
+            cut = int(how.settle * len(step.reference))
+            check_signals(step.reference, step.responses, sample_rate_hz, place)
+            signals = np.vstack([step.reference[cut:], step.responses[:, cut:]])
+            fit = fit_sine(signals, sample_rate_hz, step.freq_hz, how, place)
             _check_lead(fit, 0, place)
             ratio = fit.amplitude[1:] / fit.amplitude[0]
             error = (fit.residual[1:] - ratio[:, None] * fit.residual[0]) / fit.amplitude[0]
-            fits.append(_Fitted(one.freq_hz, fit, ratio, error, abs(fit.amplitude[0])))
+            fits.append(_Fitted(step.freq_hz, fit, ratio, error, abs(fit.amplitude[0])))
     raise_all(KinematicsError, faults)
     return _spectrum(fits, how)
 
@@ -101,15 +101,15 @@ def stepped_amplitudes(
     how = how or SteppedSine()
     fits: list[_Fitted] = []
     faults: list[Fault] = []
-    for one, place in _named(steps, where):
+    for step, place in _named(steps, where):
         with collecting(faults):
-            signals = one.responses[:, int(how.settle * one.responses.shape[1]) :]
+            signals = step.responses[:, int(how.settle * step.responses.shape[1]) :]
             lead = int(np.argmax(np.std(signals, axis=1)))
             check_signals(signals[lead], signals, sample_rate_hz, place)
-            fit = fit_sine(signals, sample_rate_hz, one.freq_hz, how, place)
+            fit = fit_sine(signals, sample_rate_hz, step.freq_hz, how, place)
             _check_lead(fit, lead, place)
             turn = abs(fit.amplitude[lead]) / fit.amplitude[lead]
-            fits.append(_Fitted(one.freq_hz, fit, fit.amplitude * turn, fit.residual * turn, 1.0))
+            fits.append(_Fitted(step.freq_hz, fit, fit.amplitude * turn, fit.residual * turn, 1.0))
     raise_all(KinematicsError, faults)
     return _spectrum(fits, how)
 
@@ -130,7 +130,7 @@ def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
         step = "Give the steps as a column freq_hz or a table"
         raise KinematicsError(Fault("a stepped sine", "of one step at least", "none", where, step))
     start = f"{where}, " if where else ""
-    return [(one, f"{start}step {k} at {one.freq_hz:g} Hz") for k, one in enumerate(steps, start=1)]
+    return [(step, f"{start}step {k} at {step.freq_hz:g} Hz") for k, step in enumerate(steps, start=1)]
 
 
 def _check_lead(fit: SineFit, lead: int, place: str) -> None:
@@ -142,8 +142,8 @@ def _check_lead(fit: SineFit, lead: int, place: str) -> None:
 def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     """Put the steps together, those at one frequency averaged."""
     groups: dict[float, list[_Fitted]] = {}
-    for one in fits:
-        groups.setdefault(one.nominal, []).append(one)
+    for fit in fits:
+        groups.setdefault(fit.nominal, []).append(fit)
     groups = dict(sorted(groups.items()))
     pairs = [(fit.nominal, fit.fit) for fit in fits]
     clock, clock_notices = _clock(pairs, how)
@@ -155,14 +155,14 @@ def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
     own, common = split_noise(lambda: blocks, raw, value, float(len(blocks)))
     own = own * np.array([_raised(group) for group in groups.values()])
     common_sd = np.sqrt(0.5 * common)
-    size = np.array([np.mean([one.reference for one in group]) for group in groups.values()])
+    size = np.array([np.mean([fit.reference for fit in group]) for group in groups.values()])
     notices = (*common_notice(common_sd), *clock_notices, *_step_notices(pairs))
     return Frf(freq, value, np.sqrt(0.5 * own), None, float("nan"), common_sd, size, notices)
 
 
 def _raised(group: list[_Fitted]) -> float:
     """Return m / (m - 1) for m independent samples of the noise of a line."""
-    samples = sum(one.error.shape[1] for one in group) / _CORRELATED
+    samples = sum(fit.error.shape[1] for fit in group) / _CORRELATED
     return samples / max(samples - 1.0, 0.5 * samples)
 
 
@@ -193,11 +193,11 @@ def steps_of(column: Array, reference: Array, responses: Array, where: str = "")
 def _line(group: list[_Fitted]) -> tuple[ComplexArray, ComplexArray]:
     """Return the value at one line, (channel,), and samples of its error, (offset, channel)."""
     used = 2 * OFFSETS
-    errors = [one.error[:, np.arange(used) % one.error.shape[1]] for one in group]
+    errors = [fit.error[:, np.arange(used) % fit.error.shape[1]] for fit in group]
     power = np.array([np.mean(np.abs(error) ** 2, axis=1) for error in errors])
     weight = 1.0 / np.maximum(power, np.finfo(float).tiny)
     share = weight / np.sum(weight, axis=0)
-    value = np.sum(share * np.array([one.value for one in group]), axis=0)
+    value = np.sum(share * np.array([fit.value for fit in group]), axis=0)
     joined = np.sum([part[:, None] * error for part, error in zip(share, errors, strict=True)], axis=0)
     return value, np.asarray(joined.T)
 

@@ -95,13 +95,13 @@ def best(suspects: Sequence[Explanation], stated: bool) -> tuple[Explanation, li
     """Return the explanation of the greatest likelihood and those that the data cannot tell from it."""
     freedom = float(max(explanation.n_dof for explanation in suspects))
 
-    def score(one: Explanation) -> float:
+    def score(candidate: Explanation) -> float:
         if stated:
-            return one.energy + one.cost
-        return float(freedom * np.log(max(one.energy, _ROUNDING) / one.n_dof) + one.cost)
+            return candidate.energy + candidate.cost
+        return float(freedom * np.log(max(candidate.energy, _ROUNDING) / candidate.n_dof) + candidate.cost)
 
     ordered = sorted(suspects, key=score)
-    alike = [one for one in ordered if score(one) < score(ordered[0]) + _ALIKE]
+    alike = [candidate for candidate in ordered if score(candidate) < score(ordered[0]) + _ALIKE]
     return ordered[0], alike
 
 
@@ -265,7 +265,10 @@ def refuse_exchanged(
 def _cycle_words(cycle: Sequence[int], names: Sequence[str]) -> str:
     if len(cycle) == 2:
         return f"{names[cycle[0]]} and {names[cycle[1]]} exchanged"
-    steps = [f"{names[one]} is {names[two]}" for one, two in zip(cycle, (*cycle[1:], cycle[0]), strict=True)]
+    steps = [
+        f"{names[first]} is {names[second]}"
+        for first, second in zip(cycle, (*cycle[1:], cycle[0]), strict=True)
+    ]
     return "a cycle: " + ", ".join(steps)
 
 
@@ -276,20 +279,20 @@ def inconsistent(energy: float, n_dof: int) -> bool:
     return n_dof > 0 and energy > float(chdtri(n_dof, INCONSISTENT))
 
 
-def _significant(one: Explanation, energy: float, free: int) -> bool:
+def _significant(explanation: Explanation, energy: float, free: int) -> bool:
     from scipy.special import fdtrc
 
     count = free // 3 + 2
-    scatter = max(one.energy, _ROUNDING) / one.n_dof
-    gain = max(energy - one.energy, 0.0)
-    if one.kind == "scaled":
-        p = float(fdtrc(1, one.n_dof, gain / scatter))
-        return p < INCONSISTENT and abs(one.size_mm - 1.0) > 1e-3
-    if one.size_mm < _NOTICEABLE_MM:
+    scatter = max(explanation.energy, _ROUNDING) / explanation.n_dof
+    gain = max(energy - explanation.energy, 0.0)
+    if explanation.kind == "scaled":
+        p = float(fdtrc(1, explanation.n_dof, gain / scatter))
+        return p < INCONSISTENT and abs(explanation.size_mm - 1.0) > 1e-3
+    if explanation.size_mm < _NOTICEABLE_MM:
         return False
-    if one.kind == "wrong":
-        return count * float(fdtrc(3, one.n_dof, gain / 3.0 / scatter)) < INCONSISTENT
-    return count**2 / 2.0 * float(fdtrc(free, free, energy / one.n_dof / scatter)) < INCONSISTENT
+    if explanation.kind == "wrong":
+        return count * float(fdtrc(3, explanation.n_dof, gain / 3.0 / scatter)) < INCONSISTENT
+    return count**2 / 2.0 * float(fdtrc(free, free, energy / explanation.n_dof / scatter)) < INCONSISTENT
 
 
 def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str], rotation: Array) -> str:
@@ -304,7 +307,7 @@ def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str
         i, j = (names[place] for place in first.members)
         return f"fiducials {i} and {j} seem to be exchanged; check their names"
     if len(same) > 1:
-        listed = ", ".join(names[place] for one in same for place in one.members)
+        listed = ", ".join(names[place] for candidate in same for place in candidate.members)
         return f"one of the fiducials {listed} is off by about {first.size_mm:.3g} mm, they cannot tell which"
     return (
         f"fiducial {names[first.members[0]]} lies {first.size_mm:.3g} mm from where the others put it"
@@ -312,12 +315,12 @@ def _words(first: Explanation, alike: Sequence[Explanation], names: Sequence[str
     )
 
 
-def _cell(one: Explanation, rotation: Array) -> str:
+def _cell(explanation: Explanation, rotation: Array) -> str:
     """Name the one coordinate that would explain the whole offset, as a mistyped cell does."""
-    if one.offset_mm is None:
+    if explanation.offset_mm is None:
         return ""
-    scatter = np.sqrt(one.energy / one.n_dof) if one.n_dof else 0.0
-    sides = ((-rotation.T @ one.offset_mm, "_mm"), (one.offset_mm, "_ref_mm"))
+    scatter = np.sqrt(explanation.energy / explanation.n_dof) if explanation.n_dof else 0.0
+    sides = ((-rotation.T @ explanation.offset_mm, "_mm"), (explanation.offset_mm, "_ref_mm"))
     hits = []
     for offset, end in sides:
         axis = int(np.argmax(np.abs(offset)))
@@ -345,11 +348,11 @@ def refuse_mirrored(
     """
     usable = [explanation for explanation in suspects if explanation.n_dof > 0]
     _, alike = best(usable, stated)
-    mirror = next((one for one in alike if one.kind == "mirrored"), None)
+    mirror = next((candidate for candidate in alike if candidate.kind == "mirrored"), None)
     if mirror is None or mirror.energy > 0.25 * energy:
         return
     proper, flipped = (np.sqrt(3.0 * value / total_weight) for value in (energy, mirror.energy))
-    rivals = [names[one.members[0]] for one in alike if one.kind == "wrong"]
+    rivals = [names[candidate.members[0]] for candidate in alike if candidate.kind == "wrong"]
     also = f"; or correct fiducial {' or '.join(rivals)}, which alone says so" if len(rivals) == 1 else ""
     raise StapeskitError(
         Fault(

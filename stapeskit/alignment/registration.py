@@ -181,7 +181,11 @@ def _checked(
         suspects = explanations(a, b, weights)
         if mirrored and not coplanar:
             refuse_mirrored(suspects, energy, float(np.sum(weights)), stated, transform.source, names)
-        single = min(one.energy for one in suspects if one.kind == "wrong") if len(a) > 4 else np.inf
+        single = (
+            min(explanation.energy for explanation in suspects if explanation.kind == "wrong")
+            if len(a) > 4
+            else np.inf
+        )
         refuse_exchanged(a, b, weights, energy, stated, names, single)
         notices += fault_notices(suspects, transform.rotation, energy, names, stated)
     elif stated and inconsistent(energy, n_dof):

@@ -134,12 +134,12 @@ def read_mapping(path: Path) -> Layout:
         signals = []
     layout = _checked(Layout, document, path.name, faults)
     signal_tables = tuple(
-        _checked(Signal, one, f"{path.name}, signal {k}", faults) for k, one in enumerate(signals, 1)
+        _checked(Signal, entry, f"{path.name}, signal {k}", faults) for k, entry in enumerate(signals, 1)
     )
     if not signal_tables:
         faults.append(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
-    for number, one in enumerate(signal_tables, 1):
-        if not one.value and not (one.value_re and one.value_im):
+    for number, entry in enumerate(signal_tables, 1):
+        if not entry.value and not (entry.value_re and entry.value_im):
             want = "given as value, or as value_re and value_im"
             faults.append(Fault("the variable of a signal", want, "none", f"{path.name}, signal {number}"))
     if not document.get("frequency"):
@@ -156,7 +156,7 @@ def read_mapping(path: Path) -> Layout:
 def _checked(kind: Any, entries: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
     import difflib
 
-    known = {one.name for one in fields(kind)} - {"signal"}
+    known = {entry.name for entry in fields(kind)} - {"signal"}
     good = {}
     for key, value in entries.items():
         if key not in known:
@@ -189,15 +189,15 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
     axes = [match["axis"].lower() if match else "" for match in stems]
     together = len(signals) > 1 and all(axes) and len(set(axes)) == len(axes)
     signal_list = []
-    for one, axis in zip(signals, axes, strict=True):
+    for entry, axis in zip(signals, axes, strict=True):
         end = axis if together else ""
         signal_list.append(
             Signal(
-                one.value,
-                one.value_re,
-                one.value_im,
+                entry.value,
+                entry.value_re,
+                entry.value_im,
                 end,
-                usd=_beam_usd(one.value or one.value_re, space),
+                usd=_beam_usd(entry.value or entry.value_re, space),
                 coherence=_coherence(end, space),
                 n_avg=next((low[name] for name in _COUNTS if name in low), ""),
                 unit=next(
@@ -208,7 +208,7 @@ def layout_of(space: Mapping[str, Any]) -> Layout | None:
                     ),
                     "",
                 ),
-                run="" if together or len(signals) == 1 else (one.value or one.value_re),
+                run="" if together or len(signals) == 1 else (entry.value or entry.value_re),
             )
         )
     return Layout(
@@ -226,7 +226,7 @@ def _point_names(space: Mapping[str, Any], low: Mapping[str, str], signal: Signa
     for name in _POINTS:
         names = space.get(low.get(name, ""), None)
         size = 1 if isinstance(names, str) else np.size(names) if isinstance(names, np.ndarray) else None
-        if isinstance(names, list) and not any(isinstance(one, (dict, list)) for one in names):
+        if isinstance(names, list) and not any(isinstance(entry, (dict, list)) for entry in names):
             size = len(names)
         if size == rows:
             return low[name]
@@ -242,14 +242,14 @@ def _is_axis(value: Any) -> bool:
 
 def _stacked(value: Any) -> Any:
     """Return a cell array of rows as one array (point, F); other values as they are."""
-    if not isinstance(value, list) or not value or not all(isinstance(one, np.ndarray) for one in value):
+    if not isinstance(value, list) or not value or not all(isinstance(entry, np.ndarray) for entry in value):
         return value
-    sizes = {one.size for one in value if one.size}
+    sizes = {entry.size for entry in value if entry.size}
     if len(sizes) != 1:
         return value
     width = sizes.pop()
-    kind = complex if any(np.iscomplexobj(one) for one in value) else float
-    rows = [one.reshape(-1).astype(kind) if one.size else np.full(width, np.nan, kind) for one in value]
+    kind = complex if any(np.iscomplexobj(entry) for entry in value) else float
+    rows = [entry.reshape(-1).astype(kind) if entry.size else np.full(width, np.nan, kind) for entry in value]
     return np.array(rows)
 
 
@@ -280,7 +280,7 @@ def _pairs(space: Mapping[str, Any], count: int) -> list[tuple[str, str]]:
 
 def _beam_usd(name: str, space: Mapping[str, Any]) -> str:
     """Return the name of the signal description that belongs to a value."""
-    descriptions = [key for key, one in space.items() if isinstance(one, dict) and "YUnit" in one]
+    descriptions = [key for key, entry in space.items() if isinstance(entry, dict) and "YUnit" in entry]
     match = _BEAM.match(name)
     if match is not None:
         ends = [key for key in descriptions if key.lower().endswith(match["axis"].lower()) and len(key) > 1]

@@ -124,9 +124,9 @@ def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> lis
     good = {name: layout for name, layout in inner.items() if layout is not None}
     blocks: list[Recordings] = []
     faults: list[Fault] = []
-    for name, one in good.items():
+    for name, entry in good.items():
         run = name if len(good) > 1 else ""
-        named = Layout(**{**vars(one), "run": run})
+        named = Layout(**{**vars(entry), "run": run})
         inside = ChainMap(space[name], dict(space))
         with collecting(faults):
             blocks.append(_from_layout(inside, named, f"{where}, {name}", tree))
@@ -134,11 +134,11 @@ def _found(space: Mapping[str, Any], tree: Mapping[str, Any], where: str) -> lis
     if blocks:
         return blocks
     for name, value in space.items():
-        if isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
-            outer = {key: one for key, one in space.items() if key != name}
-            parts = [ChainMap(one, outer) for one in value]
+        if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+            outer = {key: entry for key, entry in space.items() if key != name}
+            parts = [ChainMap(entry, outer) for entry in value]
             layouts = [layout_of(part) for part in parts]
-            if any(one is not None for one in layouts):
+            if any(entry is not None for entry in layouts):
                 return _elements(parts, layouts, f"{where}, {name}", tree)
         if isinstance(value, dict) and (deeper := _found(value, tree, f"{where}, {name}")):
             return deeper
@@ -172,10 +172,10 @@ def _from_layout(
         inside = Layout(**{**vars(layout), "each": ""})
         blocks: list[Recordings] = []
         faults: list[Fault] = []
-        for k, one in enumerate(elements, 1):
+        for k, entry in enumerate(elements, 1):
             spot = f"{where}, {layout.each}({k})"
             with collecting(faults):
-                blocks.append(_from_layout(ChainMap(one, dict(space)), inside, spot, tree, str(k)))
+                blocks.append(_from_layout(ChainMap(entry, dict(space)), inside, spot, tree, str(k)))
         raise_all(KinematicsError, dict.fromkeys(faults))
         return _joined(blocks, where)
     return _plain(space, layout, where, tree, point)

@@ -158,7 +158,7 @@ def names_of(
     if isinstance(entries, str):
         names = [entries]
     elif isinstance(entries, list):
-        names = [_name(one, layout.points, where) for one in entries]
+        names = [_name(entry, layout.points, where) for entry in entries]
     else:
         names = [f"{number:g}" for number in reals(space, layout.points, where, tree).reshape(-1)]
     if len(names) != count or len(set(names)) != len(names):
@@ -171,11 +171,11 @@ def names_of(
     return names
 
 
-def _name(one: Any, variable: str, where: str) -> str:
-    if isinstance(one, str) and one.strip():
-        return one.strip()
-    if isinstance(one, np.ndarray) and one.size == 1 and one.dtype.kind in "fiu":
-        return f"{float(one.reshape(-1)[0]):g}"
+def _name(entry: Any, variable: str, where: str) -> str:
+    if isinstance(entry, str) and entry.strip():
+        return entry.strip()
+    if isinstance(entry, np.ndarray) and entry.size == 1 and entry.dtype.kind in "fiu":
+        return f"{float(entry.reshape(-1)[0]):g}"
     raise KinematicsError(Fault(variable, "a name or number for every point", "something else", where))
 
 
@@ -272,7 +272,7 @@ def directions_of(
             raise KinematicsError(Fault(given, f"{count} x 3 directions", numbers.shape, where))
         return list(np.broadcast_to(numbers, (count, 3)))
     if isinstance(given, list):
-        if len(given) != 3 or not all(isinstance(one, (int, float)) for one in given):
+        if len(given) != 3 or not all(isinstance(entry, (int, float)) for entry in given):
             raise KinematicsError(Fault("direction", "x, -x, ..., or three numbers", given, where))
         return [np.array(given, dtype=float)] * count
     axis = usd_direction(space.get(signal.usd)) if signal.usd else None

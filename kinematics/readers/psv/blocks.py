@@ -95,7 +95,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     files = [path]
     if path.is_dir():
         candidates = path.rglob("*") if deep else path.iterdir()
-        files = sorted(one for one in candidates if _is_export(one))
+        files = sorted(candidate for candidate in candidates if _is_export(candidate))
     entries: list[T] = []
     faults: list[Fault] = []
     for file in files:

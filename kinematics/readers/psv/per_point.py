@@ -169,12 +169,12 @@ def _one_quantity(
 ) -> tuple[list[tuple[Recording, str]], list[Notice]]:
     """Keep one quantity, velocity first, and one kind of reference, responses first."""
     notices = []
-    orders = sorted({one.order for one, _ in entries}, key=lambda order: (order != 1, order))
+    orders = sorted({recording.order for recording, _ in entries}, key=lambda order: (order != 1, order))
     if len(orders) > 1:
         listed = " and ".join(QUANTITIES[order] for order in orders)
         notices.append(Notice("quantity_chosen", f"{name} holds {listed}: {QUANTITIES[orders[0]]} is used."))
         entries = [entry for entry in entries if entry[0].order == orders[0]]
-    if len({bool(one.per) for one, _ in entries}) > 1:
+    if len({bool(recording.per) for recording, _ in entries}) > 1:
         text = f"{name} holds spectra and frequency responses: the responses are used."
         notices.append(Notice("function_chosen", text))
         entries = [entry for entry in entries if entry[0].per]
@@ -191,29 +191,31 @@ def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[R
     """
     from dataclasses import replace
 
-    def key(one: Recording) -> tuple[str, bytes]:
-        return one.point, one.direction.tobytes()
+    def key(recording: Recording) -> tuple[str, bytes]:
+        return recording.point, recording.direction.tobytes()
 
-    counts = Counter(key(one) for one, _ in entries)
+    counts = Counter(key(recording) for recording, _ in entries)
     if max(counts.values()) == 1:
-        return tuple(one for one, _ in entries), _joined(entries, name)
+        return tuple(recording for recording, _ in entries), _joined(entries, name)
     seen: dict[tuple[object, ...], Place | str] = {}
     faults = []
-    for one, source in entries:
-        place = (*key(one), source)
+    for recording, source in entries:
+        place = (*key(recording), source)
         if place in seen:
             step = "Put every excitation into a separate folder, and give all folders"
-            thing = f"the signal of point {one.point}"
-            faults.append(Fault(thing, "there once", "two", f"{seen[place]} and {one.where}", step))
-        seen[place] = one.where
+            thing = f"the signal of point {recording.point}"
+            faults.append(Fault(thing, "there once", "two", f"{seen[place]} and {recording.where}", step))
+        seen[place] = recording.where
     raise_all(KinematicsError, faults)
-    return tuple(replace(one, run=Path(source.replace("\\", "/")).stem) for one, source in entries), []
+    return tuple(
+        replace(recording, run=Path(source.replace("\\", "/")).stem) for recording, source in entries
+    ), []
 
 
 def _joined(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
     """Tell that points of several measurements were taken as one run."""
     sources = list(dict.fromkeys(source for _, source in entries))
-    if len(sources) < 2 or len(sources) == len({one.where for one, _ in entries}):
+    if len(sources) < 2 or len(sources) == len({recording.where for recording, _ in entries}):
         return []
     listed = ", ".join(sources[:4]) + (" ..." if len(sources) > 4 else "")
     text = f"{name} holds points of {len(sources)} measurements ({listed}), taken as parts of one run."

@@ -261,13 +261,13 @@ def _flat(tree: Mapping[str, Any], start: str = "") -> dict[str, NDArray[Any]]:
     for name, value in tree.items():
         if isinstance(value, Mapping):
             arrays.update(_flat(value, f"{start}{name}."))
-        elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
-            for number, one in enumerate(value, 1):
-                arrays.update(_flat(one, f"{start}{name}({number})."))
-        elif isinstance(value, list) and value and all(isinstance(one, np.ndarray) for one in value):
-            sizes = {one.size for one in value}
-            if len(sizes) == 1 and all(one.dtype.kind in "fiu" for one in value):
-                arrays[start + name] = np.array([one.reshape(-1) for one in value])
+        elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
+            for number, entry in enumerate(value, 1):
+                arrays.update(_flat(entry, f"{start}{name}({number})."))
+        elif isinstance(value, list) and value and all(isinstance(entry, np.ndarray) for entry in value):
+            sizes = {entry.size for entry in value}
+            if len(sizes) == 1 and all(entry.dtype.kind in "fiu" for entry in value):
+                arrays[start + name] = np.array([entry.reshape(-1) for entry in value])
         elif np.asarray(value).dtype.kind in "fiu":
             arrays[start + name] = np.asarray(value)
     return arrays

@@ -56,7 +56,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
         raise KinematicsError(Fault("time series", "read with {channels} FILE", "none", path.name, step))
-    rows = [one for one in read_channels(options.channels) if _belongs(one, path.name)]
+    rows = [channel for channel in read_channels(options.channels) if _belongs(channel, path.name)]
     responses = [row for row in rows if row.role == "response"]
     if not responses:
         step = "Add a row, or leave the column file empty"
@@ -118,8 +118,8 @@ def estimated(
     )
 
 
-def _belongs(one: Channel, file: str) -> bool:
-    return not one.file or one.file in (file, file.rsplit(".", 1)[0])
+def _belongs(channel: Channel, file: str) -> bool:
+    return not channel.file or channel.file in (file, file.rsplit(".", 1)[0])
 
 
 def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | None:
@@ -134,7 +134,7 @@ def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | Non
             raise KinematicsError(
                 Fault("{reference_channel}", f"one of {known}", options.reference_channel, table)
             )
-    names = list(dict.fromkeys(one.name for one in references))
+    names = list(dict.fromkeys(channel.name for channel in references))
     if len(names) > 1:
         step = f"Choose one by {named('reference_channel')}, or ignore the others"
         raise KinematicsError(Fault("the reference", "one channel", ", ".join(names), table, step))
@@ -162,9 +162,9 @@ def _groups(
     rows = [channel for channel in responses if channel not in fixed]
     lengths = {channel.name: len(series.channels[channel.name]) for channel in responses}
     for part in (fixed, rows):
-        counts = {lengths[one.name] for one in part}
+        counts = {lengths[channel.name] for channel in part}
         if len(counts) > 1:
-            got = ", ".join(f"{one.name} {lengths[one.name]}" for one in part)
+            got = ", ".join(f"{channel.name} {lengths[channel.name]}" for channel in part)
             faults.append(Fault("the channels", "of as many rows (records or points)", got, series.file))
         elif part and ref is not None and len(ref) not in (1, *counts):
             want = f"{counts.pop()} rows, as the responses have"
@@ -174,9 +174,9 @@ def _groups(
     raise_all(KinematicsError, faults)
 
     def row(of: Sequence[Channel], k: int) -> tuple[Array | None, Array]:
-        signals = [series.channels[one.name][k] * one.scale for one in of]
+        signals = [series.channels[channel.name][k] * channel.scale for channel in of]
         lead = None if ref is None else ref[k if len(ref) > 1 else 0] * scale
-        sizes = {len(one) for one in (*signals, *([] if lead is None else [lead]))}
+        sizes = {len(channel) for channel in (*signals, *([] if lead is None else [lead]))}
         if len(sizes) > 1:
             got = " and ".join(str(size) for size in sorted(sizes))
             step = "Resample channels that were sampled at another rate, or read them in a run of their own"
@@ -188,7 +188,7 @@ def _groups(
         notices += dead_notices
         records = tuple(row(alive, k) for k in range(lengths[fixed[0].name])) if alive else ()
         if alive:
-            points = tuple(one.point or "1" for one in alive)
+            points = tuple(channel.point or "1" for channel in alive)
             groups.append(_Group(tuple(alive), points, records, series.file))
     for k in range(lengths[rows[0].name] if rows else 0):
         alive, dead_notices = _alive(series, rows, k)
@@ -307,10 +307,10 @@ def read_steps(path: Path) -> list[tuple[float, float, float]]:
     for row in np.flatnonzero(freq <= 0.0):
         faults.append(Fault("freq_hz", "positive", f"{freq[row]:g}", table.where(int(row))))
     order = np.argsort(start, kind="stable")
-    for one, after in pairwise(order.tolist()):
-        shared = min(stop[one], stop[after]) - start[after]
-        if shared > _OVERLAP * min(stop[one] - start[one], stop[after] - start[after]) > 0.0:
-            later, earlier = max(one, after), min(one, after)
+    for before, after in pairwise(order.tolist()):
+        shared = min(stop[before], stop[after]) - start[after]
+        if shared > _OVERLAP * min(stop[before] - start[before], stop[after] - start[after]) > 0.0:
+            later, earlier = max(before, after), min(before, after)
             got = f"{start[later]:g} to {stop[later]:g} s, within that of line {table.lines[earlier]}"
             step = "Give every stretch of the record once"
             faults.append(Fault("a step", "apart from the others", got, table.where(int(later)), step))
@@ -330,12 +330,12 @@ def _recordings(
             point,
             frf.freq_hz[kept],
             frf.value[k, kept],
-            one.order,
-            Place(series.file, detail=f"channel {one.name}"),
-            one.run,
-            one.body,
-            one.position_mm,
-            one.direction,
+            channel.order,
+            Place(series.file, detail=f"channel {channel.name}"),
+            channel.run,
+            channel.body,
+            channel.position_mm,
+            channel.direction,
             frf.sd[k, kept],
             None if frf.coherence is None else frf.coherence[k, kept],
             None if np.isnan(frf.n_avg) else frf.n_avg,
@@ -343,5 +343,5 @@ def _recordings(
             common_sd=frf.common_sd[kept],
             line_spread=frf.line_spread,
         )
-        for k, (one, point) in enumerate(zip(group.channels, group.points, strict=True))
+        for k, (channel, point) in enumerate(zip(group.channels, group.points, strict=True))
     ]

@@ -67,9 +67,11 @@ class Coherences:
     def _auto(self, key: Key, kind: int, response: Function) -> Function | None:
         """Return the one auto spectrum of a quantity at a point and direction."""
         fitting = [
-            one
-            for one in self.auto.get(key, [])
-            if one.ordinate.kind == kind and len(one.x) == len(response.x) and np.allclose(one.x, response.x)
+            function
+            for function in self.auto.get(key, [])
+            if function.ordinate.kind == kind
+            and len(function.x) == len(response.x)
+            and np.allclose(function.x, response.x)
         ]
         return fitting[0] if len(fitting) == 1 else None
 

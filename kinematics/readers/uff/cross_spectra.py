@@ -65,7 +65,7 @@ def from_cross_spectra(
         axes = _axes(pair)
         if axes is None:
             continue
-        used |= {one.place for one in (cross, pair.reference, pair.response) if one is not None}
+        used |= {part.place for part in (cross, pair.reference, pair.response) if part is not None}
         auto = pair.reference.y.real
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             value = np.where(auto > 0.0, cross.y / np.where(auto > 0.0, auto, 1.0), np.nan)
@@ -87,11 +87,11 @@ def from_cross_spectra(
     return responses, used
 
 
-def _ends(one: Function) -> tuple[object, ...]:
+def _ends(function: Function) -> tuple[object, ...]:
     """Return response, reference and load case of a function of two points."""
     return (
-        *(one.node, one.entity if one.node == 0 else "", one.direction),
-        *(one.reference_node, one.reference_direction, one.load_case),
+        *(function.node, function.entity if function.node == 0 else "", function.direction),
+        *(function.reference_node, function.reference_direction, function.load_case),
     )
 
 

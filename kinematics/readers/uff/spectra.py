@@ -71,12 +71,14 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
     with collecting(faults):
         geometry = read_geometry(sets, path.name, {function.node for function in functions})
     own = series if series is not None and series.channels is None else None
-    if any(one.kind == TIME for one in functions) and (own or all(one.kind == TIME for one in functions)):
+    if any(response.kind == TIME for response in functions) and (
+        own or all(response.kind == TIME for response in functions)
+    ):
         from kinematics.readers.uff.time_responses import read_responses
 
         return read_responses(functions, geometry, path.name, own or SeriesOptions(), faults)
     responses, used = from_cross_spectra(functions, path.name, faults)
-    functions = [one for one in functions if one.place not in used] + responses
+    functions = [response for response in functions if response.place not in used] + responses
     return _spectra(functions, geometry, path.name, faults)
 
 
@@ -235,8 +237,8 @@ def _repeats(recordings: Sequence[Recording], chosen: Sequence[Motion]) -> list[
     if max(channels.values()) == 1:
         return list(recordings)
     return [
-        replace(one, repeat=str(motion.function.version))
-        for one, motion in zip(recordings, chosen, strict=True)
+        replace(recording, repeat=str(motion.function.version))
+        for recording, motion in zip(recordings, chosen, strict=True)
     ]
 
 

@@ -112,14 +112,14 @@ def read_responses(
     )
 
 
-def _is_other(one: Function) -> bool:
+def _is_other(function: Function) -> bool:
     """Tell whether a time response is over something else than time, or complex."""
-    return one.abscissa.kind not in (0, 1, _TIME) or not one.real
+    return function.abscissa.kind not in (0, 1, _TIME) or not function.real
 
 
-def _label(one: Function) -> str:
-    name = direction_label(one.node, one.direction)
-    return name if one.node or is_none(one.entity) else one.entity
+def _label(function: Function) -> str:
+    name = direction_label(function.node, function.direction)
+    return name if function.node or is_none(function.entity) else function.entity
 
 
 def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> str:
@@ -162,8 +162,8 @@ def _signals(
 ) -> list[_Signal]:
     """Sort the records of one load case by signal."""
     by_label: dict[str, list[Function]] = {}
-    for one in times:
-        by_label.setdefault(_label(one), []).append(one)
+    for function in times:
+        by_label.setdefault(_label(function), []).append(function)
     signals = []
     for label, records in by_label.items():
         if label != name and not is_motion(records[0]):
@@ -175,35 +175,35 @@ def _signals(
             errors.append(Fault(f"the records of {label}", "in one unit", got, file, "Export it again"))
         faults += errors
         if not errors:
-            ordered = sorted(records, key=lambda one: (one.version, one.place))
+            ordered = sorted(records, key=lambda function: (function.version, function.place))
             signals.append(_Signal(channels[0], tuple(ordered)))
     return signals
 
 
 def _channel(
-    one: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[Fault]
+    function: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[Fault]
 ) -> Channel:
     """Say what one record holds as a row of a table of channels would."""
-    where = f"{file}, dataset {one.place}"
-    scale, order, unit = 1.0, -1, plain(one.ordinate.unit)
-    if is_motion(one):
-        motion = motion_of(one, geometry, file, faults)
+    where = f"{file}, dataset {function.place}"
+    scale, order, unit = 1.0, -1, plain(function.ordinate.unit)
+    if is_motion(function):
+        motion = motion_of(function, geometry, file, faults)
         if motion is not None:
             scale, order, unit = motion.scale, motion.order, _SI[motion.order]
             unit += f"/{motion.per}" if motion.per else ""
-    elif is_none(one.ordinate.unit):
-        unit = REFERENCES.get(one.ordinate.kind, "unit of the reference")
+    elif is_none(function.ordinate.unit):
+        unit = REFERENCES.get(function.ordinate.kind, "unit of the reference")
     if not leads:
-        faults += direction_faults(one, file)
+        faults += direction_faults(function, file)
     return Channel(
-        _label(one),
+        _label(function),
         "reference" if leads else "response",
         "",
-        point_name(one),
+        point_name(function),
         run,
         "",
-        unknown_vector() if leads else geometry.direction(one.node, one.direction),
-        geometry.position_mm(one.node),
+        unknown_vector() if leads else geometry.direction(function.node, function.direction),
+        geometry.position_mm(function.node),
         scale,
         order,
         unit,
@@ -225,7 +225,9 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]
         return [[*responses, *([] if lead is None else [lead])]]
     if counts == {1}:
         return _in_turn(responses, lead, file, faults)
-    known = ", ".join(f"{one.channel.name} {len(one.records)}" for one in [lead, *responses][:_MOST_NAMED])
+    known = ", ".join(
+        f"{signal.channel.name} {len(signal.records)}" for signal in [lead, *responses][:_MOST_NAMED]
+    )
     step = "Export every record of the reference once"
     faults.append(Fault("the time responses", "of as many records as their reference", known, file, step))
     return []
@@ -236,17 +238,17 @@ def _in_turn(
 ) -> list[list[_Signal]]:
     """Give each record of the reference the responses that stand behind it, or before it, in the file."""
     by_place: Mapping[int, _Signal] = {response.records[0].place: response for response in responses}
-    leads = sorted(lead.records, key=lambda one: one.place)
+    leads = sorted(lead.records, key=lambda record: record.place)
     behind = leads[0].place < min(by_place)
     parts = []
-    for k, one in enumerate(leads):
+    for k, record in enumerate(leads):
         if behind:
-            low, high = one.place, leads[k + 1].place if k + 1 < len(leads) else np.inf
+            low, high = record.place, leads[k + 1].place if k + 1 < len(leads) else np.inf
         else:
-            low, high = leads[k - 1].place if k else 0, one.place
+            low, high = leads[k - 1].place if k else 0, record.place
         inner = [signal for place, signal in by_place.items() if low < place < high]
         if inner:
-            parts.append([*inner, replace(lead, records=(one,))])
+            parts.append([*inner, replace(lead, records=(record,))])
     if len(parts) == len(leads) and sum(len(part) - 1 for part in parts) == len(responses):
         return parts
     got = f"{len(leads)} of {lead.channel.name} for {len(responses)} responses, not in turn"
@@ -260,33 +262,37 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     rates: dict[float, str] = {}
     faults: list[Fault] = []
     for signal in signals:
-        for one in signal.records:
+        for response in signal.records:
             with collecting(faults):
-                rates.setdefault(_rate(one, file), f"dataset {one.place}")
+                rates.setdefault(_rate(response, file), f"dataset {response.place}")
     raise_all(KinematicsError, faults)
     if max(rates) > min(rates) * (1.0 + 1e-6):
         got = " and ".join(f"{rate:g} Hz ({place})" for rate, place in list(rates.items())[:4])
         raise KinematicsError(Fault("the sampling rate", "one in all records", got, file))
     first = signals[0].records[0]
-    samples = {one.channel.name: tuple(record.y.real for record in one.records) for one in signals}
+    samples = {signal.channel.name: tuple(record.y.real for record in signal.records) for signal in signals}
     check_finite(samples, file)
     series = Series(file, max(rates), float(first.x[0] * _SECONDS[_time_unit(first)]), samples)
-    lead = next((one.channel for one in signals if one.channel.name == name), None)
+    lead = next((signal.channel for signal in signals if signal.channel.name == name), None)
     if lead is None and options.steps is None:
         step = f"Name the reference by {named('reference_channel')}"
-        raise KinematicsError(Fault("the time responses", "with their reference", "none", file, step))
-    return estimated(series, [one.channel for one in signals if one.channel.name != name], lead, options)
+        raise KinematicsError(Fault("the time signals", "with their reference", "none", file, step))
+    return estimated(
+        series, [signal.channel for signal in signals if signal.channel.name != name], lead, options
+    )
 
 
-def _time_unit(one: Function) -> str:
-    label = plain(one.abscissa.unit).lower()
+def _time_unit(function: Function) -> str:
+    label = plain(function.abscissa.unit).lower()
     return "s" if is_none(label) else label
 
 
-def _rate(one: Function, file: str) -> float:
-    where = f"{file}, dataset {one.place}"
-    unit = _time_unit(one)
+def _rate(function: Function, file: str) -> float:
+    where = f"{file}, dataset {function.place}"
+    unit = _time_unit(function)
     if unit not in _SECONDS:
         want = f"one of {', '.join(_SECONDS)}"
-        raise KinematicsError(Fault("the unit of time", want, one.abscissa.unit, where, "Export it again"))
-    return sampling_rate(one.x * _SECONDS[unit], where)
+        raise KinematicsError(
+            Fault("the unit of time", want, function.abscissa.unit, where, "Export it again")
+        )
+    return sampling_rate(function.x * _SECONDS[unit], where)
