@@ -95,13 +95,13 @@ def test_noise_free_data_give_back_stiffness_and_damping(noise_free, estimator):
 
 
 def test_intervals_cover_the_truth_in_reseeded_measurements(tmp_path):
-    """Noise, positions, fiducials and the frames of the scan drawn anew; 40 x 12 entries at 95 %.
+    """Noise, positions, fiducials and the frames of the scan drawn anew; 24 x 12 entries at 95 %.
 
     These ligaments lie exactly at the reference plane, without tilt, in the middle of what is known
     beforehand but for the height: the model that knows the plane holds 95 %, the default, for which it is
     unknown, more.
     """
-    count = 40
+    count = 24
     rng = np.random.default_rng(2026)
     frame = np.diag(np.array([5e-6, 5e-6, 5e-6, 2e-3, 1e-3, 1e-3]) ** 2)
     plate = np.diag(np.array([2e-6, 1e-6, 2e-6, 2e-4, 3e-4, 2e-4]) ** 2)

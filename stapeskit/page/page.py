@@ -256,6 +256,7 @@ def figure(
     palette : bool
         Keep 256 colours of a PNG, which makes coloured maps several times smaller.
     """
+    _laid_out(drawing)
     stream = io.BytesIO()
     if vector:
         drawing.savefig(stream, format="svg", dpi=dpi)
@@ -265,6 +266,14 @@ def figure(
         data, kind = _few_colours(stream.getvalue()) if palette else stream.getvalue(), "png"
     drawing.clear()
     return image(data, caption, alt, kind)
+
+
+def _laid_out(drawing: Figure) -> None:
+    """Lay a figure out once: with a layout engine, matplotlib draws all of it twice to save it."""
+    engine = drawing.get_layout_engine()
+    if engine is not None:
+        engine.execute(drawing)
+        drawing.set_layout_engine(None)
 
 
 def _few_colours(png: bytes) -> bytes:

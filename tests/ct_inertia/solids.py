@@ -81,26 +81,27 @@ def filled(surface, shape_xyz, spacing, origin, rays=4):
     corners = (surface.vertices_mm - origin) / (hx, hy, hz) + 0.5
     # A hair of an offset keeps the lines off edges and corners.
     corners[:, 1:] = corners[:, 1:] * rays + 1.2345e-7 * np.array([1.0, 1.7])
-    rows, places, signs = [], [], []
-    for a, b, c in corners[surface.faces]:
-        u0, u1 = np.ceil(min(a[1], b[1], c[1]) - 0.5), np.floor(max(a[1], b[1], c[1]) - 0.5)
-        v0, v1 = np.ceil(min(a[2], b[2], c[2]) - 0.5), np.floor(max(a[2], b[2], c[2]) - 0.5)
-        if u1 < u0 or v1 < v0:
-            continue
-        u, v = np.meshgrid(np.arange(u0, u1 + 1), np.arange(v0, v1 + 1))
-        u, v = u.ravel(), v.ravel()
-        det = (b[1] - a[1]) * (c[2] - a[2]) - (c[1] - a[1]) * (b[2] - a[2])
-        if det == 0.0:
-            continue
-        du, dv = u + 0.5 - a[1], v + 0.5 - a[2]
-        s = (du * (c[2] - a[2]) - dv * (c[1] - a[1])) / det
-        t = (dv * (b[1] - a[1]) - du * (b[2] - a[2])) / det
-        hit = (s >= 0) & (t >= 0) & (s + t <= 1)
-        hit &= (u >= 0) & (u < ny * rays) & (v >= 0) & (v < nz * rays)
-        rows.append((v[hit] * (ny * rays) + u[hit]).astype(np.int64))
-        places.append(a[0] + s[hit] * (b[0] - a[0]) + t[hit] * (c[0] - a[0]))
-        signs.append(np.full(int(hit.sum()), -np.sign(det)))
-    row, place, sign = np.concatenate(rows), np.concatenate(places), np.concatenate(signs)
+    a, b, c = np.moveaxis(corners[surface.faces], 1, 0)
+    first = np.ceil(np.minimum(np.minimum(a, b), c)[:, 1:] - 0.5)
+    last = np.floor(np.maximum(np.maximum(a, b), c)[:, 1:] - 0.5)
+    (b1, b2), (c1, c2) = (b - a)[:, 1:].T, (c - a)[:, 1:].T
+    det = b1 * c2 - b2 * c1
+    wide, high = np.maximum(last - first + 1.0, 0.0).astype(np.int64).T
+    count = np.where(det != 0.0, wide * high, 0)
+    # Every line that may meet a triangle, triangle by triangle.
+    face = np.repeat(np.arange(len(a)), count)
+    number = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    v, u = np.divmod(number, wide[face])
+    u, v = u + first[face, 0], v + first[face, 1]
+    du, dv = u + 0.5 - a[face, 1], v + 0.5 - a[face, 2]
+    s = (du * c2[face] - dv * c1[face]) / det[face]
+    t = (dv * b1[face] - du * b2[face]) / det[face]
+    hit = (s >= 0) & (t >= 0) & (s + t <= 1)
+    hit &= (u >= 0) & (u < ny * rays) & (v >= 0) & (v < nz * rays)
+    face, s, t = face[hit], s[hit], t[hit]
+    row = (v[hit] * (ny * rays) + u[hit]).astype(np.int64)
+    place = a[face, 0] + s * (b - a)[face, 0] + t * (c - a)[face, 0]
+    sign = -np.sign(det[face])
     v, u = np.divmod(row, ny * rays)
     voxel_row = (v // rays) * ny + u // rays
     place = np.clip(place, 0.0, nx)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.population import row_named, score
 
 VOXEL_UM = 34.0
-SEEDS = (20, 21, 22, 23)
+SEEDS = (20, 21, 22)
 
 
 def scores(name, folder, seeds=SEEDS, **fixed):
@@ -34,13 +34,15 @@ def test_fluid_under_the_footplate_is_never_a_plate_that_is_known_well(tmp_path)
 
 
 def test_fluid_in_voids_is_subtracted_or_said_to_be_unseen(tmp_path):
-    found = scores("fluid in voids", tmp_path, voxel_um=24.0) + scores("fluid in voids", tmp_path, SEEDS[:2])
+    found = scores("fluid in voids", tmp_path, SEEDS[:2], voxel_um=24.0) + scores(
+        "fluid in voids", tmp_path, SEEDS[:2]
+    )
     assert not any(s.silent for s in found)
     assert np.abs(errors(found)).max() < 0.03
 
 
 def test_dry_voids_are_not_called_wet(tmp_path):
-    found = scores("dry voids", tmp_path, voxel_um=24.0)
+    found = scores("dry voids", tmp_path, SEEDS[:2], voxel_um=24.0)
     assert not any({"soft_surroundings", "void_filling_unknown"} & set(s.codes) for s in found)
     assert np.abs(errors(found)).max() < 0.003
 
@@ -56,7 +58,7 @@ def test_dry_voids_are_not_called_wet(tmp_path):
     ],
 )
 def test_what_storing_did_is_corrected_and_named(name, code, most, tmp_path):
-    found = scores(name, tmp_path)
+    found = scores(name, tmp_path, SEEDS[:2])
     assert not any(s.wrong for s in found)
     assert all(code in s.codes for s in found if s.error is not None)
     assert np.abs(errors(found)).max() < most

@@ -51,7 +51,7 @@ def spoiled(channels, channel, kind):
 def test_a_fault_in_any_one_channel_of_the_sample_is_found_and_named(sample, number):
     channels = sample.bodies[number]
     kinds = ("gain", "sign", "zeros", "noise", "drift")
-    for channel in range(len(channels.points)):
+    for channel in range(number, len(channels.points), 2):
         kind = kinds[(channel + number) % len(kinds)]
         made = points2dof(replace(sample, bodies=(spoiled(channels, channel, kind),)))
         point = channels.points[channel]

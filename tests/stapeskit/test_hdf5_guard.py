@@ -47,9 +47,9 @@ def test_arrays_come_back_as_they_were_and_can_be_written(path: Path) -> None:
 def test_a_sound_file_costs_little(path: Path) -> None:
     took = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = sum(os.times()[:4])
         read_apart(lambda: None, path, "a file")
-        took.append(time.perf_counter() - start)
+        took.append(sum(os.times()[:4]) - start)
     assert min(took) < 0.05
 
 

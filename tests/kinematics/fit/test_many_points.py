@@ -52,19 +52,19 @@ def test_patterns_of_many_points_carry_their_covariance(uneven, monkeypatch):
     assert np.max(np.abs(one - other) / np.outer(size, size)) < 5e-3
 
 
-def test_thousands_of_points_need_few_patterns():
+def test_hundreds_of_points_need_few_patterns():
     rng = np.random.default_rng(16)
-    places = np.repeat(rng.normal(size=(1000, 3)), 3, axis=0)
-    beams = np.tile(np.eye(3), (1000, 1))
+    places = np.repeat(rng.normal(size=(600, 3)), 3, axis=0)
+    beams = np.tile(np.eye(3), (600, 1))
     q = smooth_motion(rng, np.linspace(400.0, 5000.0, 40))
     value = readings(places, beams, q)
     made = from_arrays(
         {
             "s": {
-                "points": [str(c // 3) for c in range(3000)],
+                "points": [str(c // 3) for c in range(1800)],
                 "positions_mm": places,
                 "directions": beams,
-                "value": value + 1e-9 * (rng.normal(size=(3000, 40, 2)) @ [1.0, 1j]),
+                "value": value + 1e-9 * (rng.normal(size=(1800, 40, 2)) @ [1.0, 1j]),
                 "position_sd_mm": 0.02,
             }
         },
@@ -72,9 +72,9 @@ def test_thousands_of_points_need_few_patterns():
         order=0,
     ).bodies[0]
     fit = fit_lines(beam_set("s", places, beams, DOF_NAMES), made.displacement[0], np.array(1e-9))
-    shifts = position_patterns([fit], made, {str(k): 20e-6 for k in range(1000)})
+    shifts = position_patterns([fit], made, {str(k): 20e-6 for k in range(600)})
     assert len(shifts) <= 40
-    assert shifts[0].shape == (3000, 3)
+    assert shifts[0].shape == (1800, 3)
 
 
 def absolute(**changed):

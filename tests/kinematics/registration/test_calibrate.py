@@ -77,7 +77,7 @@ def nees(result, truth):
 def test_errors_of_the_motion_are_honest(case):
     priors = GeometryPriors(1.0, 0.5, case.get("gain", 0.0))
     both = []
-    for seed in range(30):
+    for seed in range(18):
         measurement, truth, _ = ear(seed, **case)
         both.append(nees(points2dof(measurement, options=Options(calibrate=priors)), truth))
     assert np.mean(both) == pytest.approx(1.0, abs=0.2)

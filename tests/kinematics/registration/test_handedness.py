@@ -79,7 +79,7 @@ def test_other_faults_are_not_taken_for_mirrored_axes(fault):
 
 @pytest.mark.parametrize("fault", ["sign", "label swap", "position 200 um", "point sign"])
 def test_one_fault_beside_position_errors_on_a_small_plate_is_not_taken_for_mirrored_axes(fault):
-    for seed in range(1000, 1004):
+    for seed in range(1000, 1002):
         made = drawn(seed, "footplate, 5 points 3D", fault, position_sd_mm=0.02)
         run(made, seed, True, 0.02)
 
