@@ -23,6 +23,8 @@ from tests.fitting.cases import M, paper_motion
 from tests.pipeline.conftest import settle
 from tests.pipeline.ears import make_ear
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @dataclass(frozen=True)
 class Case:

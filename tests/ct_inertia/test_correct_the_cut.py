@@ -14,6 +14,8 @@ from ct_inertia.cli import work
 from ct_inertia.read import read_volume
 from tests.ct_inertia.ears import ear
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "correct_the_cut.md").read_text(encoding="utf-8")
 COMMANDS = [block.strip() for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)]
 SCRIPT = re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1]

@@ -24,6 +24,8 @@ from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import write_motion
 from tests.fitting.cases import DOF, D, K, M, paper_motion, six_dof_mass, six_dof_motion
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 KEYS = {
     "schema",
     "dof",

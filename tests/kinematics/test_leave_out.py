@@ -16,6 +16,8 @@ from kinematics.options import LdvOptions
 from stapeskit.options import read_table
 from tests.kinematics.simulated import HEADER, csv_rows, scene
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 FREQ = np.array([500.0, 1000.0])
 
 

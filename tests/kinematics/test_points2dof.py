@@ -27,6 +27,8 @@ from stapeskit.spatial import matrix_from_parameters
 from tests.kinematics.records import PARAMETERS, SCAN_FROM_FOOTPLATE, SCAN_FROM_PLATE, write_record
 from tests.kinematics.simulated import HEADER, csv_rows, scene
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 MARKS = [
     (name, np.array(place, dtype=float))
     for name, place in {

@@ -3,7 +3,6 @@
 import shutil
 
 import pytest
-from markupsafe import Markup
 
 from pipeline.scan2kd import run_study
 from tests.pipeline.ears import make_ear
@@ -15,11 +14,9 @@ def settle(patch):
 
 
 @pytest.fixture(autouse=True)
-def settled(monkeypatch):
+def settled(monkeypatch, undrawn):
     """Settle every test of this room, and leave the drawing away, which `finished` has done once."""
     settle(monkeypatch)
-    monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,8 @@ from stapeskit.faults import StapeskitError
 from tests.ct_inertia.ears import ear
 from tests.ct_inertia.readers import writers as f
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 RAW = ["--dtype", "uint16", "--byte-order", "big", "--header-bytes", "77"]
 
 

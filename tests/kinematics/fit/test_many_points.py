@@ -19,6 +19,8 @@ from stapeskit.records.motion_files import read_motion, standard_deviation, writ
 from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import HEADER, body, csv_rows, measurement, readings, scene, smooth_motion
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def coherent(derivatives, variances):
     """Covariance of the real and imaginary parts of q at all lines, (2 n, 2 n)."""

@@ -23,6 +23,8 @@ from tests.kinematics.readers.test_inputs import PLACES, F, codes, value
 from tests.kinematics.rewritten import write_three_ways
 from tests.kinematics.written_psv import fastscan
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_volumes"
 
 

@@ -18,6 +18,8 @@ from kinematics.readers.matlab.spectra import read
 from stapeskit.faults import StapeskitError
 from tests.kinematics.written_mat import write_v73
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LINES, POINTS = 40, 7
 RNG = np.random.default_rng(0)
 FREQ = np.linspace(0.0, 3900.0, LINES)[None]

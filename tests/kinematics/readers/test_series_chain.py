@@ -15,6 +15,8 @@ from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import read_motion, standard_deviation
 from tests.kinematics import series
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SCALE = 1e3  # mm/s
 
 

@@ -14,6 +14,8 @@ from kinematics.readers.uff.spectra import read
 from stapeskit.faults import StapeskitError
 from tests.kinematics import written_uff as uff
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 RATE, COUNT = 2000.0, 4096
 TIME = np.arange(COUNT) / RATE
 RNG = np.random.default_rng(3)

@@ -20,6 +20,8 @@ from tests.kinematics.registration.test_moved import (
 )
 from tests.kinematics.surfaces import on_faces
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 __all__ = ["scan"]
 
 
