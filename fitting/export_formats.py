@@ -14,10 +14,11 @@ EXPORTS: dict[str, str] = {
     "csv": "entries with sd, interval and covariance (X.entries.csv)",
     "tex": "matrices as LaTeX (X.tex)",
     "inp": "springs, dashpots and masses for CalculiX and Abaqus (X.inp)",
+    "mjcf": "a MuJoCo model with K and D as tendons (X.xml)",
     "joint": "M, K, D and shared errors with their joint covariance (X.joint.json)",
     "methods": "a paragraph on the methods (X.methods.txt)",
 }
-_ENDINGS = {"csv": ".entries.csv", "joint": ".joint.json", "methods": ".methods.txt"}
+_ENDINGS = {"csv": ".entries.csv", "mjcf": ".xml", "joint": ".joint.json", "methods": ".methods.txt"}
 
 
 def file_name(stem: str, name: str) -> str:

@@ -60,8 +60,10 @@ class KDResult(Result, KDFit):
     def content(self) -> dict[str, Any]:
         """Return the content of kd.json."""
         from fitting.report.kd_json import kd_json
+        from fitting.report.ring_section import ring_json, ring_of
 
         content = kd_json(self, self.provenance)
+        content["ring"] = ring_json(ring_of(self, self.footplate_outline_mm))
         if self.scatter is not None:
             content["monte_carlo"] = monte_carlo_json(self, self.scatter)
         return content

@@ -16,6 +16,7 @@ from fitting.examples.page_command import write_page
 from fitting.examples.paper_figures import shape_figure, simulated_figure
 from fitting.model.model import NORMALISATION, Modes, modes, passive
 from fitting.model.principal_axes import principal_axes
+from fitting.model.ring import ellipse_mm, ring_test
 from fitting.model.symmetric import entry_units
 from fitting.report.figures import principal_figure
 from stapeskit.page import page
@@ -23,6 +24,12 @@ from stapeskit.page.page import Page, Section
 
 _HEADER = ("quantity", "printed", "recomputed", "finding")
 _AGREES = "agrees"
+# Mean length and width of human footplates (Sim et al. 2013, JARO 14:159).
+FOOTPLATE_MM = (2.71, 1.23)
+_RING = (
+    "an observation: a uniform ligament with the paper's K11 around an ellipse of the mean size would be "
+    "softer in rocking; the outline of the paper's footplate is not published"
+)
 
 
 def paper_page() -> Page:
@@ -223,6 +230,10 @@ def _axes() -> Section:
     names = ("stiffness y (N/m)", "about x' (N m/rad)", "about z' (N m/rad)")
     for name, was, now in zip(names, paper.PAPER_PRINCIPAL_STIFFNESS, axes.stiffness, strict=True):
         rows.append(_row(name, f"{was:g}", f"{now:.5g}"))
+    piston = complex(paper.PAPER_STIFFNESS[0, 0])
+    ring = ring_test(paper.PAPER_STIFFNESS, piston, ellipse_mm(*FOOTPLATE_MM))
+    for name, value in zip(names[1:], () if ring is None else ring.rocking_ratio, strict=False):
+        rows.append(_row(f"{name} over that of a uniform ring", "-", f"{value:.2f}", _RING))
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
     return Section("Principal axes: Fig. 6").add(
         page.table(_HEADER, rows, words=True),

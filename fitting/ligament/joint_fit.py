@@ -266,18 +266,21 @@ def fit_joint(
 def equation_error_start(lines: JointLines, equations: Equations, begin: Array, rounds: int = 3) -> Array:
     """Return weighted least squares of the equations of the motion as it is, (p,): a start of the likelihood.
 
-    The equations are linear in all but an exponent, so that it needs no start close by; each round weights by
-    the noise at the last estimate. Noise of the deflection biases it.
+    Terms and shared errors keep their values. The equations are linear in all but an exponent, so that it
+    needs no start close by; each round weights by the noise at the last estimate. Noise of the deflection
+    biases it.
     """
-    lines, prior, now = lines.without_errors(), equations.prior, begin[: equations.unknowns]
+    lines, now = lines.without_errors(), begin[: equations.unknowns].copy()
+    free = equations.term.start
+    root, fixed = equations.prior.root[:, :free], equations.prior.root[:, free:]
+    there, applied = equations.applied(lines, now)
     for _ in range(rounds):
         at = expand(lines, equations, now, np.empty(0))
-        rows = at.whitening @ _structural_columns(lines, equations, now, lines.y)
-        rows = rows.reshape(-1, equations.unknowns)
-        right = rows @ now - at.residual.ravel()
-        hessian = 2.0 * (rows.conj().T @ rows).real + prior.root.T @ prior.root
-        slope = 2.0 * (rows.conj().T @ right).real + prior.root.T @ (prior.root @ prior.mean)
-        now = solve_symmetric(hessian, slope)
+        rows = (at.whitening @ _structural_columns(there, applied, now, there.y)).reshape(-1, free)
+        right = rows @ now[:free] - at.residual.ravel()
+        off = equations.prior.root @ equations.prior.mean - fixed @ now[free:]
+        hessian = 2.0 * (rows.conj().T @ rows).real + root.T @ root
+        now[:free] = solve_symmetric(hessian, 2.0 * (rows.conj().T @ right).real + root.T @ off)
     return np.concatenate([now, begin[equations.unknowns :]])
 
 

@@ -17,6 +17,7 @@ from fitting.report.figures import frequency_figure, principal_figure, residual_
 from fitting.report.kd_json import principal_axes_json
 from fitting.report.ligament_section import ligament_section
 from fitting.report.responses import responses
+from fitting.report.ring_section import ring_of, ring_parts
 from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.covariance import ATTENUATION, NOISE
 from stapeskit.page import page
@@ -280,6 +281,7 @@ def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
         *((f"stiffness {name}", f"{value:.5g}", _sd(spread)) for name, value, spread in stiffness),
     ]
     drawn = "over the footplate's outline " if outline_mm is not None else ""
+    test = ring_of(fit, outline_mm)
     return Section("Principal axes", key="principal_axes").add(
         page.figure(
             principal_figure(values, sd, outline_mm, centre),
@@ -289,6 +291,7 @@ def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
             "principal axes of the stiffness",
         ),
         page.table(("", "value", "sd"), rows),
+        *(() if test is None else ring_parts(test)),
     )
 
 

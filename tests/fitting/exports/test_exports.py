@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -131,6 +132,33 @@ def test_the_deck_alone_gives_back_modes_and_damping(fit) -> None:
     piston = np.ix_([1, 3, 5], [1, 3, 5])
     size = np.sqrt(np.outer(np.diag(fit.damping), np.diag(fit.damping)))
     assert np.abs((found["DASHPOT"][piston] - fit.damping) / size).max() < 1e-8
+
+
+def test_tendons_and_inertia_of_the_mujoco_model_make_k_d_and_m(fit) -> None:
+    model = ElementTree.fromstring(exported(fit, "mjcf"))
+    found = {"k": np.zeros((3, 3)), "d": np.zeros((3, 3))}
+    for tendon in model.find("tendon"):
+        column = np.array([float(joint.get("coef")) for joint in tendon])
+        assert [joint.get("joint") for joint in tendon] == ["y", "alpha", "gamma"]
+        found[tendon.get("name")[0]] += np.outer(column, column)
+    for letter, matrix in (("k", fit.stiffness), ("d", fit.damping)):
+        size = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+        assert np.abs(found[letter] - matrix).max() < 1e-8 * size.max()
+        assert np.all(np.abs(found[letter] - matrix) < 1e-8 * size)
+    inertial = model.find("worldbody/body/inertial")
+    mass = float(inertial.get("mass"))
+    x, y, z = (float(value) for value in inertial.get("pos").split())
+    xx, yy, zz, xy, xz, yz = (float(value) for value in inertial.get("fullinertia").split())
+    about = [xx + mass * (y * y + z * z), yy + mass * (x * x + z * z), zz + mass * (x * x + y * y)]
+    about += [xy - mass * x * y, yz - mass * y * z, xz - mass * x * z]
+    again = matrix_from_parameters(np.array([mass, mass * x, mass * y, mass * z, *about]))
+    assert np.allclose(again[np.ix_([1, 3, 5], [1, 3, 5])], fit.mass, rtol=1e-7, atol=1e-18)
+
+
+def test_the_mujoco_model_needs_a_mass_of_six_degrees_of_freedom() -> None:
+    with pytest.raises(FittingError) as caught:
+        exported(fit_kd(paper_motion(0.01, 0, 40), M, KDOptions(bands=0)), "mjcf")
+    assert caught.value.faults[0].thing == "the export mjcf"
 
 
 def test_latex_and_methods_name_the_numbers(fit) -> None:

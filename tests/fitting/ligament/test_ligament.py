@@ -13,7 +13,7 @@ from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.joint_covariance import joint_covariance
-from fitting.ligament.joint_fit import expand
+from fitting.ligament.joint_fit import equation_error_start, expand
 from fitting.ligament.joint_lines import joint_lines
 from fitting.model.observation import observe_both
 from fitting.model.symmetric import join
@@ -104,6 +104,25 @@ def test_a_mirrored_ear_gives_the_mirrored_matrices() -> None:
     sd = here.standard_deviation[0]
     assert np.all(np.abs(there.stiffness - here.stiffness * turned) < 1e-3 * sd)
     assert there.ligament.height[0] == pytest.approx(here.ligament.height[0], rel=1e-3)
+
+
+def test_least_squares_of_the_equations_start_at_the_minimum_of_exact_data_from_anywhere() -> None:
+    ligament = fitted(drawn(replace(EXACT, noise=1e-6))).ligament
+    equations = ligament.equations
+    wanted = ligament.joint.parameters[: equations.unknowns]
+    far = np.concatenate([3.0 * wanted[: equations.entries], 0.0 * wanted[equations.entries :]])
+    found = equation_error_start(ligament.lines, equations, far)
+    assert np.abs(found - wanted).max() < 1e-3
+
+
+def test_a_given_hessian_is_kept_and_the_rest_is_the_same() -> None:
+    ligament = fitted(drawn(EarSettings(noise=0.02, lines=40), 3)).ligament
+    lines, equations, at = ligament.lines, ligament.equations, ligament.joint.parameters
+    whole = expand(lines, equations, 1.01 * at)
+    cheap = expand(lines, equations, 1.01 * at, ligament.joint.at.hessian)
+    assert cheap.hessian is ligament.joint.at.hessian
+    assert cheap.value == whole.value
+    assert np.array_equal(cheap.gradient, whole.gradient)
 
 
 @pytest.mark.parametrize("law", ["viscous", "fractional"])

@@ -1,0 +1,110 @@
+"""The ring test: K of a uniform annular ligament around a footplate's rim, beside the K that was measured.
+
+A ligament of shear modulus G, thickness t (along y) and width g (between the rims) that is thin beside the
+footplate resists normal displacement of the rim by c = G t / g per length (simple shear), so that
+
+    K = c * integral over the rim of r^T r ds,    r = (1, -z, x) for y, alpha, gamma.
+
+The three stiffnesses then have one ratio, whatever G is; how far measured ones are from it says how uneven
+the ligament is around the rim, or that the model is wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fitting.model.principal_axes import PrincipalAxes, principal_axes
+
+Array = NDArray[np.float64]
+# Shear moduli of published models of the human annular ligament that give the measured piston stiffness.
+PUBLISHED_SHEAR_PA = (5e3, 70e3)
+# Simpson's rule along a straight piece of the rim: exact for r^T r.
+_SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 2.0 / 3.0), (1.0, 1.0 / 6.0))
+
+
+@dataclass(frozen=True)
+class RingTest:
+    """A measured K beside that of a uniform ring with the same piston stiffness.
+
+    Attributes
+    ----------
+    rim_length_m : float
+    shear_pa : float
+        c = K11 / rim length = G t / g: the shear modulus times thickness over width.
+    measured, expected : PrincipalAxes
+        Of the measured K and of the ring; SI.
+    loss_factor : float
+        Im / Re of the piston's dynamic stiffness in the middle of the band.
+    """
+
+    rim_length_m: float
+    shear_pa: float
+    measured: PrincipalAxes
+    expected: PrincipalAxes
+    loss_factor: float
+
+    @property
+    def rocking_ratio(self) -> tuple[float, float]:
+        """Measured over expected stiffness about the principal axes near x and z."""
+        about_x, about_z = (self.measured.stiffness / self.expected.stiffness)[1:]
+        return float(about_x), float(about_z)
+
+    @property
+    def thickness_over_width(self) -> tuple[float, float]:
+        """t / g for the largest and the smallest published shear modulus."""
+        low, high = PUBLISHED_SHEAR_PA
+        return self.shear_pa / high, self.shear_pa / low
+
+
+def ring_stiffness(outline_m: ArrayLike) -> tuple[Array, float]:
+    """Return K (3, 3) in y, alpha, gamma of a ring with c = 1 N/m2 about the origin, and its length (m).
+
+    Parameters
+    ----------
+    outline_m : array_like, (points, 2)
+        x and z of the rim in order; the last point is joined to the first.
+    """
+    first = np.asarray(outline_m, dtype=float)
+    second = np.roll(first, -1, axis=0)
+    length = np.linalg.norm(second - first, axis=1)
+    total = np.zeros((3, 3))
+    for share, weight in _SIMPSON:
+        x, z = (first + share * (second - first)).T
+        rows = np.column_stack([np.ones_like(x), -z, x])
+        total += weight * (rows.T * length) @ rows
+    return total, float(length.sum())
+
+
+def ring_test(stiffness: ArrayLike, dynamic_piston: complex, outline_mm: ArrayLike | None) -> RingTest | None:
+    """Compare a measured K with a uniform ring around the footplate; None without outline or K11 > 0.
+
+    Parameters
+    ----------
+    stiffness : array_like, (3, 3)
+        In y, alpha, gamma about the footplate centre; SI.
+    dynamic_piston : complex
+        K11 + s D11 in the middle of the band.
+    outline_mm : array_like, (points, 2 or 3), or None
+        Outline of the footplate in footplate axes: x and z, or x, y and z.
+    """
+    k = np.asarray(stiffness, dtype=float)
+    if outline_mm is None or k.shape != (3, 3) or not k[0, 0] > 0.0:
+        return None
+    ring, length = ring_stiffness(1e-3 * np.asarray(outline_mm, dtype=float)[:, [0, -1]])
+    shear = k[0, 0] / length
+    return RingTest(
+        length,
+        float(shear),
+        principal_axes(k),
+        principal_axes(shear * ring),
+        float(dynamic_piston.imag / dynamic_piston.real),
+    )
+
+
+def ellipse_mm(length_mm: float, width_mm: float, points: int = 720) -> Array:
+    """Return the outline of an ellipse, long axis along x, (points, 2), mm."""
+    angle = 2.0 * np.pi * np.arange(points) / points
+    return np.column_stack([0.5 * length_mm * np.cos(angle), 0.5 * width_mm * np.sin(angle)])
