@@ -9,27 +9,19 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels, PlateFace
 from ct_inertia.calibrated import calibrated
+from ct_inertia.grey.bare_bone import Blur, bare_bone
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
 from ct_inertia.grey.coat import (
-    USUAL,
     Coat,
-    CoatImage,
-    coat_image,
-    with_coat_sd,
-    with_suspected_coat,
 )
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, fit_bodies, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings
-from ct_inertia.grey.neighbours import Parted, away_from_others, cut_through_bone, part_from_neighbours
+from ct_inertia.grey.neighbours import Parted, cut_through_bone, part_from_neighbours
 from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensitivity, with_contribution
-from ct_inertia.grey.plate_face import FaceFit, displaced_share, face_near, plate_share
-from ct_inertia.grey.plate_face_doubt import face_covariance, face_doubt
-from ct_inertia.grey.preparation import blur_of, prepare
+from ct_inertia.grey.preparation import Prepared, blur_of, prepare
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
-from ct_inertia.grey.soft import by_soft, soft_notices, taken_off, without_soft
 from ct_inertia.grey.thin_bone import thin_bone
-from ct_inertia.grey.voids import by_filling, closed_voids, void_notices, without_filling
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
@@ -104,57 +96,68 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     CtInertiaError
         The grey values of the body sum to no positive volume.
     """
-    spacing = volume.spacing_mm
-    rim = spread(spread(cut.stapes))
-    ready = prepare(cut, guess, spacing)
-    cut, around, air, stored = ready.cut, ready.around, ready.air, ready.stored
-    sigma, distance, reach = ready.sigma_mm, ready.distance_mm, ready.reach_mm
-    bone, fit = _bone(around, air, sigma, distance, reach)
+    ready = prepare(cut, guess, volume.spacing_mm)
+    air = ready.air
+    bone, blur, fitted = _bone_and_blur(ready, volume.spacing_mm)
+    bare = bare_bone(volume, ready, bone, blur, fitted, guess, coat)
+    cut, distances = bare.cut, (bare.distance_mm, bare.away_mm)
+    levels = (air.level, bone.level)
+    parted = part_from_neighbours(cut, distances, bare.reach_mm, volume.spacing_mm, levels, bare.blur[0])
+    share = _share(cut, parted, air, bone, bare.blur[:2])
+    moments, bone, shading = _integrated(share, bone, air, volume, cut)
+    through = cut_through_bone(cut, parted, (air.level, bone.level), volume, moments)
+    covariance = through.covariance + _by_tails(parted, cut, volume, moments)
+    if np.any(covariance):
+        moments = with_contribution(moments, "separation", covariance)
+    moments, media = bare.with_budget(moments, parted.own, volume, bone.level - air.level)
+    return Measured(
+        moments,
+        as_levels(air, bone, guess.plastic),
+        bare.blur[0],
+        bare.blur[2],
+        _field(cut, parted, (air.level, bone.level)),
+        parted.own,
+        None if bare.face is None else bare.face.face,
+        air.correlation,
+        air.clipped,
+        (
+            *ready.notices,
+            *bone.notices,
+            *shading,
+            *media,
+            *_air_notices(air, bone),
+            *through.notices(moments.volume_mm3),
+        ),
+        bare.doubt(parted.own, volume, bone.level - air.level),
+        bare.coat_share(parted.own, volume, moments),
+    )
+
+
+def _bone_and_blur(ready: Prepared, spacing_mm: Array) -> tuple[Bone, Blur, bool]:
+    """Return the bone level, the blur, and whether both come from a fit of body, level and blur."""
+    air = ready.air
+    bone, fit = _bone(ready.around, air, ready.sigma_mm, ready.distance_mm, ready.reach_mm)
     rest = _REST_SD * ready.overshoot * (bone.level - air.level)
     bone = replace(bone, sd=float(np.hypot(bone.sd, rest)))
-    if stored is not None:
-        bone = replace(bone, sd=stored.bone_sd(bone.sd), notices=(*bone.notices, *stored.notices()))
-    blur = blur_of(cut, rim, (air.level, bone.level), spacing, air.noise)
+    if ready.stored is not None:
+        notices = (*bone.notices, *ready.stored.notices())
+        bone = replace(bone, sd=ready.stored.bone_sd(bone.sd), notices=notices)
+    rim = spread(spread(ready.cut.stapes))
+    blur = blur_of(ready.cut, rim, (air.level, bone.level), spacing_mm, air.noise)
     if fit is not None:
         off = 0.5 * abs(blur[0] - fit.sigma_mm)
         sd = max(_FITTED_BLUR_SD * fit.sigma_mm, min(off, _MOST_BLUR_SD * fit.sigma_mm))
         blur = (fit.sigma_mm, sd, "fit of body, level and blur")
-    cut, fitted, displaced = _without_plate(
-        volume, cut, (distance, reach), (air.level, guess.plastic, blur[0]), bone.level
-    )
-    face = None if fitted is None else fitted.face
-    if face is not None and abs(face.sigma_mm / blur[0] - 1.0) < _SAME_BLUR:
-        blur = (face.sigma_mm, 0.01 * face.sigma_mm, "face of the plate")
-    coated: CoatImage | None = None
-    if coat is not None and coat.thickness_mm > 0.0:
-        coated = coat_image(cut, coat, distance < 1.99 * reach, spacing, (air.level, bone.level), blur[0])
-        cut = replace(cut, grey=cut.grey - np.float32(bone.level - air.level) * coated.share)
-    suspected: CoatImage | None = None
-    if coat is None and ready.softened:
-        near = distance < 1.99 * reach
-        suspected = coat_image(cut, USUAL, near, spacing, (air.level, bone.level), blur[0])
-    away = away_from_others(cut, distance, reach, spacing, blur[0])
-    # Where blur fills thin walls, they look like something soft: only well seen bone tells the two apart.
-    soft = None
-    # A plate whose face could not be fitted is taken off like it, and less is known of that.
-    touched = fitted is None and bool(np.any(cut.plate & (distance <= reach)))
-    voids = closed_voids(cut, spacing, (air, bone.level), blur[:2])
-    if voids is not None and voids.filled:
-        cut = replace(cut, grey=without_filling(cut, voids, bone.level - air.level))
-    if touched:
-        soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
-    elif bone.seen > _WELL_SEEN:
-        known = (air, bone.level, guess.between)
-        soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
-    if soft is not None:
-        # Edges in something soft are less high and looked blurred otherwise: once more without it.
-        clear = blur_of(replace(cut, grey=soft.grey), rim, (air.level, bone.level), spacing, air.noise)
-        if fit is None and abs(clear[0] / blur[0] - 1.0) > _OTHER_BLUR:
-            blur = clear
-            soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
-        cut = replace(cut, grey=soft.grey)
-    parted = part_from_neighbours(cut, (distance, away), reach, spacing, (air.level, bone.level), blur[0])
-    share = _share(cut, parted, air, bone, blur[:2])
+    return bone, blur, fit is not None
+
+
+def _integrated(
+    share: Share, bone: Bone, air: Air, volume: Volume, cut: Cut
+) -> tuple[Moments, Bone, list[Notice]]:
+    """Integrate grey values, with what their changes across bone and air leave uncertain.
+
+    The bone level that is returned is that at the centre of the body.
+    """
     moments = partial_volume_moments(share, volume.scan_from_index)
     sloped = np.zeros(10)
     if np.any(bone.slope):
@@ -163,58 +166,16 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         moments = partial_volume_moments(share, volume.scan_from_index)
         sloped = by_slope(share, bone, volume, moments)
         moments = with_contribution(moments, "inhomogeneity", np.outer(sloped, sloped))
-    notices = (*ready.notices, *bone.notices)
+    notices: list[Notice] = []
     if bone.cupping is not None:
         step = by_cupping(share, bone.cupping, volume, cut, moments)
         moments = with_contribution(moments, "cupping", np.outer(step, step))
         # A slope beside the paraboloid is that of its flank.
-        notices = (*notices, cupping_notice(bone.cupping, as_shares(step + sloped, moments)))
+        notices = [cupping_notice(bone.cupping, as_shares(step + sloped, moments))]
     if any(air.slope):
         covariance = moments.contributions["levels"] + by_air(share, air, volume, moments)
         moments = with_contribution(moments, "levels", covariance)
-    levels = (air.level, bone.level)
-    through = cut_through_bone(cut, parted, levels, volume, moments)
-    covariance = through.covariance + _by_tails(parted, cut, volume, moments)
-    if np.any(covariance):
-        moments = with_contribution(moments, "separation", covariance)
-    if soft is not None:
-        covariance = by_soft(soft, parted.own, cut, volume, moments, fitted is not None)
-        moments = with_contribution(moments, "surroundings", covariance)
-        notices = (*notices, *soft_notices(soft, parted.own, volume, moments))
-    if voids is not None and voids.sd > 0.0:
-        moments = with_contribution(moments, "voids", by_filling(voids, cut, volume, moments))
-        notices = (*notices, *void_notices(voids, volume, moments))
-    doubt = None if soft is None else soft.doubt * np.float32(_PLATE_DOUBT if touched else 1.0)
-    coat_share = None
-    if coated is not None:
-        moments = with_coat_sd(coated, parted.own, cut, volume, moments)
-        doubt = coated.doubt if doubt is None else doubt + coated.doubt
-        coat_share = float(coated.share[parted.own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
-    if suspected is not None:
-        moments, notice = with_suspected_coat(suspected, parted.own, cut, volume, moments)
-        notices = (*notices, notice)
-        doubt = suspected.share if doubt is None else doubt + suspected.share
-    if fitted is not None:
-        near, contrast = distance <= reach, bone.level - air.level
-        covariance = face_covariance(fitted, volume, cut, near, contrast, moments, displaced)
-        moments = with_contribution(moments, "plate", covariance)
-        unsure = face_doubt(fitted, volume, cut, near, contrast)
-        if unsure is not None:
-            doubt = unsure if doubt is None else doubt + unsure
-    return Measured(
-        moments,
-        as_levels(air, bone, guess.plastic),
-        blur[0],
-        blur[2],
-        _field(cut, parted, levels),
-        parted.own,
-        face,
-        air.correlation,
-        air.clipped,
-        (*notices, *_air_notices(air, bone), *through.notices(moments.volume_mm3)),
-        None if doubt is None else np.where(parted.own, doubt, np.float32(0.0)),
-        coat_share,
-    )
+    return moments, bone, notices
 
 
 def _by_tails(parted: Parted, cut: Cut, volume: Volume, moments: Moments) -> Array:
@@ -279,33 +240,6 @@ def _bone(
         )
         notices = (Notice("bone_level_weak", text),)
     return Bone(air.level + fit.contrast, float(sd), noise, "fit", notices, seen=0.0), fit
-
-
-def _without_plate(
-    volume: Volume,
-    cut: Cut,
-    within: tuple[NDArray[np.float32], float],
-    start: tuple[float, float | None, float],
-    bone: float,
-) -> tuple[Cut, FaceFit | None, NDArray[np.float32] | None]:
-    """Subtract the plate's blurred face from the grey values within reach of the stapes.
-
-    The third value is what was given back where bone stands in the plastic's place.
-    """
-    (air, plastic, sigma), (distance_mm, reach_mm) = start, within
-    if plastic is None:
-        return cut, None, None
-    fit = face_near(volume, cut, distance_mm, reach_mm, (air, plastic, sigma))
-    if fit is None:
-        return cut, None, None
-    face = fit.face
-    near = distance_mm <= reach_mm
-    grey = cut.grey.copy()
-    grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
-    missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air, near)
-    if missing is not None:
-        grey[near] += missing[near]
-    return replace(cut, grey=grey), fit, missing
 
 
 def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, float]) -> Share:
