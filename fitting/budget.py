@@ -151,9 +151,9 @@ def _by_source(effect: SharedEffect) -> dict[str, Array]:
 
 
 def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
-    """Return how the uncertainty of a fractional exponent moves the SI parameters."""
+    """Return how the uncertainty of an estimated exponent or time moves the SI parameters."""
     problem, parameters = fit.problem, fit.estimate.parameters
-    step = 1e-5
+    step = 1e-5 * fit.law.unit_of_exponent(problem.scale.omega)
     gradients = []
     for sign in (1.0, -1.0):
         moved = problem.with_law(DampingLaw(fit.law.name, fit.law.exponent + sign * step))
@@ -161,7 +161,8 @@ def _exponent_effect(fit: LawFit, widened: float) -> SharedEffect:
     respond = implicit_response(problem, problem.lines(), fit.estimate)
     column = respond((gradients[0] - gradients[1]) / (2.0 * step))
     half = len(parameters) // 2
-    column[half:] -= np.log(problem.scale.omega) * parameters[half:] * problem.units[half:]
+    if fit.law.law.time_power is None:
+        column[half:] -= np.log(problem.scale.omega) * parameters[half:] * problem.units[half:]
     variance = np.array([[widened * (fit.exponent_sd or 0.0) ** 2]])
     none = np.zeros((1, problem.n, problem.n))
     return SharedEffect(EXPONENT, ("exponent",), variance, column[:, None], none)

@@ -115,7 +115,7 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
             other = with_ligament(fit_law(plain.problem, name, options.lower, options.upper), both, names)
         except (FittingError, np.linalg.LinAlgError):
             continue
-        if other.ligament is None:
+        if other.ligament is None or not other.law.physical:
             continue
         level = max(1.0, other.ligament.chi2 / other.ligament.n_dof)
         fall = (best.ligament.chi2 - other.ligament.chi2) / level

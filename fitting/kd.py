@@ -113,7 +113,7 @@ def _fitted(
     if options.causes and both is None:
         raise FittingError(_not_joint(options))
     plain, laws, choice, undetermined = _laws(problem, options, both)
-    best = min(laws, key=lambda one: one.bic)
+    best = min(laws, key=lambda one: (not one.law.physical, one.bic))
     diagnosis, fluid = None, None
     if best.ligament is not None and both is not None:
         before = best

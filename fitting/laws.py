@@ -65,17 +65,20 @@ class LawFit:
 
 
 def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]) -> LawFit:
-    """Estimate under one damping law; an exponent is estimated by a one-dimensional search."""
+    """Estimate under one damping law; an exponent or a time is estimated by a one-dimensional search."""
     search = law_of(name).search
     if search is None:
         return _at(problem, DampingLaw(name), lower, upper)
     from scipy.optimize import minimize_scalar
 
+    unit = 1.0 / problem.scale.omega
+
     def objective(exponent: float) -> float:
-        return _at(problem, DampingLaw(name, float(exponent)), lower, upper).estimate.objective
+        law = DampingLaw(name, float(exponent)).scaled(unit)
+        return _at(problem, law, lower, upper).estimate.objective
 
     optimum = minimize_scalar(objective, bounds=search, method="bounded", options={"xatol": 1e-6})
-    best = _at(problem, DampingLaw(name, float(optimum.x)), lower, upper)
+    best = _at(problem, DampingLaw(name, float(optimum.x)).scaled(unit), lower, upper)
     return replace(best, exponent_sd=_exponent_sd(best))
 
 
@@ -196,9 +199,10 @@ def _exponent_sd(fit: LawFit) -> float:
     now = ml.whiten(fit.estimate.parameters, lines)
     rows = real_rows(now.corrected(lines))
     _, damping = split(fit.estimate.parameters, lines.n)
-    slope = fit.law.slope(lines.omega)
+    omega = fit.problem.scale.omega
+    slope = fit.law.scaled(omega).slope(lines.omega)
     extra = real_rows(forward(now.factor, slope * (damping @ lines.dq)))
     coupling = transposed_times(rows, extra)
     explained = float(coupling @ solve_symmetric(gram(rows), coupling))
     information = 2.0 * (float(extra @ extra) - explained)
-    return 1.0 / max(information, 1e-300) ** 0.5
+    return fit.law.unit_of_exponent(omega) / max(information, 1e-300) ** 0.5

@@ -28,7 +28,7 @@ class Problem:
     inertia : Inertia
     scale : Scale
     law : DampingLaw
-        In SI; the scaled law has the same name and exponent.
+        In SI.
     name : str
         Of the estimator.
     options : EstimatorOptions

@@ -27,7 +27,7 @@ def content(fit: KDFit) -> bytes:
             "M": fit.mass,
             "dof": np.array(fit.dof, dtype=object),
             "damping_law": fit.law.name,
-            "damping_exponent": fit.law.exponent,
+            "damping_exponent": fit.law.time_power,
             "parameters": np.array(joint.names, dtype=object),
             "values": joint.values[:, None],
             "covariance": joint.covariance,

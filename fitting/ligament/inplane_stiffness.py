@@ -84,15 +84,14 @@ def inplane_stiffness(
     piston = np.array([plane[0][0, 0], max(plane[1][0, 0], 0.05 * plane[0][0, 0] / _time(problem))])
     ratio, ratio_sd = calibrated("ligament.inplane_stiffness"), calibrated("ligament.inplane_stiffness_sd")
     mean, sd = _inplane_prior(piston, ratio, ratio_sd)
-    law = problem.law
-    fixed = DampingLaw(law.name, law.exponent)
+    law = scaled_law(problem)
     spare = law.unknowns
     equations = Equations(
         columns + coupling.T @ rows,
         columns,
         np.zeros((0, DOFS)),
         spread.transpose(0, 2, 1) @ rows,
-        fixed,
+        law,
         Prior.independent(
             np.concatenate([mean / units, [law.exponent] * spare, np.zeros(len(spread))]),
             np.concatenate([units / sd, [_FIXED] * spare, np.ones(len(spread))]),
@@ -139,6 +138,11 @@ def _solved(lines: JointLines, equations: Equations, begin: Array) -> JointFit |
     return None
 
 
+def scaled_law(problem: Problem) -> DampingLaw:
+    """Return the damping law of the scaled frequencies."""
+    return problem.law.scaled(problem.scale.omega)
+
+
 def semidefinite(parameters: Array) -> bool:
     """Return whether the matrices of a parameter vector (12,) are positive semidefinite."""
     return all(np.linalg.eigvalsh(part)[0] >= 0.0 for part in split(parameters, _N))
@@ -163,14 +167,14 @@ def _without_torsion() -> Array:
 
 def _time(problem: Problem) -> float:
     """Return K over D of a damping as strong as the stiffness, in SI, at the reference frequency."""
-    return float(problem.scale.omega**problem.law.exponent)
+    return float(problem.scale.omega**problem.law.time_power)
 
 
 def _inplane_units(problem: Problem, lines: JointLines) -> Array:
     """Return SI over scaled of the entries of K_cc and D_cc, (12,)."""
     root, omega = lines.root_mass[COLUMNS], problem.scale.omega
     product = np.outer(root, root)
-    return join(product * omega**2, product * omega ** (2.0 - problem.law.exponent))
+    return join(product * omega**2, product * omega ** (2.0 - problem.law.time_power))
 
 
 def _inplane_prior(piston: Array, ratio: float, ratio_sd: float) -> tuple[Array, Array]:

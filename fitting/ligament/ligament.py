@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fitting.calibrated import calibrated
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
-from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, semidefinite
+from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semidefinite
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
@@ -81,7 +81,7 @@ def fit_ligament(
     """
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
-    begins = np.concatenate([start, [problem.law.exponent] * problem.law.unknowns])
+    begins = np.concatenate([start, [scaled_law(problem).exponent] * problem.law.unknowns])
     terms = extend(lines) if extend is not None else ()
     prior = equations.prior.mean[len(begins) :]
     fitted = None
@@ -227,4 +227,4 @@ def _piston_equations(problem: Problem, lines: JointLines) -> Equations:
     root = np.zeros((_N * _N, free + _N * _N))
     root[:, free:] = np.linalg.cholesky(np.linalg.inv(covariance / np.outer(unit, unit))).T
     prior = Prior(np.concatenate([np.zeros(free), mean.ravel() / unit]), root)
-    return Equations(rows, rows, columns, np.zeros((0, _N, DOFS)), problem.law, prior)
+    return Equations(rows, rows, columns, np.zeros((0, _N, DOFS)), scaled_law(problem), prior)

@@ -161,7 +161,7 @@ def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fi
     noise = widened * own @ spread[:p, :p] @ own
     response = -own @ known[:p, p:]
     shared = covariance[p:, p:]
-    law = equations.law_at(fit.parameters)
+    law = equations.law_at(fit.parameters).scaled(1.0 / problem.scale.omega)
     units, unit = problem.with_law(law).units, coupling_units(lines)
     plane = split(fit.parameters[:entries] * units, _N)
     coupling = fit.parameters[equations.coupling].reshape(_N, _N) * unit
@@ -189,7 +189,9 @@ def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fi
     total = noise + response @ shared @ response.T
     added = [coupling @ part @ coupling.T for part in (inplane.stiffness, inplane.damping)]
     place = equations.coupling
-    exponent_sd = float(np.sqrt(total[entries, entries])) if law.estimated else None
+    exponent_sd = None
+    if law.estimated:
+        exponent_sd = float(np.sqrt(total[entries, entries])) * law.unit_of_exponent(problem.scale.omega)
     return LigamentFit(
         law,
         Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged),
@@ -225,7 +227,7 @@ def _to_plane(
     entries = equations.entries
     slope = np.zeros((entries, equations.unknowns))
     slope[:, :entries] = np.diag(units)
-    if law.estimated:
+    if law.estimated and law.law.time_power is None:
         half = entries // 2
         damping = parameters[half:entries] * units[half:]
         slope[half:, entries] = -np.log(problem.scale.omega) * damping

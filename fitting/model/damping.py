@@ -25,13 +25,13 @@ class DampingLaw:
     name : str
         Of the table fitting.model.laws.
     exponent : float
-        Power of time in the unit of D; that of the law where it is fixed, between 0 and 2 where it is
-        estimated.
+        That of the law where it is fixed; otherwise the unknown: the power of time in the unit of D, between
+        0 and 2, or a relaxation time (s).
 
     Raises
     ------
     FittingError
-        The name is unknown, or the exponent is not between 0 and 2.
+        The name is unknown, or the exponent is not what the law allows.
     """
 
     name: str = "viscous"
@@ -42,8 +42,9 @@ class DampingLaw:
             raise FittingError(Fault("the damping law", f"one of {', '.join(LAWS)}", self.name))
         if not self.estimated:
             object.__setattr__(self, "exponent", self.law.exponent)
-        elif not 0.0 < self.exponent < 2.0:
-            raise FittingError(Fault("the damping exponent", "between 0 and 2", self.exponent))
+        elif not self.law.valid[0] < self.exponent < self.law.valid[1]:
+            low, high = self.law.valid
+            raise FittingError(Fault("the damping exponent", f"between {low:g} and {high:g}", self.exponent))
 
     @property
     def law(self) -> Law:
@@ -57,7 +58,26 @@ class DampingLaw:
 
     def with_exponent(self, exponent: float) -> DampingLaw:
         """Return the law with another exponent, within what it allows."""
-        return DampingLaw(self.name, float(np.clip(exponent, 1e-3, 2.0 - 1e-3)))
+        low, high = self.law.valid
+        return DampingLaw(self.name, float(np.clip(exponent, low + 1e-3, high - 1e-3)))
+
+    @property
+    def time_power(self) -> float:
+        """Power of time in the unit of D."""
+        return self.exponent if self.law.time_power is None else self.law.time_power
+
+    @property
+    def physical(self) -> bool:
+        """Whether a ligament can have it: a relaxation time below zero is noise."""
+        return not self.estimated or self.exponent > 0.0
+
+    def unit_of_exponent(self, omega: float) -> float:
+        """Return the exponent of this law over that of frequencies divided by ``omega`` (rad/s)."""
+        return 1.0 if self.law.time_power is None else 1.0 / omega
+
+    def scaled(self, omega: float) -> DampingLaw:
+        """Return the law of frequencies divided by ``omega`` (rad/s)."""
+        return DampingLaw(self.name, self.exponent / self.unit_of_exponent(omega))
 
     @property
     def unknowns(self) -> int:
@@ -87,7 +107,7 @@ class DampingLaw:
     def unit(self, stiffness_unit: str) -> str:
         """Return the unit of an entry of D from that of the same entry of K."""
         numerator, slash, denominator = stiffness_unit.partition("/")
-        return numerator + time_unit(self.exponent) + slash + denominator
+        return numerator + time_unit(self.time_power) + slash + denominator
 
 
 VISCOUS = DampingLaw()

@@ -53,7 +53,7 @@ class Scale:
     def parameter_units(self, law: DampingLaw) -> Array:
         """Return what the scaled parameters are multiplied by to become SI, (n (n + 1),)."""
         product = np.outer(self.root_mass, self.root_mass)
-        return join(product * self.omega**2, product * self.omega ** (2.0 - law.exponent))
+        return join(product * self.omega**2, product * self.omega ** (2.0 - law.time_power))
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def assemble(
     spread[:, n:] *= square
     return Lines(
         omega,
-        law.factor(omega),
+        law.scaled(scale.omega).factor(omega),
         y[:n],
         square * y[n:],
         spread,

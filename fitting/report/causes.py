@@ -94,7 +94,7 @@ def sensitivities(fit: KDFit, diagnosis: Diagnosis) -> list[tuple[str, str, floa
         for name, cause in CAUSES.items()
         if cause.refitted and not name.startswith("holder") and name in diagnosis.sensitivities
     ]
-    axis = join(2.0 * fit.stiffness, (2.0 - fit.law.exponent) * fit.damping) * _FREQUENCY
+    axis = join(2.0 * fit.stiffness, (2.0 - fit.law.time_power) * fit.damping) * _FREQUENCY
     rows.append(("frequency_axis", "frequencies that are too high", 100.0 * _FREQUENCY, "%", axis))
     return rows
 

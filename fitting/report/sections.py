@@ -87,7 +87,7 @@ def summary_rows(fit: KDFit) -> list[tuple[str, str]]:
     rows = []
     for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
         for place, name in enumerate(fit.dof):
-            unit = diagonal_unit(letter, name, fit.law.exponent)
+            unit = diagonal_unit(letter, name, fit.law.time_power)
             rows.append((f"{letter}({name})", unit.with_sd(values[place, place], sds[place, place])))
     deviations = (fit.derived.frequency_sd_hz, fit.derived.damping_ratio_sd)
     for number, (mode, sd, ratio) in enumerate(zip(fit.modes.pairs, *deviations, strict=True), 1):

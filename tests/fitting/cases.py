@@ -28,7 +28,7 @@ def paper_motion(
 
 def damping_for(law: DampingLaw) -> np.ndarray:
     """The paper's D, rescaled so that every law damps alike at 2.7 kHz."""
-    return D * (2.0 * np.pi * 2700.0) ** (1.0 - law.exponent)
+    return D * (2.0 * np.pi * 2700.0) ** (1.0 - law.time_power)
 
 
 def six_dof_parameters() -> np.ndarray:

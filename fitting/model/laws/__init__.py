@@ -15,6 +15,7 @@ LAWS: dict[str, str] = {
     "viscous": "K + i w D",
     "hysteretic": "K + i D, a loss factor",
     "fractional": "K + (i w)^a D, a estimated",
+    "relaxation": "K + i w D / (1 + i w T), T estimated (standard linear solid)",
 }
 
 

@@ -15,7 +15,7 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 @dataclass(frozen=True)
 class Law:
-    """A damping law s(w; a), where the exponent a is the power of time in the unit of D.
+    """A damping law s(w; a); unless ``time_power`` says otherwise a is the power of time in the unit of D.
 
     Attributes
     ----------
@@ -28,9 +28,13 @@ class Law:
     exponent : float
         Fixed value, or the initial value of an estimated one.
     search : (float, float), optional
-        Range in which the exponent is estimated; None: it is fixed.
+        Range in which the exponent is estimated, of scaled frequencies; None: it is fixed.
     slope : callable, optional
         Derivative of s by an estimated exponent.
+    time_power : float, optional
+        Power of time in the unit of D where a is a time instead.
+    valid : (float, float)
+        What a may be.
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
     """
@@ -41,4 +45,6 @@ class Law:
     exponent: float
     search: tuple[float, float] | None = None
     slope: Callable[[Array, float], ComplexArray] | None = None
+    time_power: float | None = None
+    valid: tuple[float, float] = (0.0, 2.0)
     polynomial: bool = False

@@ -36,7 +36,7 @@ def test_scores_of_every_estimator_sum_to_its_gradient_and_vanish(name: str) -> 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_is_recovered_from_exact_data_and_has_help(name: str) -> None:
-    law = DampingLaw(name, 0.6)
+    law = DampingLaw(name, 0.6).scaled(1.0 / (2.0 * np.pi * 2000.0))
     fit = fit_kd(paper_motion(1e-4, None, 60, law), M, KDOptions(damping=name, bands=0))
     scale = np.sqrt(np.outer(np.diag(K), np.diag(K)))
     assert np.all(np.abs(fit.stiffness - K) < 1e-5 * scale)
