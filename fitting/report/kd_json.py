@@ -82,6 +82,7 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "damping_law": fit.law.name,
         "dynamic_stiffness": fit.law.formula,
         "damping_exponent": fit.law.time_power,
+        "damping_law_causal": fit.law.law.causal,
         "relaxation_time_s": fit.law.exponent if fit.law.estimated and fit.law.law.time_power else None,
         "damping_exponent_sd": fit.laws[0].exponent_sd if len(fit.laws) == 1 else _exponent_sd(fit),
         "damping_unit_of_D11": fit.law.unit("N/m" if fit.dof[0] in "xyz" else "N m"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
+from fitting.model.causality import causal_rise
 from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import entry_units, join
 from fitting.report.causes import causes_section
@@ -212,6 +213,17 @@ def _matrices(fit: KDFit) -> Section:
             units=[[_mass_unit(a, b) for b in fit.dof] for a in fit.dof],
         ),
     )
+    freq = fit.observation.freq_hz
+    loss = float(fit.damping[0, 0] / fit.stiffness[0, 0])
+    rise = causal_rise(fit.law, loss, (float(freq.min()), float(freq.max())))
+    if rise is not None:
+        section.add(
+            page.text(
+                "A constant loss factor with a constant stiffness is not causal: by the relations of Kramers "
+                f"and Kronig a loss factor of {loss:.2g} goes with a stiffness that rises by "
+                f"{100.0 * rise:.0f} % over the band. Compare fractional and relaxation damping."
+            )
+        )
     if len(fit.laws) > 1:
         rows = [
             (

@@ -11,4 +11,5 @@ LAW = Law(
     continued=lambda _, __: 1j,
     formula=lambda _: "K + i D",
     exponent=0.0,
+    causal=False,
 )

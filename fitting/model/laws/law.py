@@ -35,6 +35,9 @@ class Law:
         Power of time in the unit of D where a is a time instead.
     valid : (float, float)
         What a may be.
+    causal : bool
+        Whether real and imaginary part obey the relations of Kramers and Kronig, so that nothing moves before
+        it is pushed.
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
     """
@@ -47,4 +50,5 @@ class Law:
     slope: Callable[[Array, float], ComplexArray] | None = None
     time_power: float | None = None
     valid: tuple[float, float] = (0.0, 2.0)
+    causal: bool = True
     polynomial: bool = False
