@@ -21,6 +21,8 @@ ComplexArray = NDArray[np.complex128]
 _ROUNDS = 6
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")
+# Segments or lines that a change from line to line needs.
+_COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5
 
@@ -87,6 +89,11 @@ class Refit:
         self.flat = flat
         self.lever = data.source.beams.lever_m
 
+    @property
+    def coarse(self) -> bool:
+        """Whether segments are too few to show a change from line to line that the lines show."""
+        return len(self.data.y) < _COARSE <= len(self.data.source.lines)
+
     @cached_property
     def fine(self) -> tuple[Packed, float]:
         """The data that judge faults of many channels, and their objective without fault.
@@ -112,7 +119,8 @@ class Refit:
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
         judge, before = self.data, self.before
-        if fault.owner in _MANY and self.data.source.sd is None:
+        fine = self.coarse or (fault.owner in _MANY and self.data.source.sd is None)
+        if fine:
             judge, before = self.fine
         data = judge if fault.varies else self.flat
         now = min(
@@ -122,8 +130,8 @@ class Refit:
         now, inverse = self._improved(data, fault, now)
         if data is not judge:
             now = self._try(judge, fault, now.theta, now.x)
-            if fault.owner in _MANY:
-                # What is packed without it holds a large fault of many channels only in part.
+            if fine or fault.owner in _MANY:
+                # What is packed without it holds a large fault only in part.
                 now, inverse = self._improved(judge, fault, now)
         value = now.value
         covariance = 0.5 * inverse[: fault.size, : fault.size]

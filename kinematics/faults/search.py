@@ -49,6 +49,8 @@ _ALIKE = 1.2**2
 _LOUDEST, _QUIET = 5, 1.3
 # Standard deviations by which the level of all channels exceeds the stated noise before that is doubted.
 _SURELY_LOUDER = 3.0
+# Share of the level that an explanation leaves, below which the level was mostly the fault.
+_INFLATED = 0.5
 # Leverage above which the residual of a channel shows nothing.
 _UNSEEN = 0.98
 # Up to so many channels their projector is made: the memory goes with the square.
@@ -213,15 +215,17 @@ class Search:
         lowest, loud, bends = self._lowest(), self._loud(False), self.bends
         if lowest > self.alarm and not bends and not loud:
             return None
-        scored, strange = list(loud), False
-        for fit in self._suspects(bends and not self.structure.concentrated):
+        fits = self._suspects(bends and not self.structure.concentrated)
+        scale, strange = self._scale_without([fit.drop for fit in fits]), False
+        scored = self._loud(False, scale) if scale < self.scale else list(loud)
+        for fit in fits:
             finding = self._finding(fit)
             if finding.p_value < self.alarm and not self._credible(fit):
                 strange = True
             elif finding.p_value < self.alarm:
-                scored.append((self._evidence(fit), finding))
+                scored.append((log_evidence(fit, scale, self.data.source.beams.lever_m), finding))
         if bends and not self.structure.concentrated:
-            scored.append((self.structure.gain / self.scale, self.flexible()))
+            scored.append((self.structure.gain / scale, self.flexible()))
         if not scored and strange:
             return replace(self.flexible(), p_value=min(lowest, self.structure.p_value))
         if not scored:
@@ -239,6 +243,21 @@ class Search:
         if fit is not finding.fit:
             fit = replace(fit, covariance=fit.covariance * self.scale)
         return replace(finding, fit=fit)
+
+    def _scale_without(self, drops: list[float]) -> float:
+        """Return the noise variance by which explanations are compared.
+
+        A large fault is in the level of few lines, and of lines with gaps: what the best explanation leaves
+        is nearer to the noise.
+        """
+        before, number = self.before, self.freedom * self.state.z.shape[2]
+        if self.refit.coarse:
+            before = self.refit.fine[1]
+            number = self.freedom / len(self.data.y) * len(self.data.source.lines)
+        if not drops or number < LEAST_SAMPLES:
+            return self.scale
+        left = max((before - max(drops)) / number, 1.0 if self.known else 0.0)
+        return left if 0.0 < left < _INFLATED * self.scale else self.scale
 
     def _evidence(self, fit: FaultFit) -> float:
         return log_evidence(fit, self.scale, self.data.source.beams.lever_m)
@@ -317,8 +336,14 @@ class Search:
                 best = np.argsort(-one.statistic, kind="stable")[: _TESTED[owner]]
                 chosen |= dict.fromkeys(one.sets[k] for k in best)
             places = {"channel": len(self.live), "point": len(self.points), "laser": 3}.get(owner, 1)
+            untested = [
+                name
+                for name, kind in KINDS.items()
+                if kind.varies and owner in kind.owners and self.refit.coarse
+            ]
             for number, own in enumerate(chosen):
-                for name in dict.fromkeys(one.kind for one in tested if own in set(one.sets)):
+                names = [one.kind for one in tested if own in set(one.sets)]
+                for name in dict.fromkeys([*names, *untested]):
                     if number < _VARIED[owner] or not KINDS[name].varies:
                         faults.append(Fault(name, owner, list(own), places=places))
         return self._likely([*faults, *self._exchanges()], bends)
@@ -374,8 +399,10 @@ class Search:
         shown = replace(fit, covariance=fit.covariance * self.scale)
         return Finding(fit.fault.kind, list(fit.fault.channels), p, shown, text=fit.fault.text)
 
-    def _loud(self, whole: bool) -> list[tuple[float, Finding]]:
+    def _loud(self, whole: bool, scale: float = 0.0) -> list[tuple[float, Finding]]:
         """Return loud channels and their log evidence; ``whole``: of all their energy, no fault fitted first.
+
+        ``scale`` is the noise variance of the evidence, if not that of the tests.
 
         Notes
         -----
@@ -401,7 +428,8 @@ class Search:
             p = min(1.0, float(chance) * len(self.live) / _NOISE_SHARE)
             if p > self.alarm:
                 continue
-            score = count * (ratio - 1.0 - np.log(ratio)) - np.log(len(self.live)) - 0.5 * np.log(count)
+            over = value / (scale or self.scale)
+            score = count * (over - 1.0 - np.log(over)) - np.log(len(self.live)) - 0.5 * np.log(count)
             louder = float(np.sqrt((ratio - h[channel]) / left))
             made.append((float(score), Finding("noise", [channel], p, None, louder)))
         return made

@@ -16,9 +16,16 @@ Array = NDArray[np.float64]
 _NEAREST_MM, _FARTHEST_MM = 0.03, 300.0
 # Highest frequency below which a sweep is not of hearing, Hz.
 _HIGHEST_HZ = 40.0
-# Displacement amplitudes, m: vibrometers resolve femtometres, and no ear moves by a tenth of a millimetre at
-# audible frequencies.
-_SMALLEST_M, _LARGEST_M = 1e-15, 2e-4
+# Highest frequency that any ear hears, with a margin: bats and toothed whales reach 160 kHz.
+_MOST_HZ = 3e5
+# Velocity amplitudes of ears in experiments, m/s. The stapes moves by 0.05 to 0.2 mm/s for each Pa (Rosowski
+# et al. 2007, doi:10.1159/000101474); sound of 50 dB (SPL) makes 1 um/s of that, 130 dB 20 mm/s, and a
+# shaker that moves a whole sample by more does so with 13 g at 1 kHz.
+_SLOWEST, _FASTEST = 1e-6, 20e-3
+# Noise of a velocity, m/s: vibrometers of the best resolution have some 10 nm/s in 1 Hz, which 100 averages
+# bring to 1 nm/s.
+_LEAST_NOISE = 1e-9
+_QUANTITIES = ("m", "m/s", "m/s^2")
 # The stapes stays no hundred times behind the bone, nor ahead of it, in the median of a band.
 _LARGEST_RATIO = 100.0
 # Over a factor of two in frequency damping turns the motion by more than pi degrees; radians never pass pi.
@@ -34,7 +41,52 @@ def unit_slips(measurement: Measurement) -> list[Notice]:
     measurement : Measurement
         Positions in mm, frequencies in Hz, displacements in m, as the headers say.
     """
-    return [Notice("unit_slip", text) for check in SLIPS for text in check(measurement)]
+    made = [Notice("unit_slip", text) for check in SLIPS for text in check(measurement)]
+    # A wrong unit of frequencies, or of one body, makes velocities wrong too.
+    return made or [Notice("plausibility", text) for text in _velocities(measurement)]
+
+
+def _velocities(measurement: Measurement) -> Iterator[str]:
+    """Hold velocities and their stated noise against what moves ears and what vibrometers resolve.
+
+    A factor that all readings have leaves no trace in them but their size.
+    """
+    names, sizes, noises = list[str](), list[float](), list[float]()
+    for body in measurement.bodies:
+        step = max(1, body.displacement.size // _SAMPLE)
+        rate = 2.0 * np.pi * measurement.freq_hz[::step]
+        speed = np.abs(body.displacement[:, :, ::step]) * rate
+        speed = speed[np.isfinite(speed) & (speed > 0.0)]
+        if not len(speed):
+            continue
+        names.append(body.body)
+        sizes.append(float(np.median(speed)))
+        if body.sd is not None and not body.relative:
+            spread = body.sd[:, :, ::step] * rate
+            noises.append(float(np.nanmedian(spread)) if np.any(np.isfinite(spread)) else 1.0)
+    if not sizes:
+        return
+    size, noise = float(np.max(sizes)), min(noises, default=1.0)
+    quiet = 0.0 < noise < _LEAST_NOISE
+    if _SLOWEST < size < _FASTEST and not quiet:
+        return
+    # Bring the velocity nearest to the middle of what is plausible, by thousands.
+    decades = np.log10(size / np.sqrt(_SLOWEST * _FASTEST))
+    power = max(1, round(abs(decades) / 3.0))
+    small = size <= _FASTEST
+    factor, unit = 10.0 ** (3 * power), _QUANTITIES[min(measurement.order, 2)]
+    acceleration = size * 2.0 * np.pi * float(np.median(measurement.freq_hz))
+    what = f"move by {size:.2g} m/s (median; acceleration {acceleration:.2g} m/s^2)"
+    if small and quiet:
+        what += f" with a noise of {noise:.2g} m/s, below that of any vibrometer"
+    finer = f"{'mun'[min(power, 3) - 1]}{unit}"
+    pair = f"{unit} under a header in {finer}" if small else f"{finer} under a header in {unit}"
+    yield (
+        f"{'bodies' if len(names) > 1 else 'body'} {', '.join(names)} {what}; ears in experiments move by "
+        f"{_SLOWEST:g} to {_FASTEST:g} m/s. The values look {factor:g} times too "
+        f"{'small' if small else 'large'} for their header, such as {pair}: check it, unless these are "
+        "responses per unit of a reference."
+    )
 
 
 def _points(measurement: Measurement) -> Iterator[str]:
@@ -52,28 +104,16 @@ def _points(measurement: Measurement) -> Iterator[str]:
 
 def _frequencies(measurement: Measurement) -> Iterator[str]:
     highest = float(measurement.freq_hz[-1])
+    if highest > _MOST_HZ:
+        yield (
+            f"the highest frequency is {highest:.4g} Hz, beyond hearing: the frequencies look a thousand "
+            "times too large for their header. Give them in Hz."
+        )
     if highest < _HIGHEST_HZ:
         yield (
             f"the highest frequency is {highest:.4g} Hz, below hearing: the frequencies look like kHz under "
             "a header in Hz. Give them in Hz."
         )
-
-
-def _amplitudes(measurement: Measurement) -> Iterator[str]:
-    for body in measurement.bodies:
-        size = np.abs(_some(body))
-        if not len(size) or not np.max(size) > 0.0:
-            continue
-        middle = float(np.median(size[size > 0.0]))
-        if not _SMALLEST_M < middle < _LARGEST_M:
-            what = "large" if middle >= _LARGEST_M else "small"
-            yield (
-                f"body {body.body} moves by {middle:.2g} m (median displacement amplitude), too {what} for "
-                "an ear: unless these are responses per unit of a reference, their unit is not that of the "
-                "header. Check m, mm, um, nm, and displacement, velocity, acceleration in the names of "
-                "the columns, and that the values are no decibels."
-            )
-    yield from _ratios(measurement)
 
 
 def _ratios(measurement: Measurement) -> Iterator[str]:
@@ -124,4 +164,4 @@ def _some(body: BodyChannels, turn: NDArray[np.complex128] | None = None) -> NDA
     return np.asarray(part[np.isfinite(part) & (part != 0.0)])
 
 
-SLIPS: tuple[Callable[[Measurement], Iterator[str]], ...] = (_points, _frequencies, _amplitudes, _phases)
+SLIPS: tuple[Callable[[Measurement], Iterator[str]], ...] = (_points, _frequencies, _ratios, _phases)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corrections import fitted
+from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import measured, scene, two_faults, with_gaps
 from benchmarks.points_conditions import verdicts
 
@@ -88,3 +90,14 @@ def test_gaps_change_neither_data_nor_scene():
     gone = with_gaps(value, 31_006, 0.3)
     assert np.all(np.isfinite(value))
     assert 0.2 < np.mean(np.isnan(gone)) < 0.4
+
+
+def test_a_channel_that_one_line_depends_on_is_tested_by_its_other_lines():
+    made = draw(1003, "shell, 5 points, 3 heads", "gain 6 %", gaps=0.2)
+    found = fitted(made, correct=False).channels
+    assert {c: v.verdict for c, v in enumerate(found) if v.verdict != "ok"} == {made.culprits[0]: "gain"}
+
+
+def test_noise_that_is_not_stated_and_gaps_make_no_outliers_of_one_end_of_the_band():
+    made = draw(1501013, "shell, 5 points, 3 heads", lines=60, gaps=0.2)
+    assert {v.verdict for v in fitted(made, correct=False, stated=False).channels} == {"ok"}

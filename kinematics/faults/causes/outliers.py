@@ -22,6 +22,8 @@ _LEAST = 3
 _SURELY, _NUMBER = 1e-5, 1e-4
 # Outliers are single: so many at most have another one at a neighbouring line of their channel.
 _WITH_NEIGHBOUR = 0.5
+# Chance of outliers so unevenly spread over the lines below which they are not sparse.
+_UNEVEN = 0.01
 # Values that are looked at to see whether there may be any.
 _SAMPLE = 200_000
 # Share of its noise that a residual holds at least, and what keeps lines solvable that do not determine
@@ -45,6 +47,8 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
     number, most = int(np.sum(far)), max(int(np.sum(used)), 1)
     lines = np.any(far, axis=0)
     if number < _LEAST or number > _OF_ALL * most or _in_runs(far):
+        return
+    if suspect.course is not None and _in_one_place(lines):
         return
     if float(np.sum(far)) > _OF_LINE * float(np.sum(used[:, lines])):
         return
@@ -87,6 +91,17 @@ def _in_runs(far: NDArray[np.bool_]) -> bool:
     beside[:, 1:] |= far[:, :-1]
     beside[:, :-1] |= far[:, 1:]
     return float(np.sum(far & beside)) > _WITH_NEIGHBOUR * float(np.sum(far))
+
+
+def _in_one_place(lines: NDArray[np.bool_]) -> bool:
+    """Return whether the lines with outliers are not spread over the measurement (Kolmogorov and Smirnov).
+
+    Noise that is not stated, and estimated too small over a part of the band, looks like outliers there.
+    """
+    from scipy.stats import kstest
+
+    place = (np.flatnonzero(lines) + 0.5) / len(lines)
+    return float(kstest(place, "uniform").pvalue) < _UNEVEN
 
 
 def _far(fit: LineFit, course: Array | None) -> tuple[NDArray[np.bool_], Array]:

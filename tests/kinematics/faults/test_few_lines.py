@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.corrections import fitted
+from benchmarks.fault_bodies import draw
 from benchmarks.fault_scenes import scene
 from benchmarks.points_faults import judged
 from kinematics.faults.noise import common_level
@@ -63,3 +65,15 @@ def test_faults_in_few_lines_are_named(fault):
         accused = {c: v.verdict for c, v in enumerate(found.channels) if v.verdict != "ok"}
         named += accused == dict.fromkeys(made.culprits, made.verdict)
     assert named >= 5
+
+
+@pytest.mark.parametrize("fault", ["delay 8 us", "drift 7 %", "sign", "head delay 10 us"])
+@pytest.mark.parametrize("stated", [True, False])
+def test_changes_over_eight_lines_are_told_from_noise_and_from_a_wrong_sign(fault, stated):
+    named = 0
+    for seed in range(3):
+        made = draw(seed, "rod, 8 points, 2-3 heads", fault, lines=8)
+        found = fitted(made, correct=False, stated=stated)
+        accused = {c: v.verdict for c, v in enumerate(found.channels) if v.verdict != "ok"}
+        named += accused == dict.fromkeys(made.culprits, made.verdict)
+    assert named == 3

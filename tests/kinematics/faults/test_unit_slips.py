@@ -47,8 +47,7 @@ SLIPS = {
     "like m under": lambda data: places(data, 1e-3),
     "like um under": lambda data: places(data, 1e3),
     "like kHz": lambda data: replace(data, freq_hz=data.freq_hz * 1e-3),
-    "too large": lambda data: changed(data, displacement=data.bodies[0].displacement * 1e6),
-    "too small": lambda data: changed(data, displacement=data.bodies[0].displacement * 1e-9),
+    "a thousand times too large": lambda data: replace(data, freq_hz=data.freq_hz * 1e3),
     "radians": radians_as_degrees,
     "base moves 1e+03 times": lambda data: two_bodies(data, 1000.0),
     "base moves 0.001 times": lambda data: two_bodies(data, 0.001),
@@ -62,10 +61,35 @@ def test_slip_is_named(name):
     assert name in notice.text
 
 
+@pytest.mark.parametrize("factor", [1e6, 1e3, 1e-3, 1e-6])
+@pytest.mark.parametrize("millimetres_per_second", [0.03, 0.1, 0.5])
+def test_a_factor_of_all_bodies_is_seen_by_their_velocity(factor, millimetres_per_second):
+    data = two_bodies(right(), 1.2)
+    speed = np.median(np.abs(data.bodies[0].displacement) * 2.0 * np.pi * data.freq_hz)
+    size = millimetres_per_second * 1e-3 / speed
+
+    def times(by):
+        bodies = [replace(body, displacement=body.displacement * by) for body in data.bodies]
+        return replace(data, bodies=tuple(bodies))
+
+    assert unit_slips(times(size)) == []
+    (notice,) = unit_slips(times(size * factor))
+    assert notice.code == "plausibility"
+    assert f"{max(factor, 1.0 / factor):g} times too {'large' if factor > 1.0 else 'small'}" in notice.text
+
+
+def test_noise_below_that_of_vibrometers_is_seen():
+    data = right()
+    rate = 2.0 * np.pi * data.freq_hz
+    for noise, seen in ((1e-8, []), (1e-11, ["plausibility"])):
+        sd = np.broadcast_to(noise / rate, data.bodies[0].displacement.shape)
+        assert [notice.code for notice in unit_slips(changed(data, sd=sd))] == seen
+
+
 def test_right_units_are_not_named():
     for seed in range(10):
         assert unit_slips(right(seed)) == []
-        assert unit_slips(two_bodies(right(seed), 10.0)) == []
+        assert unit_slips(two_bodies(right(seed), 0.1)) == []
 
 
 def test_real_readings_are_no_radians():
