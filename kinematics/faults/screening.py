@@ -16,9 +16,6 @@ from stapeskit.spatial import DOF_NAMES, dof_indices, point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
-# Least standard deviation, as a share of the largest reading, or absolutely: exact data have none.
-_FLOOR = 1e-12
-_LEAST = 1e-100
 # Smallest diagonal entry of R, of unit columns, for a fit of few channels to count as determined.
 _DETERMINED = 1e-3
 
@@ -183,11 +180,3 @@ def _names(body: BodyChannels, channels: list[int]) -> str:
     listed = [body.channel_name(c) for c in channels[:4]]
     more = f" and {len(channels) - 4} more" if len(channels) > 4 else ""
     return f"channel{'s' if len(channels) > 1 else ''} {', '.join(listed)}{more}"
-
-
-def with_floor(sd: Array, value: NDArray[np.complex128], freq_hz: Array, order: int) -> Array:
-    """Return sd not smaller than 1e-12 of the largest measured amplitude, in the measured quantity."""
-    rate = (2.0 * np.pi * freq_hz) ** order
-    measured = np.abs(value) * rate
-    largest = float(np.nanmax(measured)) if np.any(np.isfinite(measured)) else 0.0
-    return np.maximum(sd, (_FLOOR * largest or _LEAST) / rate)

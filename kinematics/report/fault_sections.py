@@ -113,11 +113,13 @@ def verdict_section(result: Points2Dof) -> Section:
         section.add(page.text(clean_words(result)))
     section.add(*detectable_blocks(result))
     section.add(page.folded("All channels", *_all_channels(result)))
-    if groups:
+    if groups and not result.corrections:
         section.add(
             page.text(
-                "Channels with a verdict stay in the fit unless they read zero or hold nothing: correct them "
-                "and run again."
+                written(
+                    "Channels with a verdict stay in the fit unless they read zero or hold nothing: correct "
+                    "them and run again, or let {correct} do it."
+                )
             )
         )
     return section
