@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, Points2Dof, points2dof
+from kinematics.points2dof import Points2Dof, points2dof
 from kinematics.registration.lasers import LaserPriors
 
 Array = NDArray[np.float64]

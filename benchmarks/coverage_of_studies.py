@@ -27,8 +27,8 @@ def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
     from ct_inertia.ct2mass import ct2mass
     from fitting.kd import fit_kd
+    from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
-    from kinematics.points2dof import fit_options
     from pipeline.study import read_study
     from sample_volumes.make_sample import make_study
     from sample_volumes.phantom import Ear

@@ -25,8 +25,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, Points2Dof, points2dof
+from kinematics.points2dof import Points2Dof, points2dof
 
 
 def judged(made: Reading, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:

@@ -27,8 +27,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_scenes import FAULTS, GEOMETRIES, Scene, bound, measured, nameable, possible, scene
 from kinematics.errors import KinematicsError
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, Points2Dof, points2dof
+from kinematics.points2dof import Points2Dof, points2dof
 
 
 def judged(

@@ -20,7 +20,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from kinematics.points2dof import Options, points2dof
+from kinematics.fit_options import Options
+from kinematics.points2dof import points2dof
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.icp import fit_to_surface
 from kinematics.registration.icp_refine import Cloud

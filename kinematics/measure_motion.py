@@ -11,9 +11,9 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.input_options import InputOptions
 
 if TYPE_CHECKING:
+    from kinematics.fit_options import Options
     from kinematics.measurement import Measurement
     from kinematics.options import LdvOptions
-    from kinematics.points2dof import Options
     from kinematics.registration.fiducials import Fiducials
     from kinematics.registration.icp_refine import Cloud
     from kinematics.results import MotionResult
@@ -226,7 +226,7 @@ def measure(
         The words of the command, for the provenance.
     """
     from kinematics.calibrated import calibrated
-    from kinematics.points2dof import fit_options
+    from kinematics.fit_options import fit_options
     from stapeskit.provenance import record
     from stapeskit.records.measured_mass import measured_mass
 

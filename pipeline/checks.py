@@ -25,7 +25,7 @@ def check_inputs(study: Study, work: Workspace) -> None:
 
 
 def _check_measurement(study: Study, work: Workspace) -> None:
-    from kinematics.points2dof import fit_options
+    from kinematics.fit_options import fit_options
 
     fit_options(study.ldv)
     bodies = [body.body for body in measurement_of(study, work).measurement.bodies]

@@ -152,9 +152,9 @@ def _motion_parameters(study: Study, work: Workspace) -> dict[str, Any]:
 
 def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write dof.csv, dof.h5 and dof.channels.csv."""
+    from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of
     from kinematics.motion_outputs import write_outputs
-    from kinematics.points2dof import fit_options
     from kinematics.report.sections import sections
     from stapeskit.provenance import record
 

@@ -7,8 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.report.fault_sections import clean_words
 from tests.kinematics.simulated import FAULTS, body, measurement, scene
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kinematics.faults import diagnose
-from kinematics.points2dof import Options, points2dof
+from kinematics.fit_options import Options
+from kinematics.points2dof import points2dof
 from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import body, measurement, scene
 

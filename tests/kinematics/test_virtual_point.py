@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from stapeskit.spatial import DOF_NAMES
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "virtual_point"

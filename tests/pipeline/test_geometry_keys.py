@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kinematics.points2dof import fit_options
+from kinematics.fit_options import fit_options
 from pipeline.errors import PipelineError
 from pipeline.study import parse_study
 

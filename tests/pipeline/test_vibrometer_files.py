@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinematics.errors import KinematicsError
+from kinematics.fit_options import fit_options
 from kinematics.measure_motion import motion_inputs
-from kinematics.points2dof import fit_options
 from kinematics.readers.from_options import input_options
 from kinematics.tidy.ldv_csv import read_ldv
 from pipeline.errors import PipelineError

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from kinematics.fit.frf_ratio import per_reference
-from kinematics.points2dof import Options, points2dof
+from kinematics.fit_options import Options
+from kinematics.points2dof import points2dof
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.records.motion_columns import ROW_COLUMNS, MotionColumns

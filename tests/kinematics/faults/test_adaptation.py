@@ -12,9 +12,10 @@ from benchmarks.corrections import EXACT, errors, fitted
 from benchmarks.fault_bodies import draw
 from kinematics.errors import KinematicsError
 from kinematics.faults.adaptation import CORRECTED, LEFT_OUT, RAISED
+from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
 from kinematics.options import LdvOptions
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from tests.kinematics.simulated import HEADER, body, csv_rows, scene
 
 FIVE = "shell, 5 points, 3 heads"

@@ -10,8 +10,9 @@ import pytest
 from kinematics.faults.diagnose import diagnosed
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.reference_noise import bound_record_noise
+from kinematics.fit_options import Options
 from kinematics.measurement import RecordNoise, from_arrays
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.readers.common_noise import noise_of_records, with_common_noise
 from kinematics.readers.recording import Recording
 from stapeskit.faults import Place, StapeskitError

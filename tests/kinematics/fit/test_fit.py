@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from kinematics.fit.beams import UNOBSERVABLE, beam_set, observability, unseen_motions
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement, from_arrays
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import rotation_from_vector
 from stapeskit.records.motion_files import standard_deviation

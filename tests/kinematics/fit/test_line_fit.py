@@ -14,8 +14,9 @@ from kinematics.fit.body_noise import largest_rate
 from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.rigid_fit import fit_lines, refitted
 from kinematics.fit.robust_fit import TOLERANCE, robust_weight
+from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from stapeskit.spatial import DOF_NAMES
 from tests.kinematics.simulated import (
     body,

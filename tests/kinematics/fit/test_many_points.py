@@ -11,8 +11,9 @@ from kinematics.cli import work
 from kinematics.fit.beams import beam_set, observability
 from kinematics.fit.frf_ratio import per_reference
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.registration.shared_errors import position_errors, position_patterns
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion

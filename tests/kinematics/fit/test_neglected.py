@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from tests.kinematics.simulated import readings, smooth_motion, stapes_points
 
 PAPER_DOF = ("y", "alpha", "gamma")

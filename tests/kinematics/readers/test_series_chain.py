@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from kinematics.cli import parser, work
+from kinematics.fit_options import Options
 from kinematics.options import LdvOptions
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.readers import read_measurement
 from kinematics.readers.from_options import input_options
 from kinematics.registration.lasers import LaserPriors

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.registration.calibrate import calibrate
 from kinematics.registration.calibrated_fit import calibration_errors
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors

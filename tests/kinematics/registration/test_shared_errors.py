@@ -10,8 +10,9 @@ import pytest
 from kinematics.fit.beams import beam_set
 from kinematics.fit.frf_ratio import per_reference
 from kinematics.fit.rigid_fit import fit_lines
+from kinematics.fit_options import Options
 from kinematics.measurement import Measurement
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.registration.fiducials import Fiducials
 from kinematics.registration.lasers import LaserPriors
 from kinematics.registration.placement import Placement, place

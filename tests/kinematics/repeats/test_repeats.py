@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from kinematics.cli import work
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement, Take
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.repeats.comparison import code_of
 from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
 from kinematics.repeats.pooling import pooled

@@ -12,8 +12,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from kinematics.fit_options import Options
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Options, points2dof
+from kinematics.points2dof import points2dof
 from kinematics.report.fault_sections import groups_of, residual_section, verdict_section
 from kinematics.report.motion_sections import motion_section, moving_section
 from kinematics.report.sections import grouped_notices, write_report
