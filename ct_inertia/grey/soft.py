@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.level_fit import blurred, body_share
+from ct_inertia.grey.level_fit import blurred, body_share, fit_bodies
 from ct_inertia.grey.levels import Air
 from ct_inertia.grey.neighbours import neighbour_share
 from ct_inertia.grey.partial_volume import sensitivity
@@ -102,7 +102,8 @@ def without_soft(
     """
     if not _seen(cut, distances_mm, reach_mm, spacing_mm, levels, sigma_mm):
         return None
-    return taken_off(cut, distances_mm[0], reach_mm, spacing_mm, levels[:2], sigma_mm)
+    soft = taken_off(cut, distances_mm[0], reach_mm, spacing_mm, levels[:2], sigma_mm)
+    return soft if np.any(soft.taken) else None
 
 
 def taken_off(
@@ -113,7 +114,14 @@ def taken_off(
     levels: tuple[Air, float],
     sigma_mm: float,
 ) -> Soft:
-    """Take what is soft around the stapes off the grey values; see ``without_soft``."""
+    """Subtract what is soft around the stapes from the grey values; see ``without_soft``.
+
+    Notes
+    -----
+    Bone thinner than the blur (the edges of gutters) stays below half of its contrast and looks like
+    something soft. A two-valued body whose surface lies at a fitted level explains it without a medium:
+    where that leaves the smaller sum of squares over the window, nothing is subtracted.
+    """
     air, bone = levels
     contrast = bone - air.level
     near = distance_mm < 1.99 * reach_mm
@@ -136,8 +144,16 @@ def taken_off(
         medium *= np.clip((medium - least) / least, 0.0, 1.0)
         np.minimum(medium, np.float32(_MOST_SOFT), out=medium)
     taken = share - (share - medium) / (1 - medium)
-    # Bone itself is left as it is: there the medium is unknown and stands for nothing.
+    # Bone itself is left as it is: there the medium is unknown.
     taken *= model < 0.98
+    if np.any(taken):
+        bone_alone = fit_bodies(
+            share * np.float32(contrast), everywhere, spacing_mm, contrast, sigma_mm, air.noise, False
+        )
+        gain = (share - model - medium * (1 - model)) ** 2
+        gain -= (share - blurred(bone_alone.body, sigma_mm, spacing)) ** 2
+        taken *= gaussian(np.where(model < _CLEAR, gain, np.float32(0.0)), width, truncate=3.0) < 0
+        medium *= taken != 0
     grey, whole = cut.grey.copy(), np.zeros_like(cut.grey)
     whole[box] = taken
     grey[box] -= np.float32(contrast) * taken

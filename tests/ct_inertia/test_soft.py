@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from ct_inertia.frames.plane_faces import PlaneFace
 from ct_inertia.frames.plate_covered import covered_face
 from ct_inertia.grey.edge_shape import edge_shape
 from ct_inertia.grey.level_fit import BodyFit
 from ct_inertia.grey.levels import Air, Surroundings
+from ct_inertia.grey.soft import without_soft
 from ct_inertia.grey.thin_bone import thin_bone
 from ct_inertia.labelling.from_scan import find_bodies
+from ct_inertia.segment.cutting import Cut
+from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
 from sample_volumes.phantom import Ear, render, scene, truth
 
@@ -55,6 +59,35 @@ def test_fluid_around_the_footplate_is_taken_off_and_told():
     assert abs(wet.moments.volume_mm3 / exact - 1.0) < 1e-2
     assert abs(wet.moments.volume_mm3 - exact) < 2.0 * sd(wet)[0]
     assert wet.frame_doubt is not None
+
+
+def tapered_wall(fluid):
+    """A slab and a wall on it that tapers off, in air or under fluid; voxels of 25 um, blur of 30 um."""
+    fine = np.indices((60, 60, 40)).astype(float) + 0.5
+    z, y, _ = fine
+    slab = z < 20
+    half = 0.5 * np.clip((40 - z) * 0.4, 0.0, None)
+    body = np.clip(half - np.abs(y - 30.3) + 0.5, 0.0, 1.0) * (half > 0)
+    body[slab] = 1.0
+    medium = fluid / (1.0 + np.exp((z - 40) / 1.5))
+    share = gaussian_filter(body + (1.0 - body) * medium, 1.2)
+    grey = (100.0 + 1000.0 * share + np.random.default_rng(5).normal(0.0, 15.0, share.shape)).astype(
+        np.float32
+    )
+    stapes = share > 0.5
+    none = np.zeros_like(stapes)
+    cut = Cut(np.zeros(3, dtype=int), grey, stapes, none, none, "alone")
+    spacing = np.full(3, 0.025)
+    reach = 4.2 * 0.03 + 0.025
+    distance = capped_distance(stapes, spacing, 2.0 * reach)
+    levels = (Air(100.0, 15.0, 0.1, 1.0, 0.0), 1100.0, None)
+    soft = without_soft(cut, (distance, None), reach, spacing, levels, 0.03)
+    return 0.0 if soft is None else float(soft.taken[:, 15:45].sum() / body[20:].sum())
+
+
+def test_bone_that_tapers_off_below_the_blur_is_no_soft_medium():
+    assert abs(tapered_wall(0.0)) < 0.005
+    assert tapered_wall(0.25) > 0.5
 
 
 def test_cupping_of_three_percent_at_coarse_voxels_is_told_and_moves_no_volume():
