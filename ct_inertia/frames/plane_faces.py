@@ -24,6 +24,7 @@ _LAYER_MM = calibrated("plane_faces.layer_mm")
 _BIN_MM = 0.5 * _LAYER_MM
 _CELL_MM = calibrated("plane_faces.cell_mm")
 _SCATTER = calibrated("plane_faces.scatter") ** 2
+_UNKNOWN_SD = calibrated("plane_faces.unknown")
 # Most iterations of the robust plane, against a cycle, and the turn that ends them: 0.1 nm over 10 mm.
 _ROUNDS = 30
 _STILL_RAD = 1e-8
@@ -259,7 +260,7 @@ def _covariance(away: Array, weights: Array, normal: Array, basis: Array) -> Arr
     )
     information = (design * mass[:, None]).T @ design
     if len(mass) < 6 or np.linalg.cond(information) > 1e12:
-        return np.diag([1e-4, 1e-2, 1e-2])
+        return np.diag(np.square(_UNKNOWN_SD))
     inverse = np.linalg.inv(information)
     residual = height - design @ (inverse @ (design.T @ (mass * height)))
     middle = (design * (mass * residual)[:, None]).T @ (design * (mass * residual)[:, None])

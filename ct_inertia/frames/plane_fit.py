@@ -43,6 +43,7 @@ _SQUARE_MM = calibrated("plane_fit.square_mm")
 _BESIDE_NOISE = calibrated("plane_fit.beside_noise")
 _LEVELS_MM = calibrated("plane_fit.levels_mm")
 _FOOT = calibrated("plane_fit.foot")
+_STEEP, _OUTSIDE_MM, _INSIDE = calibrated("plane_fit.bounding")
 _CORRELATED = calibrated("plane_fit.correlated")
 
 
@@ -209,9 +210,9 @@ def _ends(face: PlaneFace, other: PlaneFace) -> bool:
 
     What looks like a narrow face at a smaller angle is an edge rounded by the blur.
     """
-    if abs(face.normal @ other.normal) > (0.995 if other.at_border else 0.5):
+    if abs(face.normal @ other.normal) > (0.995 if other.at_border else _STEEP):
         return False
-    return float(np.mean(other.distance(face.samples_mm) < 0.05)) > 0.9
+    return float(np.mean(other.distance(face.samples_mm) < _OUTSIDE_MM)) > _INSIDE
 
 
 def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:

@@ -201,7 +201,7 @@ def bare_bone(
 def _without_plate(
     volume: Volume, ready: Prepared, start: tuple[float, float | None, float], bone: float
 ) -> tuple[Cut, FaceFit | None, Field | None]:
-    """Subtract the plate's blurred face from the grey values within reach of the stapes.
+    """Subtract the plate's blurred face from the grey values near the stapes.
 
     The third value is what was given back where bone stands in the plastic's place.
     """
@@ -212,7 +212,8 @@ def _without_plate(
     if fit is None:
         return cut, None, None
     face = fit.face
-    near = ready.distance_mm <= ready.reach_mm
+    # What is soft around the stapes is looked for within twice the reach.
+    near = ready.distance_mm < 1.99 * ready.reach_mm
     grey = cut.grey.copy()
     grey[near] -= plate_share(face, volume, cut, near).astype(np.float32)
     missing = displaced_share(face, volume, cut, grey - np.float32(air), bone - air, near)

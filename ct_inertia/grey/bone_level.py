@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _GOOD_BONE_SD = calibrated("bone_level.good_sd")
 _DEEPER = calibrated("bone_level.deeper")
+_DEPTHS = calibrated("bone_level.depths")
+_BLUR_LEFT = calibrated("bone_level.blur_left")
 _LEAST_DEEP = calibrated("bone_level.least_deep")
 _CELL_VOXELS = calibrated("bone_level.cell_voxels")
 _LEAST_CELL = calibrated("bone_level.least_cell")
@@ -81,9 +83,9 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
     inside = around.bone[box]
     grey = around.grey[box]
     half = 0.5 * float(np.mean(around.spacing_mm))
-    cap = 4.2 * sigma_mm + 2.0 * half
+    cap = _DEEPER * sigma_mm + 2.0 * half
     depth = capped_distance(~inside, around.spacing_mm, cap)
-    for least in (3.2, 3.0, 2.75, 2.5):
+    for least in _DEPTHS:
         index = np.flatnonzero(depth > np.float32(least * sigma_mm + half))
         if index.size < _LEAST_DEEP:
             continue
@@ -92,7 +94,7 @@ def measure_bone(around: Surroundings, air: Air, sigma_mm: float) -> Bone | None
         contrast = float(values.mean()) - air.level
         random = float(values.std()) / np.sqrt(values.size) * np.sqrt(air.correlation)
         if random < _GOOD_BONE_SD * contrast:
-            rest = 0.25 * float(np.mean(1.0 - share)) * contrast
+            rest = _BLUR_LEFT * float(np.mean(1.0 - share)) * contrast
             deeper = depth.ravel()[index] > np.float32(_DEEPER * sigma_mm + half)
             places = np.stack(np.unravel_index(index, depth.shape), axis=1).astype(float)
             change = _change(values, deeper, places, air)

@@ -29,6 +29,8 @@ _CELL_WIDTHS = 6.0
 _PLACES = np.arange(-4.4, 1.41, 0.4)
 # Standard deviations of a significant departure: a normal variate exceeds 4 with a probability of 6e-5.
 _SIGNIFICANT = 4.0
+# Probability with which an even point spread is called uneven; its deviation from even has five freedoms.
+_FALSE_ALARMS, _UNEVEN_FREEDOMS = 1e-3, 5
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
 # Trials of the sharpening, as a share of the apparent variance of the point spread.
@@ -182,22 +184,33 @@ def edge_shape(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Variances along z, y, x and covariances zy, zx, yx (6,) with their covariance (6, 6)."""
+    """Variances along z, y, x, covariances zy, zx, yx (6,), their covariance (6, 6); number of cells."""
 
     values: Array
     covariance: Array
+    cells: int
 
     def matrix(self) -> Array:
         a, b, c, d, e, f = self.values
         return np.array([[a, d, e], [d, b, f], [e, f, c]])
 
     def uneven(self, smoothing_mm: float) -> bool:
-        """Return whether the largest and the smallest principal variance differ significantly."""
+        """Return whether the largest and the smallest principal variance differ significantly.
+
+        Notes
+        -----
+        Their directions are those of the largest difference: Scheffe's limit (1953, Biometrika 40:87) holds
+        for all contrasts of a tensor at once.
+        """
+        from scipy.special import fdtri
+
         size, axes = np.linalg.eigh(self.matrix() - smoothing_mm**2 * np.eye(3))
         step = (_squares(axes[:, 2:].T) - _squares(axes[:, :1].T))[0]
         model = _WIDTH_MODEL_SD * float(np.mean(size))
         sd = float(np.sqrt(max(step @ self.covariance @ step, 0.0) + model**2))
-        return bool(size[2] - size[0] > _SIGNIFICANT * sd)
+        freedom = max(self.cells - len(self.values), 1)
+        limit = np.sqrt(_UNEVEN_FREEDOMS * fdtri(_UNEVEN_FREEDOMS, freedom, 1.0 - _FALSE_ALARMS))
+        return bool(size[2] - size[0] > limit * sd)
 
 
 def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
@@ -214,7 +227,7 @@ def _fit_covariance(edges: Candidates, used: NDArray[np.bool_]) -> _Fit | None:
     scores = _sums(design[good] * left[good][:, None], cells)
     inverse = np.linalg.inv(normal)
     covariance = np.asarray(inverse @ (scores.T @ scores) @ inverse, dtype=np.float64)
-    return _Fit(np.asarray(values, dtype=np.float64), covariance)
+    return _Fit(np.asarray(values, dtype=np.float64), covariance, len(scores))
 
 
 def _facing(normals: Array) -> float:

@@ -27,6 +27,8 @@ _PAIRS = 150_000
 # Largest distance of correlated voxels that is looked at: beyond the kernels of scanners.
 _MOST_LAG = 8
 _STANDS_OUT = calibrated("levels.stands_out")
+_UNSEEN_SHADING = calibrated("levels.unseen_shading")
+_CLIPPED_SD = calibrated("levels.clipped_sd")
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     count, means = total.eighth_count[filled], total.eighth_total[filled] / total.eighth_count[filled]
     correlation = _correlation(around.grey, shell, every_nth(air, max(1, size // _PAIRS)), level, noise)
     random = noise * np.sqrt(correlation / size)
-    scatter = noise / 10.0
+    scatter = _UNSEEN_SHADING * noise
     if len(means) > 2:
         weight = count / count.sum()
         scatter = float(np.sqrt(weight @ (means - weight @ means) ** 2 / (len(means) - 1.0)))
@@ -153,7 +155,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     noise = (
         single if around.single is None else noise * single / max(float(ones[air].std(dtype=float)), 1e-12)
     )
-    return Air(level, noise, sd + 0.02 * pile * single, correlation, pile, least, single)
+    return Air(level, noise, sd + _CLIPPED_SD * pile * single, correlation, pile, least, single)
 
 
 def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, float]:

@@ -23,6 +23,9 @@ _FLAT = calibrated("psf.flat")
 # Distance along an edge, in its own widths, at which its curvature is read.
 _BESIDE = 2.5
 _BENT_SD = calibrated("psf.bent_sd")
+_IN_COMMON = calibrated("psf.edges_in_common")
+_MODEL_SD = calibrated("psf.model_sd")
+_TOO_SHARP, _TOO_SHARP_SD = calibrated("psf.too_sharp")
 # Rounds of the fit of widths, medians from which on an edge departs, and edges that must face each axis.
 _WIDTH_ROUNDS, _DEPARTING, _LEAST_FACING = 4, 3.0, 40.0
 
@@ -74,11 +77,11 @@ def edge_sigma(
     total, bent, width = edges.total_mm, edges.bent, edges.smoothing_mm
     variance = np.median(total) ** 2 - width**2
     if not variance > 0.0:
-        return 0.3 * width, 0.1 * width
+        return _TOO_SHARP * width, _TOO_SHARP_SD * width
     sigma = float(np.sqrt(variance))
     low_part, high_part = np.percentile(total, [25.0, 75.0])
-    several = max(len(total) / 50.0, 1.0)
-    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + 0.004 * float(np.median(edges.every_mm))
+    several = max(len(total) / _IN_COMMON, 1.0)
+    sd = 0.5 * float(high_part - low_part) / np.sqrt(several) + _MODEL_SD * float(np.median(edges.every_mm))
     # What bent edges add to the width: with a curvature k some (k s)^2 of it, of which ``bent`` is a measure.
     sd += _BENT_SD * float(np.median(bent)) ** 2 * float(np.median(edges.every_mm))
     return sigma, sd * float(np.median(edges.every_mm)) / sigma

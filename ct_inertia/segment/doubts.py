@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 # Volume and extents of a stapes that nobody would call unusual; see ``Piece.oddness``.
 USUAL = calibrated("doubts.usual")
-_RIVAL = calibrated("doubts.rival")
+RIVAL = calibrated("doubts.rival")
 # Bodies that a message lists.
 _SHOWN = 4
 
@@ -33,7 +33,7 @@ def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
     rivals = [
         f"{piece.volume_mm3:.2f} mm3 around {', '.join(f'{v:.2f}' for v in place)} mm"
         for piece, place in zip(possible, places_mm, strict=True)
-        if piece is possible[0] or piece.score > possible[0].score - _RIVAL
+        if piece is possible[0] or piece.score > possible[0].score - RIVAL
     ]
     if len(rivals) > 1:
         raise CtInertiaError(

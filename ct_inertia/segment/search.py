@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
-from ct_inertia.segment.doubts import USUAL, doubts, refuse_rivals
+from ct_inertia.segment.doubts import RIVAL, USUAL, doubts, refuse_rivals
 from ct_inertia.segment.not_found import nothing_found
 from ct_inertia.segment.own_level import at_own_level
 from ct_inertia.segment.parting import CoarseGrid, partings
@@ -91,10 +91,12 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
 def _better(parted: Sight, whole: Piece) -> bool:
     """Say whether a part is a likelier stapes than the whole.
 
-    What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole.
+    What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
+    other parting cuts it either, unless the part is likelier by what two bodies may differ.
     """
     stout = whole.holes == 1 and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
-    return parted.stapes.score > whole.score and not (parted.at_neck and stout)
+    gain = parted.stapes.score - whole.score
+    return gain > RIVAL and not parted.at_neck if stout else gain > 0.0
 
 
 def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
@@ -118,15 +120,21 @@ def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:
     """Say whether a later reading of the levels shows more of the bone that an earlier one found.
 
     A body of the usual size and shape that is whole but for the number of its holes stands, unless it is part
-    of a larger one: what lies around it is no more than its own blur, and what shows elsewhere is plastic.
+    of a larger one: what lies around it is no more than its own blur, and what shows elsewhere is plastic. So
+    does a whole body that is only larger than usual, where the later reading cuts off nothing but its rim.
     """
-    if doubtful is None or not _usual(doubtful[1].stapes):
+    if doubtful is None:
         return True
     first = doubtful[1]
     before, after = first.pieces == first.stapes.label, later.pieces == later.stapes.label
+    halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
+    if not _usual(first.stapes):
+        whole = first.stapes.holes == 1 and first.stapes.surrounds < MOST_SURROUNDED
+        lost = np.count_nonzero(before & ~dilated(after, halo))
+        rim_only = bool(lost <= _LEAST_BEYOND * np.count_nonzero(before))
+        return not (whole and first.stapes.oddness < _ODD and rim_only)
     if np.count_nonzero(before & ~after) > _LEAST_BEYOND * np.count_nonzero(before):
         return False
-    halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
     beyond = np.count_nonzero(after & ~dilated(before, halo))
     return bool(beyond > _LEAST_BEYOND * np.count_nonzero(after))
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, laplace
 from scipy.spatial.transform import Rotation
 
+from ct_inertia.grey.edge_shape import _Fit as Fitted
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
 
@@ -81,3 +82,18 @@ def test_a_thin_soft_coat_makes_longer_tails_and_is_suspected():
 
 def test_too_few_edges_give_no_answer():
     assert measured(np.zeros(SHAPE, dtype=np.float32)) is None
+
+
+def test_widths_that_differ_by_noise_alone_are_called_uneven_once_in_a_thousand():
+    rng = np.random.default_rng(3)
+    sd, freedom, even = 0.05, 40, np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    alarms = 0
+    for _ in range(3000):
+        # Noise of an isotropic tensor: off the diagonal half the variance, and its size known from few cells.
+        values = (
+            100.0 * even + sd * rng.standard_normal(6) * np.array([1, 1, 1, *np.full(3, 0.5**0.5)]) * 100.0
+        )
+        size = rng.chisquare(freedom) / freedom * (100.0 * sd) ** 2 * np.array([1, 1, 1, 0.5, 0.5, 0.5])
+        alarms += Fitted(values, np.diag(size), freedom + 6).uneven(0.0)
+    assert alarms <= 8
+    assert Fitted(100.0 * even * [3, 1, 1, 1, 1, 1], np.diag(np.full(6, 25.0)), 46).uneven(0.0)
