@@ -50,10 +50,10 @@ def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> N
     work : callable
         Takes the arguments, returns the options and the outcome, or None when it has printed already.
     """
-    _open_descriptors()
     _State.written = False
-    listen(prog)
     try:
+        _open_descriptors()
+        listen(prog)
         _open_streams()
         code = _end_of(prog, work)
     except KeyboardInterrupt as stop:
@@ -71,6 +71,7 @@ def listen(prog: str, patience_s: float = PATIENCE_S) -> None:
     process still runs, removes its temporary folders and ends it with 130.
     """
     _State.prog, _State.interrupted, _State.code = prog, False, None
+    sys.unraisablehook = _without_interruptions
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
     if _State.watched:
@@ -118,6 +119,12 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     if not _State.interrupted and _State.code is None:
         _State.interrupted = True
         raise KeyboardInterrupt
+
+
+def _without_interruptions(raised: sys.UnraisableHookArgs) -> None:
+    """Be silent on an interruption that a callback of the interpreter lost; ``_watch`` ends the process."""
+    if not issubclass(raised.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(raised)
 
 
 def _ignore() -> None:

@@ -42,6 +42,15 @@ try:
 except KeyboardInterrupt:
     raise RuntimeError('Object visitation failed')
 """
+LOST = """
+class Last:
+    def __del__(self):
+        print('at work', flush=True)
+        __import__('time').sleep(30)
+last = Last()
+del last
+__import__('time').sleep(30)
+"""
 THREAD = """
 from stapeskit.background import Later
 Later(__import__('time').sleep, 30)
@@ -96,7 +105,7 @@ def run(body, folder, **options):
     return subprocess.run(command(body), cwd=folder, text=True, **options)
 
 
-@pytest.mark.parametrize("body", [SLEEP, SWALLOW, CONVERT, STAGED, THREAD])
+@pytest.mark.parametrize("body", [SLEEP, SWALLOW, LOST, CONVERT, STAGED, THREAD])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_ends_every_command_at_once(body, number, tmp_path):
     process = start(body, tmp_path)
