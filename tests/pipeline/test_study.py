@@ -53,7 +53,7 @@ def test_template_parses_and_names_every_key(tmp_path):
 def test_every_optional_line_of_the_template_is_valid(tmp_path):
     every = re.sub(r"(?m)^# (?=\w+ = )", "", TEMPLATE)
     labels = ("labels", "stapes_label", "plate_label")
-    for key in ("mass_mg", "calibration", "frame", "period_s", "lower", "upper", *labels):
+    for key in ("mass_mg", "calibration", "frame", "correct", "period_s", "lower", "upper", *labels):
         every = re.sub(rf"(?m)^{key} = .*$", "", every)
     study = parsed(every, tmp_path)
     assert study.scan.add_mass == ((4.0, 5.1, 3.3, 0.02, 0.0),)
