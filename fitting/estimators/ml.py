@@ -7,6 +7,7 @@ so that the iteration ends at the true optimum (Pintelon and Schoukens 2012, Sys
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -248,8 +249,12 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
     balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
     starts = [balanced] if np.max(np.abs(free.parameters)) > _WILD else [free.parameters, balanced]
     pulled = [pull_inside(start, lines.n) for start in (*starts, join(np.eye(lines.n), np.eye(lines.n)))]
-    usable = [start for start in pulled if np.isfinite(value(start))]
-    if not usable:
+    reached: list[tuple[Array, float, int]] = []
+    for start in pulled:
+        if len(reached) < len(starts) and np.isfinite(value(start)):
+            with suppress(np.linalg.LinAlgError):  # a path that ends in a corner; another start avoids it
+                reached.append(minimise(expansion, value, start, lines.n, 1e-5))
+    if not reached:
         raise FittingError(
             Fault(
                 "the motions",
@@ -258,7 +263,6 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
                 next_step="Check the noise variances, or give fewer degrees of freedom with {dof}",
             )
         )
-    reached = [minimise(expansion, value, start, lines.n, 1e-5) for start in usable[: len(starts)]]
     best = min((parameters for parameters, _, _ in reached), key=value)
     steps = free.iterations + sum(count for _, _, count in reached)
     return Estimate(best, value(best), steps, True), active_names(best, lines.n)
