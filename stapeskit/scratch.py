@@ -104,9 +104,10 @@ def _lock(folder: Path) -> int | None:
 def _remove(top: Path) -> None:
     """Remove a folder, also while a thread still writes into it."""
     for _ in range(5):
-        # the mark goes last: a run that is killed meanwhile leaves a folder that the next one knows
+        # the mark goes last: what a run leaves that is killed, or may open no file, the next one knows
         shutil.rmtree(top / _FILES, ignore_errors=True)
-        shutil.rmtree(top, ignore_errors=True)
+        if not (top / _FILES).exists():
+            shutil.rmtree(top, ignore_errors=True)
         if not top.exists():
             break
         time.sleep(0.01)

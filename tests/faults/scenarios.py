@@ -307,7 +307,7 @@ def together(bench: Bench) -> Found:
     for number in range(max(5, bench.times // 3)):
         bench.fresh(existing=number % 2 == 0)
         before = bench.hashes()
-        first = start(bench.workload, bench.place, False)
+        first = start(bench.workload, bench.place, True)  # both with other options than the run before
         time.sleep(bench.rng.uniform(0.0, 0.1))
         second = start(bench.workload, bench.place, True)
         codes = (bench.wait(first), bench.wait(second))

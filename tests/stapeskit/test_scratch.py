@@ -114,3 +114,20 @@ def test_a_folder_whose_removal_was_cut_short_is_removed(tmp_path, monkeypatch):
         shutil.rmtree(copy)
         if path.name != "stapeskit-temporary":
             path.rmdir() if path.is_dir() else path.unlink()
+
+
+def test_a_folder_that_could_not_be_removed_is_removed_by_the_next_run(tmp_path, monkeypatch):
+    """With no file descriptor left, what is within cannot be listed and stays; other files go."""
+
+    def starved(path, **_):
+        if Path(path).name != "files":
+            (Path(path) / "stapeskit-temporary").unlink()
+
+    with monkeypatch.context() as patch, scratch(tmp_path) as folder:
+        (folder / "half").write_text("half")
+        patch.setattr(shutil, "rmtree", starved)
+    left = folder.parent.name
+    assert names(tmp_path) == [left]
+    age(tmp_path)
+    with scratch(tmp_path):
+        assert left not in names(tmp_path)
