@@ -22,7 +22,10 @@ from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
         ({"estimator": "tls"}, "--estimator must be one of ml, irls, pinv, constrained; got tls"),
         ({"robust": "huber"}, "--robust must be one of none, t4; got huber"),
         ({"robust": "t4", "estimator": "pinv"}, "--robust must be none with this --estimator; got t4"),
-        ({"damping": "dry"}, "--damping must be one of viscous, hysteretic, fractional, compare; got dry"),
+        (
+            {"damping": "dry"},
+            "--damping must be one of viscous, hysteretic, fractional, relaxation, compare; got dry",
+        ),
         ({"inplane": "yes"}, "--inplane must be one of auto, load, ignore; got yes"),
         ({"constraint": "no"}, "--constraint must be one of eigenvalues, psd; got no"),
         (

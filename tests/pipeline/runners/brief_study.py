@@ -1,7 +1,8 @@
 """A study in a tenth of a second: ``python -m tests.pipeline.runners.brief_study STUDY OUT``.
 
-The study file holds how the study goes: ``seconds``, ``fails`` (a word of run_child's), ``mebibytes``. The
-folder gets result.txt, whole or not at all, from the text of the study file alone.
+The study file holds how the study goes: ``seconds``, ``after`` (a file beside it that must be there first),
+``fails`` (a word of run_child's), ``mebibytes``. The folder gets result.txt, whole or not at all, from the
+text of the study file alone.
 """
 
 import json
@@ -29,6 +30,8 @@ def main():
     started = folder.parent / f"started-{study.stem}-{os.getpid()}"
     started.touch()
     time.sleep(plan.get("seconds", 0.0))
+    while "after" in plan and not (study.parent / plan["after"]).exists():
+        time.sleep(0.02)
     if plan.get("fails") == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
     if plan.get("fails") == "crash":

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -54,6 +54,17 @@ def wait_for(pattern, folder, count=1):
     raise AssertionError(pattern)
 
 
+def wait_for_end_of_one(pattern, folder):
+    """Wait until one of the studies that have started has ended with its worker."""
+    numbers = [int(path.name.rsplit("-", 1)[1]) for path in folder.glob(pattern)]
+    with suppress(ProcessLookupError):
+        for _ in range(1500):
+            for number in numbers:
+                os.kill(number, 0)
+            time.sleep(0.02)
+        raise AssertionError("a study outlives its worker")
+
+
 class Asked(Report):
     """A cohort that runs on a cluster, in a thread."""
 
@@ -72,7 +83,7 @@ class Asked(Report):
 
 def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.records.code_hash", code_hash)
-    plans = {"a": "seconds = 1", "b": "seconds = 1.0", "c": "", "d": 'fails = "input"'}
+    plans = {"a": 'after = "go"', "b": 'after = "go" #', "c": "", "d": 'fails = "input"'}
     folder, quiet = tmp_path / "there", tmp_path / "here"
     folder.mkdir()
     quiet.mkdir()
@@ -80,6 +91,10 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
         cohort = Asked(folder, plans, address)
         wait_for("started-[ab]-*", folder / "out", 2)
         first.send_signal(signal.SIGKILL)
+        first.wait()
+        wait_for_end_of_one("started-[ab]-*", folder / "out")
+        (folder / "go").touch()
+        (quiet / "go").touch()
         local.run(tasks(quiet, plans), Where(4), Report().tell, Report().ended)
         assert cohort.codes() == {"a": 0, "b": 0, "c": 0, "d": 2}
         assert results(folder) == results(quiet)
