@@ -25,7 +25,7 @@ LEFT_OUT = re.compile(
 KEYS_ONLY = re.compile(r"^(provenance|records?)$")
 PROSE_KEYS = re.compile(r"^(text|notes?|said|inputs_say|summary|method|words?|why|meaning|message)$")
 NOT_READ = {".html", ".png", ".svg", ".glb", ".txt", ".mtl"}
-DURATION = re.compile(r"\d+\.\d+ s\b")
+TIME = re.compile(r"\d+\.\d+ s\b|\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d\S*")
 LARGEST = 2500
 
 Table = dict[str, Any]
@@ -65,7 +65,7 @@ def _read(path: Path) -> Iterator[tuple[str, Any]]:
         yield from _of_mat(path)
     else:
         text = path.read_text(encoding="utf-8", errors="replace")
-        yield from _of_text(DURATION.sub("", text) if ending == ".log" else text)
+        yield from _of_text(TIME.sub("", text) if ending == ".log" else text)
 
 
 def of_json(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
