@@ -13,10 +13,8 @@ from __future__ import annotations
 
 import argparse
 import collections
-import importlib
 import multiprocessing
 import os
-import pkgutil
 import random
 import shutil
 import sys
@@ -28,8 +26,6 @@ from pathlib import Path
 from tests.faults.scenarios import SCENARIOS, Bench
 from tests.faults.workloads import WORKLOADS, make_inputs, undrawn
 from tests.fuzz.targets import preload
-
-PACKAGES = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")
 
 
 def main() -> None:
@@ -44,9 +40,6 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
     preload()
-    for room in PACKAGES:  # another user may not read the interpreter's own folder
-        for module in pkgutil.walk_packages(importlib.import_module(room).__path__, f"{room}."):
-            importlib.import_module(module.name)
     undrawn()
     done, failures = collections.Counter[str](), list[str]()
     began = time.monotonic()
