@@ -31,6 +31,8 @@ _PLACES = np.arange(-4.4, 1.41, 0.4)
 _SIGNIFICANT = 4.0
 # Probability with which an even point spread is called uneven; its deviation from even has five freedoms.
 _FALSE_ALARMS, _UNEVEN_FREEDOMS = 1e-3, 5
+# What Scheffe's limit comes to with infinitely many cells, sqrt(chi2): below it nothing is uneven.
+_LEAST_UNEVEN = 4.529
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")
 # Trials of the sharpening, as a share of the apparent variance of the point spread.
@@ -202,12 +204,14 @@ class _Fit:
         Their directions are those of the largest difference: Scheffe's limit (1953, Biometrika 40:87) holds
         for all contrasts of a tensor at once.
         """
-        from scipy.special import fdtri
-
         size, axes = np.linalg.eigh(self.matrix() - smoothing_mm**2 * np.eye(3))
         step = (_squares(axes[:, 2:].T) - _squares(axes[:, :1].T))[0]
         model = _WIDTH_MODEL_SD * float(np.mean(size))
         sd = float(np.sqrt(max(step @ self.covariance @ step, 0.0) + model**2))
+        if size[2] - size[0] <= _LEAST_UNEVEN * sd:
+            return False
+        from scipy.special import fdtri  # a quarter of a second
+
         freedom = max(self.cells - len(self.values), 1)
         limit = np.sqrt(_UNEVEN_FREEDOMS * fdtri(_UNEVEN_FREEDOMS, freedom, 1.0 - _FALSE_ALARMS))
         return bool(size[2] - size[0] > limit * sd)

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, laplace
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
+from ct_inertia.grey import edge_shape as edge_shape_module
 from ct_inertia.grey.edge_shape import _Fit as Fitted
 from ct_inertia.grey.edge_shape import edge_shape, fringe_notice, uneven_notice
 from ct_inertia.grey.point_spread import equalise_blur, retrieve_phase
@@ -97,3 +99,8 @@ def test_widths_that_differ_by_noise_alone_are_called_uneven_once_in_a_thousand(
         alarms += Fitted(values, np.diag(size), freedom + 6).uneven(0.0)
     assert alarms <= 8
     assert Fitted(100.0 * even * [3, 1, 1, 1, 1, 1], np.diag(np.full(6, 25.0)), 46).uneven(0.0)
+
+
+def test_the_least_limit_is_that_of_infinitely_many_cells():
+    limit = np.sqrt(chdtri(edge_shape_module._UNEVEN_FREEDOMS, edge_shape_module._FALSE_ALARMS))
+    assert limit - 1e-3 < edge_shape_module._LEAST_UNEVEN <= limit
