@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
+from benchmarks.faults_gate import judged
 from kinematics.fit_options import Options
-from kinematics.measurement import BodyChannels, Measurement
-from kinematics.points2dof import Points2Dof, points2dof
+from kinematics.points2dof import Points2Dof
 from kinematics.registration.lasers import LaserPriors
 
 Array = NDArray[np.float64]
@@ -35,19 +35,7 @@ EXACT = LaserPriors(0.0, 0.0, 0.0)
 
 def fitted(made: Reading, correct: bool, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
     """Fit a reading whose lasers agree."""
-    body = BodyChannels(
-        "incus",
-        tuple(made.points),
-        made.positions_mm,
-        made.directions,
-        made.value[None],
-        made.sd[None] if stated else None,
-        not stated,
-        np.full(len(made.points), position_sd_mm or np.nan),
-    )
-    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
-    dof = ("y", "alpha", "gamma") if made.head.max() == 0 else Options().dof
-    return points2dof(data, options=Options(dof, lasers=EXACT, correct=correct))
+    return judged(made, stated, position_sd_mm, Options(lasers=EXACT, correct=correct))
 
 
 def errors(result: Points2Dof, truth: ComplexArray) -> tuple[Array, Array, Array]:

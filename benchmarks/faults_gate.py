@@ -16,6 +16,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,8 +31,10 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Points2Dof, points2dof
 
 
-def judged(made: Reading, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
-    """Run the diagnosis on a reading."""
+def judged(
+    made: Reading, stated: bool = True, position_sd_mm: float = 0.0, options: Options | None = None
+) -> Points2Dof:
+    """Run the diagnosis on a reading; one head sees three degrees of freedom."""
     body = BodyChannels(
         "incus",
         tuple(made.points),
@@ -43,8 +46,10 @@ def judged(made: Reading, stated: bool = True, position_sd_mm: float = 0.0) -> P
         np.full(len(made.points), position_sd_mm or np.nan),
     )
     data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
-    one_head = made.head.max() == 0
-    return points2dof(data, options=Options(("y", "alpha", "gamma")) if one_head else None)
+    options = options or Options()
+    if made.head.max() == 0:
+        options = replace(options, dof=("y", "alpha", "gamma"))
+    return points2dof(data, options=options)
 
 
 def faults(arguments: argparse.Namespace) -> Iterator[str]:

@@ -35,9 +35,7 @@ class Given:
 
     def make(self, table: type[Table]) -> Table:
         """Return a table of options out of the values."""
-        return table(
-            **{declaration.field: self._values[declaration.field] for declaration in declared(table)}
-        )
+        return table(**{entry.field: self._values[entry.field] for entry in declared(table)})
 
 
 @dataclass(frozen=True)
@@ -89,9 +87,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--version", action="version", version=f"stapeskit {__version__}")
         self.tables: tuple[type[OptionTable], ...] = (*tables, Terminal)
         self.rules = (*(rule for table in self.tables for rule in table.rules), *rules)
-        self.declared = {
-            declaration.field: declaration for table in self.tables for declaration in declared(table)
-        }
+        self.declared = {entry.field: entry for table in self.tables for entry in declared(table)}
         add_arguments(self, self.declared.values())
 
     def error(self, message: str) -> NoReturn:
@@ -118,47 +114,47 @@ class Parser(argparse.ArgumentParser):
         options = [word for word in unknown if word.startswith("-")]
         faults += [self._unknown(word) for word in options or unknown]
         texts = {name: value for name, value in vars(known).items() if value not in (None, [])}
-        values = {name: declaration.default for name, declaration in self.declared.items()}
+        values = {name: entry.default for name, entry in self.declared.items()}
         if "config" in texts:
             values |= self._config(Path(texts["config"][-1]), texts, faults)
         for name, given in texts.items():
             self._read(self.declared[name], given, values, faults)
         absent = [
             fault
-            for declaration in self.declared.values()
-            for fault in declaration.missing_files(values[declaration.field], f"{{{declaration.name}}}")
+            for entry in self.declared.values()
+            for fault in entry.missing_files(values[entry.field], f"{{{entry.name}}}")
         ]
         faults += [*absent, *self._check(values, faults)]
-        flags = {declaration.name: declaration.flag for declaration in self.declared.values()}
+        flags = {entry.name: entry.flag for entry in self.declared.values()}
         raise_all(StapeskitError, [in_words(fault, lambda name: flags.get(name, name)) for fault in faults])
         return Given(values)
 
-    def _read(self, declaration: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
+    def _read(self, entry: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:
         """Read the texts of an option, and check that the files it names exist."""
-        if declaration.kind.is_flag:
-            values[declaration.field] = True
+        if entry.kind.is_flag:
+            values[entry.field] = True
             return
         texts = [given] if isinstance(given, str) else given
-        texts = texts if declaration.kind.repeats else texts[-1:]
+        texts = texts if entry.kind.repeats else texts[-1:]
         before = len(faults)
         for text in texts:
-            with fault_of(declaration, text, faults):
-                declaration.kind.read([text] if declaration.kind.repeats else text)
+            with fault_of(entry, text, faults):
+                entry.kind.read([text] if entry.kind.repeats else text)
         if len(faults) == before:
-            values[declaration.field] = declaration.kind.read(texts if declaration.kind.repeats else texts[0])
+            values[entry.field] = entry.kind.read(texts if entry.kind.repeats else texts[0])
 
     def _check(self, values: dict[str, Any], faults: list[Fault]) -> list[Fault]:
         """Return what is missing and, where all values are readable, what contradicts itself."""
         missing = [
             Fault(
-                f"{{{declaration.name}}}",
+                f"{{{entry.name}}}",
                 "given",
                 "nothing",
                 self.prog,
                 f"Run {self.prog} --help to see the options",
             )
-            for declaration in self.declared.values()
-            if declaration.required and values[declaration.field] in (None, ())
+            for entry in self.declared.values()
+            if entry.required and values[entry.field] in (None, ())
         ]
         if faults or missing:
             return missing
@@ -168,9 +164,9 @@ class Parser(argparse.ArgumentParser):
     def _join_values(self, words: list[str], faults: list[Fault]) -> list[str]:
         """Join each option to its value, so that a minus does not read as an option: ``--seed=-1,0,2``."""
         options = {
-            declaration.flag: declaration
-            for declaration in self.declared.values()
-            if not declaration.positional and not declaration.kind.is_flag
+            entry.flag: entry
+            for entry in self.declared.values()
+            if not entry.positional and not entry.kind.is_flag
         }
         joined: list[str] = []
         while words:
@@ -180,11 +176,11 @@ class Parser(argparse.ArgumentParser):
             elif words and (not words[0].startswith("-") or _NUMBERS.match(words[0])):
                 joined.append(f"{word}={words.pop(0)}")
             else:
-                declaration = options[word]
+                entry = options[word]
                 faults.append(
                     Fault(
-                        f"{{{declaration.name}}}",
-                        f"given with a value, {declaration.metavar}",
+                        f"{{{entry.name}}}",
+                        f"given with a value, {entry.metavar}",
                         "none",
                         self.prog,
                     )
@@ -208,22 +204,18 @@ class Parser(argparse.ArgumentParser):
         except ValueError as fault:
             faults.append(Fault("{config}", "valid TOML", fault, path.name))
             return {}
-        known = {
-            declaration.name: declaration
-            for declaration in self.declared.values()
-            if declaration.field != "config"
-        }
-        names = known | {declaration.key: declaration for declaration in known.values()}
+        known = {entry.name: entry for entry in self.declared.values() if entry.field != "config"}
+        names = known | {entry.key: entry for entry in known.values()}
         values: dict[str, Any] = {}
         for key, value in table.items():
-            declaration = names.get(key.replace("-", "_"))
-            if declaration is None:
+            entry = names.get(key.replace("-", "_"))
+            if entry is None:
                 close = difflib.get_close_matches(key.replace("-", "_"), known, 1)
                 hint = f"Did you mean {close[0].replace('_', '-')}?" if close else ""
                 faults.append(Fault("a key of {config}", "an option of the command", key, path.name, hint))
-            elif declaration.field not in texts:
-                with fault_of(declaration, value, faults, key, path.name):
-                    values[declaration.field] = declaration.kind.read(value)
+            elif entry.field not in texts:
+                with fault_of(entry, value, faults, key, path.name):
+                    values[entry.field] = entry.kind.read(value)
         return values
 
 
@@ -231,45 +223,45 @@ def add_arguments(parser: argparse.ArgumentParser, options: Iterable[Option]) ->
     """Add options to a parser; it keeps the texts, which their kinds read."""
     groups: dict[str, Any] = {"": parser}
     options = list(options)
-    flags = {declaration.name: declaration.flag for declaration in options}
-    for declaration in options:
-        if declaration.group not in groups:
-            groups[declaration.group] = parser.add_argument_group(declaration.group)
-        help_text = help_of(declaration, flags).replace("%", "%%")
-        if declaration.positional:
-            count = "*" if declaration.kind.repeats else "?"
-            parser.add_argument(declaration.field, nargs=count, metavar=declaration.metavar, help=help_text)
-        elif declaration.kind.is_flag:
-            groups[declaration.group].add_argument(
-                declaration.flag, dest=declaration.field, action="store_const", const=True, help=help_text
+    flags = {entry.name: entry.flag for entry in options}
+    for entry in options:
+        if entry.group not in groups:
+            groups[entry.group] = parser.add_argument_group(entry.group)
+        help_text = help_of(entry, flags).replace("%", "%%")
+        if entry.positional:
+            count = "*" if entry.kind.repeats else "?"
+            parser.add_argument(entry.field, nargs=count, metavar=entry.metavar, help=help_text)
+        elif entry.kind.is_flag:
+            groups[entry.group].add_argument(
+                entry.flag, dest=entry.field, action="store_const", const=True, help=help_text
             )
         else:
-            groups[declaration.group].add_argument(
-                declaration.flag,
-                dest=declaration.field,
+            groups[entry.group].add_argument(
+                entry.flag,
+                dest=entry.field,
                 action="append",
-                metavar=declaration.metavar,
+                metavar=entry.metavar,
                 help=help_text,
             )
 
 
-def help_of(declaration: Option, flags: Mapping[str, str]) -> str:
+def help_of(entry: Option, flags: Mapping[str, str]) -> str:
     """Return the help of an option with its default, references to others as the command writes them."""
-    text = written(declaration.help, lambda name: flags.get(name, name))
-    if declaration.default in (None, False, "", (), {}):
+    text = written(entry.help, lambda name: flags.get(name, name))
+    if entry.default in (None, False, "", (), {}):
         return text
-    return f"{text} (default {', '.join(declaration.kind.words(declaration.default))})"
+    return f"{text} (default {', '.join(entry.kind.words(entry.default))})"
 
 
 @contextmanager
 def fault_of(
-    declaration: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
+    entry: Option, value: Any, faults: list[Fault], thing: str = "", where: str = ""
 ) -> Iterator[None]:
     """Add the fault of a value that the block finds unfit to the list."""
     try:
         yield
     except (ValueError, TypeError):
-        faults.append(declaration.fault(value, thing, where))
+        faults.append(entry.fault(value, thing, where))
 
 
 def _nearest(word: str, options: Sequence[str]) -> list[str]:

@@ -129,14 +129,14 @@ def option(
     metavar, group, example, positional, required, recommended
         See `Option`.
     """
-    declaration = {
+    entry = {
         "kind": kind, "help": text, "unit": unit, "key": key, "metavar": metavar or kind.metavar,
         "group": group, "example": example, "positional": positional, "required": required,
         "recommended": recommended, "command_only": command_only,
     }  # fmt: skip
     if isinstance(default, dict):
-        return field(default_factory=lambda: dict(default), metadata={_DECLARED: declaration})
-    return field(default=default, metadata={_DECLARED: declaration})
+        return field(default_factory=lambda: dict(default), metadata={_DECLARED: entry})
+    return field(default=default, metadata={_DECLARED: entry})
 
 
 class Values:
@@ -144,18 +144,16 @@ class Values:
 
     def __init__(self, values: Mapping[str, Any], options: Iterable[Option]) -> None:
         self._values = values
-        self._options = {
-            name: declaration for declaration in options for name in (declaration.field, declaration.name)
-        }
+        self._options = {name: entry for entry in options for name in (entry.field, entry.name)}
 
     def __getattr__(self, name: str) -> Any:
-        declaration = self._options.get(name)
-        return None if declaration is None else self._values.get(declaration.field)
+        entry = self._options.get(name)
+        return None if entry is None else self._values.get(entry.field)
 
     def has(self, name: str) -> bool:
         """Return whether an option has another value than its default."""
-        declaration = self._options.get(name)
-        return declaration is not None and self._values.get(declaration.field) != declaration.default
+        entry = self._options.get(name)
+        return entry is not None and self._values.get(entry.field) != entry.default
 
     def given(self, *names: str) -> list[Option]:
         """Return those of the options that have another value than their default."""
@@ -228,30 +226,28 @@ class OptionTable:
 
     def __post_init__(self) -> None:
         faults = []
-        for declaration in declared(type(self)):
-            value = getattr(self, declaration.field)
+        for entry in declared(type(self)):
+            value = getattr(self, entry.field)
             if value is None:
                 continue
             try:
-                object.__setattr__(self, declaration.field, declaration.kind.read(value))
+                object.__setattr__(self, entry.field, entry.kind.read(value))
             except (ValueError, TypeError):
-                faults.append(declaration.fault(value))
+                faults.append(entry.fault(value))
         raise_all(self.error, faults)
         raise_all(self.error, self.contradictions())
 
     def contradictions(self) -> list[Fault]:
         """Return the faults of the rules that the values break."""
         options = declared(type(self))
-        values = Values(
-            {declaration.field: getattr(self, declaration.field) for declaration in options}, options
-        )
+        values = Values({entry.field: getattr(self, entry.field) for entry in options}, options)
         return [fault for rule in self.rules if (fault := rule.fault(values)) is not None]
 
     @classmethod
     def of(cls, **named: Any) -> Self:
         """Make the table from options by the names that they have on the command line."""
-        names = {declaration.name: declaration.field for declaration in declared(cls)}
-        names |= {declaration.field: declaration.field for declaration in declared(cls)}
+        names = {entry.name: entry.field for entry in declared(cls)}
+        names |= {entry.field: entry.field for entry in declared(cls)}
         unknown = [name for name in named if name not in names]
         raise_all(
             cls.error,
@@ -265,39 +261,37 @@ class OptionTable:
     def parameters(self) -> dict[str, Any]:
         """Return the values by key, files apart, as JSON-able data: for the provenance."""
         return {
-            declaration.key: plain(getattr(self, declaration.field))
-            for declaration in declared(type(self))
-            if not declaration.kind.is_file
+            entry.key: plain(getattr(self, entry.field))
+            for entry in declared(type(self))
+            if not entry.kind.is_file
         }
 
     def input_files(self) -> dict[str, Path | None]:
         """Return the files that are read, by the name of their option."""
         return {
-            declaration.name: getattr(self, declaration.field)
-            for declaration in declared(type(self))
-            if declaration.kind.is_file and not declaration.kind.repeats
+            entry.name: getattr(self, entry.field)
+            for entry in declared(type(self))
+            if entry.kind.is_file and not entry.kind.repeats
         }
 
 
 def declared(table: type[OptionTable]) -> tuple[Option, ...]:
-    """Return the options of a table in the order of their declaration."""
+    """Return the options of a table in the order of their entry."""
     return tuple(_declared(table))
 
 
 def _declared(table: type[OptionTable]) -> Iterator[Option]:
-    for declaration in dataclasses.fields(table):
-        if _DECLARED not in declaration.metadata:
+    for entry in dataclasses.fields(table):
+        if _DECLARED not in entry.metadata:
             continue
-        rest = dict(declaration.metadata[_DECLARED])
+        rest = dict(entry.metadata[_DECLARED])
         unit, key, command_only = (rest.pop(name) for name in ("unit", "key", "command_only"))
-        name = declaration.name.removesuffix(f"_{unit}") if unit else declaration.name
-        default = (
-            declaration.default_factory() if callable(declaration.default_factory) else declaration.default
-        )
+        name = entry.name.removesuffix(f"_{unit}") if unit else entry.name
+        default = entry.default_factory() if callable(entry.default_factory) else entry.default
         default = None if default is None else rest["kind"].read(default)
         place = "" if command_only else table.table
         yield Option(
-            declaration.name,
+            entry.name,
             name,
             place,
             key or (f"{name}_{unit}" if unit else name),
@@ -336,26 +330,24 @@ def read_table(
     faults : list of Fault
         Unknown keys (with the nearest), missing ones, unfit values, files that do not exist, contradictions.
     """
-    options = {declaration.key: declaration for declaration in declared(kind) if declaration.table}
+    options = {entry.key: entry for entry in declared(kind) if entry.table}
     faults = [unknown_key(kind, key, where, others) for key in values if key not in options]
     chosen: dict[str, Any] = {}
-    for key, declaration in options.items():
+    for key, entry in options.items():
         if key not in values:
-            if declaration.required:
+            if entry.required:
                 step = "scan2kd --template shows a whole study file"
-                faults.append(Fault(declaration.place, "given", "nothing", where, step))
+                faults.append(Fault(entry.place, "given", "nothing", where, step))
             continue
         try:
-            value = declaration.kind.read(values[key])
+            value = entry.kind.read(values[key])
         except (ValueError, TypeError):
-            faults.append(declaration.fault(values[key], declaration.place, where))
+            faults.append(entry.fault(values[key], entry.place, where))
             continue
-        if declaration.kind.is_file:
-            faults += (
-                declaration.missing_files(value, declaration.place, where, folder) if check_files else []
-            )
+        if entry.kind.is_file:
+            faults += entry.missing_files(value, entry.place, where, folder) if check_files else []
             value = tuple(folder / path for path in value) if isinstance(value, tuple) else folder / value
-        chosen[declaration.field] = value
+        chosen[entry.field] = value
     try:
         return (None if faults else kind(**chosen)), faults
     except StapeskitError as error:
@@ -366,13 +358,8 @@ def unknown_key(
     kind: type[OptionTable], key: str, where: str, others: Iterable[type[OptionTable]] = ()
 ) -> Fault:
     """Return the fault of an unknown key, with the nearest of its own table or the same key of another."""
-    own = [declaration.key for declaration in declared(kind) if declaration.table]
-    homes = [
-        declaration.place
-        for other in others
-        for declaration in declared(other)
-        if declaration.table and declaration.key == key
-    ]
+    own = [entry.key for entry in declared(kind) if entry.table]
+    homes = [entry.place for other in others for entry in declared(other) if entry.table and entry.key == key]
     close = difflib.get_close_matches(key, own, 1, cutoff=0.5) or homes
     step = f"Did you mean {close[0]}?" if close else f"Its keys are {', '.join(own)}"
     return Fault(f"a key of [{kind.table}]", "a known one", key, where, step)
@@ -406,7 +393,7 @@ def vocabulary(*tables: type[OptionTable]) -> Callable[[str], str]:
     """Return how a study file writes the name of an option, looking in the first table first."""
     places: dict[str, str] = {}
     for table in tables:
-        for declaration in declared(table):
-            if declaration.table:
-                places.setdefault(declaration.name, declaration.place)
+        for entry in declared(table):
+            if entry.table:
+                places.setdefault(entry.name, entry.place)
     return lambda name: places.get(name, name)

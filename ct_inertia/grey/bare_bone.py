@@ -32,14 +32,12 @@ _WELL_SEEN = calibrated("measure.well_seen")
 _SAME_BLUR = calibrated("measure.same_blur")
 _OTHER_BLUR = calibrated("measure.other_blur")
 _PLATE_DOUBT = calibrated("measure.plate_doubt")
-# Relative standard uncertainty of a blur that the plate's face shows. Chosen by judgement: the fit gives
-# less, and blur differs by that much over a scan.
-_FACE_BLUR_SD = 0.01
+_FACE_BLUR_SD = calibrated("measure.face_blur_sd")
 
 
 @dataclass(frozen=True)
 class BareBone:
-    """Grey values as they would be with air around the bone, and what was taken off them.
+    """Grey values of the bone as if in air, and the images of its surroundings that were subtracted.
 
     Attributes
     ----------

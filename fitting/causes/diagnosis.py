@@ -27,7 +27,8 @@ from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
 
 Array = NDArray[np.float64]
-# Probability of a score below which a cause that may be far from first order is refitted to be sure.
+# Probability of a score below which a cause that may be far from first order is refitted to be sure: one
+# needless refit in twenty, which the evidence then judges. Chosen by judgement.
 _DOUBTFUL = 0.05
 # Steps of a refit, and of one beside a cause that explains the data.
 _MOST, _FEW = 60, 20

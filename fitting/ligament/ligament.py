@@ -35,7 +35,8 @@ Extension = Callable[[JointLines], tuple[Term, ...]]
 # Least size from which an outer search begins, in the unit of a term, how far it goes (logarithm), and the
 # squared step, in units of the uncertainty, that is left after it.
 _SMALLEST, _WIDTH, _SETTLED = 0.1, 1.5, 1e-3
-# Steps at or below which a fit is not worth an outer search.
+# Steps at or below which a fit is not worth an outer search: those of a fit that only looks (a cause beside
+# another one that explains the data).
 _FEW = 20
 Extended = tuple[JointLines, Equations, JointFit]
 

@@ -100,7 +100,7 @@ def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Move
     return arms, made
 
 
-# Directions that differ by less are written alike.
+# Directions that differ by less are written alike: rounding of six digits in a file.
 _SAME_BEAM = 1e-6
 _SETS = ("channel", "point", "laser")
 KINDS: dict[str, Kind] = {

@@ -21,7 +21,7 @@ ComplexArray = NDArray[np.complex128]
 _ROUNDS = 6
 # Owners of faults of many channels.
 _MANY = ("laser", "lasers", "body")
-# Segments or lines that a change from line to line needs.
+# Segments or lines that a change over the lines needs, to be told from level, slope and bend.
 _COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5

@@ -247,7 +247,7 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
     runs = table.texts["run"].names if "run" in table.texts else ("1",)
     run = table.texts["run"].codes if "run" in table.texts else np.zeros(len(table), dtype=np.intp)
     sd = np.column_stack([table.numbers[name] for name in columns.deviations])
-    faults = [*table.faults, *_row_faults(table, freq, sd, body.codes)]
+    faults = [*table.faults, *_row_faults(table, freq, sd)]
     lines, line = np.unique(freq, return_inverse=True)
     shape = (len(runs), len(body.names), len(lines))
     if not faults:
@@ -286,7 +286,7 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
     )
 
 
-def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) -> list[Fault]:
+def _row_faults(table: Table, freq: Array, sd: Array) -> list[Fault]:
     faults = []
     reported = table.invalid_rows("freq_hz")
     for row in np.flatnonzero(~(freq >= LOWEST_HZ) | (freq > HIGHEST_HZ)):
@@ -308,8 +308,9 @@ def _row_faults(table: Table, freq: Array, sd: Array, body: NDArray[np.intp]) ->
             where = table.where(int(row))
             want = "finite, or empty" if np.isinf(values[row]) else f"below {LARGEST:g}, or empty"
             faults.append(Fault(name, want, f"{values[row]:g}", where))
-    for row in np.flatnonzero(body < 0):
-        faults.append(Fault("body", "a name", "an empty cell", table.where(int(row))))
+    for name, cells in table.texts.items():
+        for row in np.flatnonzero(cells.codes < 0):
+            faults.append(Fault(name, "a name", "an empty cell", table.where(int(row))))
     return faults
 
 

@@ -8,7 +8,7 @@
 
 A case is well when it is read or refused by a StapeskitError of at most 4000 characters, within 10 s, in
 memory of twice what it declares and 300 MB, and nothing stays behind. Each maker of cases is a module of this
-folder with a function ``cases(random) -> Iterator[Case]``.
+folder with a function ``cases(random) -> Iterator[Case]``, and each gets the same time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import collections
 import importlib
-import itertools
 import json
 import os
 import select
@@ -170,11 +169,15 @@ def main() -> None:
     shared = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=shared if shared.is_dir() else None) as folder:
         watch = Watch(Path(folder), began + 60.0 * given.minutes)
-        blocks = range(given.blocks) if given.blocks else itertools.count()
-        for block, maker in ((block, maker) for block in blocks for maker in makers):
-            if time.monotonic() > began + 60.0 * given.minutes:
+        blocks, spent = dict.fromkeys(makers, 0), dict.fromkeys(makers, 0.0)
+        while time.monotonic() < began + 60.0 * given.minutes:
+            waiting = [maker for maker in makers if not given.blocks or blocks[maker] < given.blocks]
+            if not waiting:
                 break
-            watch.block(Place(maker, given.seed, block))
+            maker, start = min(waiting, key=spent.__getitem__), time.monotonic()
+            watch.block(Place(maker, given.seed, blocks[maker]))
+            blocks[maker] += 1
+            spent[maker] += time.monotonic() - start
     _report(watch.tally, time.monotonic() - began, given.results)
     raise SystemExit(1 if watch.tally.findings else 0)
 

@@ -22,7 +22,8 @@ _LEAST = 3
 _SURELY, _NUMBER = 1e-5, 1e-4
 # Outliers are single: so many at most have another one at a neighbouring line of their channel.
 _WITH_NEIGHBOUR = 0.5
-# Chance of outliers so unevenly spread over the lines below which they are not sparse.
+# Chance of outliers so unevenly spread over the lines below which they are not sparse: 1 of 100 sparse sets
+# is then left to the other tests. Chosen by judgement.
 _UNEVEN = 0.01
 # Values that are looked at to see whether there may be any.
 _SAMPLE = 200_000

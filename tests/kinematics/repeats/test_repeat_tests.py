@@ -27,7 +27,7 @@ def resonances(rng, freq_hz, factor=1.0):
 
 
 def stack_of(values, *, noise=NOISE, seed=0, stated=True, louder=1.0):
-    """Takes (take, channel, freq) with noise of a sd per part, of which ``louder`` tells the excess."""
+    """Add noise to takes (take, channel, freq): stated sd ``noise``, true sd ``louder`` times it."""
     rng = np.random.default_rng([seed, 1])
     shape = (*np.shape(values), 2)
     read = values + louder * noise * (rng.normal(size=shape) @ np.array([1.0, 1j]))

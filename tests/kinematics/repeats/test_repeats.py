@@ -20,8 +20,6 @@ from kinematics.repeats.pooling import pooled
 from kinematics.tidy.ldv_csv import read_ldv
 from tests.kinematics.simulated import HEADER, readings, scene
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def measured(seed, takes, gain=None, resonance=None, lines=60, snr=80.0, sd=True):
     """Return stapes and base in several takes, and the true responses of the first."""

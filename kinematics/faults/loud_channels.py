@@ -1,0 +1,84 @@
+"""Channels that are louder than their noise, beside the faults that a fit explains."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.faults.equal_noise import NOISY
+from kinematics.faults.findings import Finding
+from kinematics.faults.noise import own_noise
+from kinematics.faults.state import State
+
+Array = NDArray[np.float64]
+# Share of the alarm probability that the tests of noise have.
+NOISE_SHARE = 0.05
+# Leverage above which the residual of a channel shows nothing.
+UNSEEN = 0.98
+# How many times the stated sd noise must be to be reported; less is a matter of chi2.
+_NOISY_KNOWN = 1.5
+# Ratio of variances by which channels of unknown noise may differ without a fault.
+_ALIKE = 1.2**2
+# How many of the loudest channels are looked at, and from which ratio of variances on.
+_LOUDEST, _QUIET = 5, 1.3
+
+
+class Tested(Protocol):
+    """What the tests of noise read of a round of the search."""
+
+    live: list[int]
+    known: bool
+    alarm: float
+    state: State
+    scale: float
+    sure: float
+    kept: Array
+    columns: Array
+
+    @property
+    def energy(self) -> Array:
+        """Mean residual energy of each channel, (channel,)."""
+
+
+def loud_channels(search: Tested, whole: bool, scale: float = 0.0) -> list[tuple[float, Finding]]:
+    """Return loud channels and their log evidence.
+
+    Parameters
+    ----------
+    search : Tested
+    whole : bool
+        Of all their energy, no fault fitted first.
+    scale : float
+        Noise variance of the evidence, if not that of the tests.
+
+    Notes
+    -----
+    The energy of N complex values is chi-squared with 2 N degrees of freedom, an F where the variance is
+    estimated; the evidence is the likelihood less a penalty (Schwarz 1978, doi:10.1214/aos/1176344136).
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    made = []
+    energy, h = search.energy, 1.0 - search.kept
+    limit, margin = (_NOISY_KNOWN, 1.0) if search.known else (NOISY, _ALIKE)
+    for channel in sorted(search.live, key=lambda c: -energy[c])[:_LOUDEST]:
+        value, count = float(energy[channel]), float(search.columns[channel])
+        if value < _QUIET * search.scale or h[channel] > UNSEEN:
+            continue
+        if not whole:
+            value, count = own_noise(search.state, channel)
+        ratio, left = value / search.scale, 1.0 - float(h[channel])
+        if ratio < _QUIET or ratio - h[channel] < limit**2 * left:
+            continue
+        twice, size = 2.0 * count, ratio / margin
+        chance = chdtrc(twice, twice * size) if search.known else fdtrc(twice, search.sure, size)
+        p = min(1.0, float(chance) * len(search.live) / NOISE_SHARE)
+        if p > search.alarm:
+            continue
+        over = value / (scale or search.scale)
+        score = count * (over - 1.0 - np.log(over)) - np.log(len(search.live)) - 0.5 * np.log(count)
+        louder = float(np.sqrt((ratio - h[channel]) / left))
+        made.append((float(score), Finding("noise", [channel], p, None, louder)))
+    return made
