@@ -74,7 +74,11 @@ def choose_fluid(
         diagnosis = with_refits(diagnosis, _other_laws(best, plain, both, options))
     if FLUID in best.ligament.terms:
         asked = FLUID in options.causes
-        reason = "asked for" if asked else "without it there is no positive semidefinite K and D"
+        reason = (
+            "asked for"
+            if asked
+            else "without it K or D is held at the limit of what is positive semidefinite"
+        )
         return best, diagnosis, _used(best, options, reason, asked)
     cause = diagnosis.named
     candidates = () if cause is None else (cause.name, *diagnosis.look_alikes)

@@ -169,15 +169,11 @@ def _laws(
     if both is not None:
         loaded, choice = choose(problem, LOAD)
         fits, undetermined = _fits(loaded, options)
-        extended = tuple(with_ligament(fit, both, options.causes) for fit in fits)
-        if options.fluid == "auto" and not any(one.ligament is not None for one in extended):
-            names = tuple(dict.fromkeys((*options.causes, FLUID)))
-            extended = tuple(with_ligament(fit, both, names) for fit in fits)
-        settled = tuple(fit for fit in extended if fit.ligament is not None)
+        settled = tuple(fit for fit in (_joint(fit, both, options) for fit in fits) if fit is not None)
         if options.causes and not settled:
             raise FittingError(_without_result(options))
-        for fit in extended:
-            if fit.ligament is None and settled:
+        for fit in fits:
+            if settled and fit.law.name not in {one.law.name for one in settled}:
                 undetermined[fit.law.name] = NOT_SETTLED
         if settled:
             return fits, comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
@@ -186,6 +182,25 @@ def _laws(
         choice = replace(choice, reason=f"{choice.reason}; {NOT_SETTLED}")
     fits, undetermined = _fits(chosen, options)
     return fits, fits, choice, undetermined
+
+
+def _joint(fit: LawFit, both: Observation, options: KDOptions) -> LawFit | None:
+    """Return a fit with the plane of the ligament; None where it does not settle.
+
+    Where the free minimum has no positive semidefinite K and D, they are held so, or a mass of fluid makes
+    them so where that is worth its unknown (criterion of Schwarz).
+    """
+    free = with_ligament(fit, both, options.causes)
+    if free.ligament is not None or options.causes:
+        return free if free.ligament is not None else None
+    try:
+        tried = [with_ligament(fit, both, held=True)]
+    except np.linalg.LinAlgError:
+        tried = []
+    if options.fluid == "auto":
+        tried.append(with_ligament(fit, both, (FLUID,)))
+    settled = comparable(one for one in tried if one.ligament is not None)
+    return min(settled, key=lambda one: one.bic) if settled else None
 
 
 def _without_result(options: KDOptions) -> Fault:
@@ -262,6 +277,7 @@ def _result(
         and ligament is None
         and known.weak
         and known.worst < _HOPELESS
+        and best.estimate.converged
         and budget.method == "fisher"
     ):
         ends = profile_intervals(lines, best.estimate, problem.options, budget.widened)

@@ -121,6 +121,7 @@ def with_ligament(
     both: Observation,
     names: tuple[str, ...] = (),
     sizes: Mapping[str, float] | None = None,
+    held: bool = False,
 ) -> LawFit:
     """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
 
@@ -132,6 +133,8 @@ def with_ligament(
         Causes of the catalogue that are part of the model.
     sizes : mapping of str to float, optional
         Where the fit starts as well, in the units of the causes.
+    held : bool
+        Whether K and D are kept positive semidefinite, without causes.
     """
     problem = fit.problem
     begun = None
@@ -148,7 +151,7 @@ def with_ligament(
             replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in terms
         )
 
-    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, begun)
+    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, begun, held)
     if ligament is None:
         return fit
     extended = LawFit(

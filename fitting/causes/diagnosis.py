@@ -144,7 +144,9 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
     leading = _first_of_families(ranked, names)
     likely = [place for place in leading if CAUSES[names[place]].refitted]
     searched = bool(alarm or ligament.p_value < calibrated("causes.misfit_p"))
-    if not searched:
+    if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
+        likely = []
+    elif not searched:
         likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
     refits: list[Refit] = []
     for place in likely[: int(calibrated("causes.shortlist"))]:

@@ -1,34 +1,28 @@
-"""Minimisation within K >= 0 and D >= 0 by a log-determinant barrier (path following).
+"""Minimisation within K >= 0 and D >= 0 by their symmetric roots, which know no limit.
 
-For a convex objective the multiplier that the barrier leaves bounds the distance to the global optimum by
-2 n / t in the objective's own units (Boyd and Vandenberghe 2004, Convex Optimization, section 11.6).
+At K = S S a stationary S is one of K where the gradient by K is positive semidefinite on what S misses
+(Burer and Monteiro 2003, doi:10.1007/s10107-002-0352-8).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.estimators.base import solve_symmetric
 from fitting.model.symmetric import basis, join, split
 
 Array = NDArray[np.float64]
 Objective = Callable[[Array], float]
 Expansion = Callable[[Array], tuple[float, Array, Array]]
-# Newton steps in all, and growth of the barrier once a point is central.
-_MOST_STEPS = 40
-_GROWTH = 20.0
+# First weight of the pull towards unit matrices over the objective, its last, and how it falls.
+_FIRST, _LAST, _GROWTH = 0.1, 1e-2, 20.0
+# Steps under each weight, and at the end; expected fall of the objective that ends it there.
+_FEW, _MOST, _TOLERANCE = 30, 200, 1e-8
 # Smallest eigenvalue, in scaled units, below which a constraint is reported as active.
 _ACTIVE = 1e-4
-# Share of a Newton step below which a line search has failed by rounding.
-_SHORTEST = 1e-10
-# Newton decrement at which a point is central enough to raise the barrier (Boyd and Vandenberghe 2004,
-# 11.3).
-_CENTRED = 1e-4
-# Ratio of Cholesky pivots at which a matrix counts as singular: solving with it would be rounding.
-_THINNEST = 1e-7
 
 
 def smallest_eigenvalues(parameters: Array, n: int) -> tuple[float, float]:
@@ -55,36 +49,8 @@ def pull_inside(parameters: Array, n: int, margin: float = 0.02) -> Array:
     return join(pulled[0], pulled[1])
 
 
-def wall(parameters: Array, n: int) -> float:
-    """Return -log det K - log det D; inf outside."""
-    value = 0.0
-    for part in split(parameters, n):
-        try:
-            pivots = np.diag(np.linalg.cholesky(part))
-        except np.linalg.LinAlgError:
-            return float("inf")
-        if pivots.min() <= _THINNEST * pivots.max():
-            return float("inf")
-        value -= 2.0 * float(np.sum(np.log(np.maximum(pivots, 1e-300))))
-    return value
-
-
-def wall_slopes(parameters: Array, n: int) -> tuple[Array, Array]:
-    """Return gradient (p,) and Hessian (p, p) of the wall at an interior point."""
-    half = len(parameters) // 2
-    gradient, hessian = np.zeros(2 * half), np.zeros((2 * half, 2 * half))
-    for place, part in enumerate(split(parameters, n)):
-        products = np.linalg.solve(part, basis(n))
-        block = slice(place * half, (place + 1) * half)
-        gradient[block] = -np.einsum("kii->k", products)
-        hessian[block, block] = np.einsum("kij,lji->kl", products, products)
-    return gradient, hessian
-
-
-def minimise(
-    expansion: Expansion, value: Objective, start: Array, n: int, gap: float
-) -> tuple[Array, float, int]:
-    """Follow the barrier path from an interior start until the barrier's share is below ``gap``.
+def minimise(expansion: Expansion, value: Objective, others: Array, n: int) -> tuple[Array, bool, int]:
+    """Minimise an objective over positive semidefinite K and D and unknowns without a limit.
 
     Parameters
     ----------
@@ -92,60 +58,118 @@ def minimise(
         Value, gradient and (Gauss-Newton) Hessian of the objective.
     value : callable
         Value alone.
-    start : ndarray, (p,)
-        Both matrices positive definite.
+    others : ndarray, (k,)
+        Where the unknowns after K and D start.
     n : int
-    gap : float
-        Largest 2 n / t to end with, in units of the objective.
 
     Returns
     -------
-    parameters : ndarray, (p,)
-    gap : float
-        The last 2 n / t.
+    parameters : ndarray, (n (n + 1) + k,)
+    converged : bool
     steps : int
+
+    Notes
+    -----
+    K and D start from unit matrices, the usual size. A quadratic term that pulls them there first outweighs
+    the objective and is then lowered to nothing: the valley that is followed does not depend on a start, and
+    where data are weak the path does not run to infinity, where a likelihood levels off.
     """
-    now = np.array(start)
-    order = 2.0 * n
-    sharpness = order / max(0.1 * abs(value(now)), gap)
-    steps = 0
-    while True:
-        now, count = _centre(expansion, value, now, n, sharpness)
-        steps += count
-        if order / sharpness <= gap * (1.0 + 1e-9):
-            return now, order / sharpness, steps
-        sharpness = min(sharpness * _GROWTH, order / gap)
+    usual = join(np.eye(n), np.eye(n))
+    now = np.concatenate([usual, others])
+    weight, steps = _FIRST * abs(value(now)) / len(usual), 0
+    if not np.isfinite(weight):
+        return now, False, 0
+    while weight > _LAST:
+        pulled = _Pulled(expansion, value, usual, weight)
+        now, _, count = _descend(pulled.expansion, pulled.value, now, n, _LAST, _FEW)
+        now[: len(usual)] = pull_inside(now[: len(usual)], n, 1e-3)
+        weight, steps = weight / _GROWTH, steps + count
+    now, converged, count = _descend(expansion, value, now, n, _TOLERANCE, _MOST)
+    return now, converged, steps + count
 
 
-def _centre(
-    expansion: Expansion, value: Objective, start: Array, n: int, sharpness: float
-) -> tuple[Array, int]:
-    """Minimise sharpness * objective + wall by Newton steps; return the point and the number of steps."""
-    now = start
-    for count in range(1, _MOST_STEPS + 1):
-        level, gradient, hessian = expansion(now)
-        wall_gradient, wall_hessian = wall_slopes(now, n)
-        slope = sharpness * gradient + wall_gradient
-        move = -solve_symmetric(sharpness * hessian + wall_hessian, slope)
-        decrement = float(-slope @ move)
-        if not decrement > 0.0:
-            return now, count
-        height = sharpness * level + wall(now, n)
-        length = 1.0
-        while length > _SHORTEST:
-            trial = now + length * move
-            lifted = wall(trial, n)
-            if np.isfinite(lifted):
-                reached = sharpness * value(trial) + lifted
-                if reached <= height - 1e-4 * length * decrement + 1e-12 * abs(height):
-                    break
-            length *= 0.5
+@dataclass(frozen=True)
+class _Pulled:
+    """An objective plus weight * |X - usual|^2 over the entries of K and D."""
+
+    objective: Expansion
+    level: Objective
+    usual: Array
+    weight: float
+
+    def value(self, parameters: Array) -> float:
+        off = parameters[: len(self.usual)] - self.usual
+        return self.level(parameters) + self.weight * float(off @ off)
+
+    def expansion(self, parameters: Array) -> tuple[float, Array, Array]:
+        value, gradient, hessian = self.objective(parameters)
+        count = len(self.usual)
+        off = parameters[:count] - self.usual
+        gradient, hessian = gradient.copy(), hessian.copy()
+        gradient[:count] += 2.0 * self.weight * off
+        hessian[np.arange(count), np.arange(count)] += 2.0 * self.weight
+        return value + self.weight * float(off @ off), gradient, hessian
+
+
+def _descend(
+    expansion: Expansion, value: Objective, start: Array, n: int, tolerance: float, most: int
+) -> tuple[Array, bool, int]:
+    """Take Newton steps, damped after Levenberg, in symmetric roots S of K = S S and D: they know no limit.
+
+    Ends where a step is expected to lower the objective by less than ``tolerance``.
+    """
+    now, damping = start, 0.0
+    level, gradient, hessian = expansion(now)
+    for count in range(1, most + 1):
+        roots, slope, curvature = _in_roots(now, gradient, hessian, n)
+        move = -descent(curvature, slope, damping)
+        expected = float(-slope @ move)
+        trial = now.copy()
+        trial[: n * (n + 1)] = join(*(root @ root for root in roots + np.stack(split(move, n))))
+        trial[n * (n + 1) :] += move[n * (n + 1) :]
+        reached = value(trial)
+        if reached <= level - 1e-4 * min(expected, level) or (expected < tolerance and reached <= level):
+            now, damping = trial, damping / 10.0 if damping > 1e-4 else 0.0
+            level, gradient, hessian = expansion(now)
         else:
-            return now, count
-        now = trial
-        if decrement < _CENTRED:
-            return now, count
-    return now, _MOST_STEPS
+            damping = max(10.0 * damping, 1e-2)
+        if expected < tolerance:
+            return now, damping < 1.0, count
+    return now, False, most
+
+
+def _in_roots(parameters: Array, gradient: Array, hessian: Array, n: int) -> tuple[Array, Array, Array]:
+    """Return the roots of K and D (2, n, n), and gradient and Hessian by their entries and the others.
+
+    d(S S) = S dS + dS S; the second derivative, dS dS, times the gradient is what holds a root at zero where
+    the objective would rather have K negative.
+    """
+    half, units = n * (n + 1) // 2, basis(n)
+    slopes, curved = np.eye(len(parameters)), np.zeros_like(hessian)
+    roots = []
+    bent = units[:, None] @ units[None] + units[None] @ units[:, None]
+    for place, part in enumerate(split(parameters, n)):
+        values, vectors = np.linalg.eigh(part)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        block = slice(place * half, (place + 1) * half)
+        slopes[block, block] = _entries(root @ units + units @ root).T
+        curved[block, block] = _entries(bent) @ gradient[block]
+        roots.append(root)
+    return np.stack(roots), slopes.T @ gradient, slopes.T @ hessian @ slopes + curved
+
+
+def _entries(matrices: Array) -> Array:
+    """Return the independent entries (..., n (n + 1) / 2) of symmetric matrices (..., n, n)."""
+    rows, columns = np.triu_indices(matrices.shape[-1])
+    return matrices[..., rows, columns]
+
+
+def descent(matrix: Array, slope: Array, damping: float = 0.0) -> Array:
+    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step, its negative curvatures turned round."""
+    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    curvature = np.maximum(np.abs(values), 1e-13 * float(np.max(np.abs(values)))) + damping
+    return np.asarray(vectors @ (vectors.T @ (slope / size) / curvature) / size)
 
 
 def active_names(parameters: Array, n: int) -> tuple[str, ...]:

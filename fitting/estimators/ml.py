@@ -7,15 +7,14 @@ so that the iteration ends at the true optimum (Pintelon and Schoukens 2012, Sys
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from fitting.estimators import irls, pinv
+from fitting.estimators import irls
 from fitting.estimators.base import (
     Estimate,
     EstimatorOptions,
@@ -26,9 +25,8 @@ from fitting.estimators.base import (
     transposed_times,
 )
 from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
-from fitting.estimators.interior import active_names, inside, minimise, pull_inside
+from fitting.estimators.interior import active_names, inside, minimise
 from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
-from fitting.model.symmetric import join
 from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
@@ -38,9 +36,8 @@ _MOST_ITERATIONS = 60
 # Degrees of freedom of the t distribution of --robust t4 (Lange, Little and Taylor 1989,
 # doi:10.2307/2290063).
 _STUDENT = 4.0
-# Scaled parameters (1 is usual) beyond which a fit runs away, and beyond which another start is tried too.
+# Scaled parameters (1 is usual) beyond which a fit runs away.
 _LARGEST = 1e4
-_WILD = 1e2
 
 
 @dataclass(frozen=True)
@@ -121,14 +118,13 @@ def estimate(lines: Lines, options: EstimatorOptions, start: Array | None = None
         best, merit = joint
     else:
         best = _descend(lines, options, begin, merit)
-    active: tuple[str, ...] = ()
     if options.passive and not inside(best.parameters, lines.n):
-        best, active = _held(lines, best, merit)
+        best = _held(lines, best, merit)
     weights = None
     if merit.robust:
         weights = merit.weights(distances(best.parameters, lines))
         weights = weights * (_STUDENT * merit.spread) / (_STUDENT + merit.dimension)
-    return Estimate(best.parameters, best.objective, best.iterations, best.converged, active, weights)
+    return replace(best, weights=weights)
 
 
 def distances(parameters: Array, lines: Lines) -> Array:
@@ -236,8 +232,8 @@ def _with_spread(
     return best, merit
 
 
-def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[str, ...]]:
-    """Minimise within the positive semidefinite K and D, from several starts."""
+def _held(lines: Lines, free: Estimate, merit: _Merit) -> Estimate:
+    """Minimise within the positive semidefinite K and D."""
 
     def value(parameters: Array) -> float:
         return _bounded_value(parameters, distances(parameters, lines), merit)
@@ -246,15 +242,8 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
         now = _expand(parameters, lines, merit)
         return merit.value(now.distance), 2.0 * now.gradient, 2.0 * now.hessian
 
-    balanced = pinv.weighted(lines, np.ones(lines.n)).parameters
-    starts = [balanced] if np.max(np.abs(free.parameters)) > _WILD else [free.parameters, balanced]
-    pulled = [pull_inside(start, lines.n) for start in (*starts, join(np.eye(lines.n), np.eye(lines.n)))]
-    reached: list[tuple[Array, float, int]] = []
-    for start in pulled:
-        if len(reached) < len(starts) and np.isfinite(value(start)):
-            with suppress(np.linalg.LinAlgError):  # a path that ends in a corner; another start avoids it
-                reached.append(minimise(expansion, value, start, lines.n, 1e-5))
-    if not reached:
+    parameters, converged, steps = minimise(expansion, value, np.empty(0), lines.n)
+    if not np.isfinite(value(parameters)):
         raise FittingError(
             Fault(
                 "the motions",
@@ -263,9 +252,8 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> tuple[Estimate, tuple[
                 next_step="Check the noise variances, or give fewer degrees of freedom with {dof}",
             )
         )
-    best = min((parameters for parameters, _, _ in reached), key=value)
-    steps = free.iterations + sum(count for _, _, count in reached)
-    return Estimate(best, value(best), steps, True), active_names(best, lines.n)
+    names = active_names(parameters, lines.n)
+    return Estimate(parameters, value(parameters), free.iterations + steps, converged, names)
 
 
 def scores(parameters: Array, lines: Lines, options: EstimatorOptions) -> Array:

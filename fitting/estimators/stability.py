@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
+from fitting.estimators.interior import descent
 from fitting.model.model import state_matrix
 from fitting.model.symmetric import basis, split
 from stapeskit.faults import Fault
@@ -216,7 +217,7 @@ def _centre(problem: Objective, start: Array, weight: float, derivatives: Array)
         level, gradient, hessian = problem.expansion(now)
         barrier = wall(now, problem, derivatives)
         slope = gradient / weight + barrier.gradient
-        move = -_descent(hessian / weight + barrier.hessian, slope)
+        move = -descent(hessian / weight + barrier.hessian, slope)
         decrement = float(-slope @ move)
         if decrement < _CENTRED:
             return now, count
@@ -232,12 +233,3 @@ def _centre(problem: Objective, start: Array, weight: float, derivatives: Array)
             return now, count
         now = trial
     return now, _MOST_STEPS
-
-
-def _descent(matrix: Array, slope: Array) -> Array:
-    """Return |H|^-1 g with H scaled to unit diagonal: Newton's step, its negative curvatures turned round."""
-    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
-    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    floor = 1e-13 * float(np.max(np.abs(values)))
-    turned = vectors.T @ (slope / size) / np.maximum(np.abs(values), floor)
-    return np.asarray(vectors @ turned / size)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fitting.calibrated import calibrated
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
+from fitting.ligament.held_fit import fit_held
 from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semidefinite
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
@@ -59,6 +60,7 @@ def fit_ligament(
     start: Array,
     extend: Extension | None = None,
     begun: tuple[Array, Array] | None = None,
+    held: bool = False,
 ) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
 
@@ -74,17 +76,25 @@ def fit_ligament(
         Returns further unknowns of the lines.
     begun : (ndarray, ndarray), optional
         The first start with them: scaled K and D, and their values.
+    held : bool
+        Whether K' and D' are kept positive semidefinite, without further unknowns.
 
     Returns
     -------
     LigamentFit or None
-        None when the iteration does not settle, or settles where K' or D' is not positive semidefinite.
+        None when the iteration does not settle, or settles where K' or D' is not positive semidefinite and
+        they are not held.
     """
     lines = joint_lines(problem, both)
     equations = _piston_equations(problem, lines)
     begins = np.concatenate([start, [scaled_law(problem).exponent] * problem.law.unknowns])
     terms = extend(lines) if extend is not None else ()
     prior = equations.prior.mean[len(begins) :]
+    if held:
+        fit, active = fit_held(
+            lines, equations, np.concatenate([begins[len(start) :], prior, np.zeros(lines.errors)])
+        )
+        return ligament_in_si(problem, lines, equations, fit, active)
     fitted = None
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])

@@ -150,8 +150,14 @@ class LigamentFit:
         return angles[0], angles[1]
 
 
-def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fit: JointFit) -> LigamentFit:
-    """Return the minimum in SI about both points, with the covariance by source."""
+def ligament_in_si(
+    problem: Problem,
+    lines: JointLines,
+    equations: Equations,
+    fit: JointFit,
+    active: tuple[str, ...] = (),
+) -> LigamentFit:
+    """Return the minimum in SI about both points, with the covariance by source and active constraints."""
     known, spread = joint_covariance(lines, equations, fit)
     p, entries = equations.unknowns, equations.entries
     inverse = inverse_of(known)
@@ -194,7 +200,7 @@ def ligament_in_si(problem: Problem, lines: JointLines, equations: Equations, fi
         exponent_sd = float(np.sqrt(total[entries, entries])) * law.unit_of_exponent(problem.scale.omega)
     return LigamentFit(
         law,
-        Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged),
+        Estimate(fit.parameters[:entries], 0.5 * fit.chi2, fit.iterations, fit.converged, active),
         plane[0] + added[0],
         plane[1] + added[1],
         plane[0],

@@ -237,8 +237,8 @@ def test_deflection_that_is_mere_noise_is_told_as_weak() -> None:
     noise = rng.standard_normal((2, *sd.shape))
     q[0, 0, :, 1:] = q[0, 1, :, 1:] + sd * (noise[0] + 1j * noise[1])
     fit = fit_kd(replace(motion, q=q), M)
-    assert "weak_identifiability" in codes(fit)
-    assert fit.identifiability.worst > 3.0
+    assert {"weak_identifiability", "not_converged", "constraint_active"} <= codes(fit)
+    assert fit.identifiability.worst > 0.25
     assert fit.profile is None
     assert np.all(np.isfinite(fit.intervals))
 

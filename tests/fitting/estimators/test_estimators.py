@@ -242,23 +242,6 @@ def test_held_ml_is_the_best_passive_model_around() -> None:
         assert np.sum(ml.whiten(near, lines).distance) > found.objective - 1e-4
 
 
-def test_a_barrier_path_that_breaks_down_leaves_the_answer_to_the_others(monkeypatch) -> None:
-    lines = next(lines for lines in map(weak_lines, range(40)) if ml.estimate(lines, OPTIONS).active)
-    wanted, calls, follow = ml.estimate(lines, OPTIONS), [], ml.minimise
-
-    def breaks_down_first(*arguments):
-        calls.append(None)
-        if len(calls) == 1:
-            raise np.linalg.LinAlgError("Singular matrix")
-        return follow(*arguments)
-
-    monkeypatch.setattr(ml, "minimise", breaks_down_first)
-    found = ml.estimate(lines, OPTIONS)
-    assert len(calls) > 1
-    assert inside(found.parameters, lines.n)
-    assert wanted.objective - 1e-4 < found.objective < 2.0 * wanted.objective
-
-
 def test_kernels_line_by_line() -> None:
     rng = np.random.default_rng(3)
     a = rng.standard_normal((40, 4, 4)) + 1j * rng.standard_normal((40, 4, 4))
