@@ -226,7 +226,8 @@ class _MeasurementOptions(OptionTable):
     )
     mapping: Path | None = option(
         file("TOML file"),
-        "which variable of a MATLAB or HDF5 file is what (FILE.mat.toml, or by their names)",
+        "which variable of a MATLAB or HDF5 file, or column of a wide table, is what (FILE.mat.toml, or by "
+        "their names)",
         metavar="FILE.toml",
         group=_FILES,
         example="names.toml",

@@ -8,7 +8,11 @@ from pathlib import Path
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.own_files import OutputSet
 
-FILES = ("study.toml", "scan.tif", "ldv.csv", "points.csv", "fiducials.csv", "truth.json", "ATTRIBUTION.md")
+_EXPORTS = ("points.csv", "scan.uff", "fastscan.txt", "scan.mat", "wide.csv")
+FILES = (
+    *("study.toml", "scan.tif", "ldv.csv", "points.csv", "fiducials.csv", "truth.json", "ATTRIBUTION.md"),
+    *(f"exports/{name}" for name in _EXPORTS),
+)
 
 
 def sample_folder() -> Path:
@@ -47,6 +51,7 @@ def copy_sample(target: Path, *, force: bool = False) -> tuple[Path, ...]:
     outputs = OutputSet("stapeskit", target, FILES, tuple(source / name for name in FILES), force)
     outputs.check()
     with outputs.staged() as stage:
+        (stage / "exports").mkdir()
         for name in FILES:
             shutil.copyfile(source / name, stage / name)
     return tuple(outputs.folder / name for name in FILES)

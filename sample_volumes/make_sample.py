@@ -22,6 +22,7 @@ import numpy as np
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
 from sample_volumes import bodies
 from sample_volumes.analytic import write_analytic_stapes
+from sample_volumes.exports import write_exports
 from sample_volumes.gutter import write_gutter_stapes
 from sample_volumes.phantom import Ear, Scene, scene, truth, write_scan
 from sample_volumes.scanner import DTYPES, stored_levels
@@ -61,7 +62,7 @@ def make_study(
     name : str
         Name of the study.
     parts : tuple of str
-        ``scan`` and ``ldv``, or one of them.
+        ``scan`` and ``ldv``, or one of them; ``exports`` writes the measurement in other formats too.
     """
     folder.mkdir(parents=True, exist_ok=True)
     placed = scene(ear)
@@ -77,7 +78,10 @@ def make_study(
         stapes = bodies.stapes_in_footplate(ear.stapes)
         frame, marks = _references(placed, behind)
         mass = np.array(behind["mass_matrix_si"])
-        write_recording(folder, record(mass, frame, how, marks, stapes=stapes), how, frame.source)
+        recording = record(mass, frame, how, marks, stapes=stapes)
+        write_recording(folder, recording, how, frame.source)
+        if "exports" in parts:
+            write_exports(folder / "exports", recording)
     if ear.gradient:
         air, _, bone = stored_levels(ear.levels, ear.dtype)
         points = f"points = [[{air:g}, 0], [{bone:g}, {ear.density_kg_m3:g}]]\n"
@@ -190,6 +194,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, help="pose, noise, positions and stated density")
     parser.add_argument("--pose-seed", type=int, help="pose in the scanner alone (--seed)")
     parser.add_argument("--only", choices=("scan", "ldv"), help="make this part alone")
+    parser.add_argument(
+        "--exports", action="store_true", help="the measurement in other formats too (the sample has them)"
+    )
     parser.add_argument("--voxel-um", default="25", help="one number, or DX,DY,DZ")
     parser.add_argument("--shape", help="NX,NY,NZ voxels (the smallest that holds everything)")
     parser.add_argument("--gap-um", type=float, default=200.0, help="ligament gap")
@@ -316,6 +323,8 @@ def main(arguments: list[str] | None = None) -> None:
         seed=options.seed,
     )
     parts = ("scan", "ldv") if options.only is None else (options.only,)
+    if "ldv" in parts and (options.exports or options.out == HERE):
+        parts = (*parts, "exports")
     name = "sample ear" if options.out == HERE else f"simulated ear {options.seed}"
     behind = make_study(options.out, ear, how, name, parts)
     print(f"{options.out}: {', '.join(parts)}; true mass {behind['mass_kg'] * 1e6:.4f} mg")

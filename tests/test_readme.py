@@ -100,9 +100,9 @@ def test_the_plan_of_the_page_runs(lab):
 
 def test_the_sample_is_copied_whole(tmp_path):
     files = copy_sample(tmp_path / "ear")
-    assert [path.name for path in files] == list(FILES)
-    for path in files:
-        assert path.read_bytes() == (ROOT / "sample_volumes" / path.name).read_bytes()
+    assert [path.relative_to(tmp_path / "ear").as_posix() for path in files] == list(FILES)
+    for name, path in zip(FILES, files, strict=True):
+        assert path.read_bytes() == (ROOT / "sample_volumes" / name).read_bytes()
     study = tomllib.loads((tmp_path / "ear" / "study.toml").read_text(encoding="utf-8"))
     first = lines("README")
     assert "stapeskit sample ear" in first

@@ -61,7 +61,7 @@ def read_measurement(
     unknown: list[Fault] = []
     for path in paths:
         with collecting(unknown), openable(path):
-            formats.append(format_of(path))
+            formats.append(format_of(path, options.mapping is not None))
     raise_all(KinematicsError, unknown)
     if [entry.name for entry in formats] == [TIDY]:
         _refuse_options(options, paths[0])
@@ -86,9 +86,18 @@ def read_measurement(
         faults.append(Fault(SERIES, "left out: no file holds time series", "them"))
     raise_all(KinematicsError, dict.fromkeys(faults))
     statements = tuple(
-        f"{recordings.file}: {recordings.frame_units}" for recordings in files if recordings.frame_units
+        f"{recordings.file}: {_units_of(recordings, options)}"
+        for recordings in files
+        if recordings.frame_units
     )
     return replace(assemble(files, listed, options, frame), inputs=inputs_of(paths, points), said=statements)
+
+
+def _units_of(recordings: Recordings, options: InputOptions) -> str:
+    """Return the axes and units of a file, with the unit of length that was stated for it."""
+    if recordings.length_stated or not options.length_unit:
+        return recordings.frame_units
+    return recordings.frame_units.replace("as metres", f"as {options.length_unit}, as stated")
 
 
 def inputs_of(paths: Sequence[Path], points: Path | None) -> dict[str, Path]:
@@ -118,7 +127,7 @@ def _unused(options: InputOptions, formats: Sequence[Format]) -> list[Fault]:
     elif options.series is not None and not any(entry.series == "described" for entry in formats):
         faults.append(Fault(SERIES, "given with {channels} FILE", "alone"))
     if options.mapping is not None and (listed or not any("mapping" in entry.options for entry in formats)):
-        want = "left out: no MATLAB or HDF5 file with spectra is read"
+        want = "left out: no MATLAB or HDF5 file with spectra and no wide table is read"
         faults.append(Fault("{mapping}", want, options.mapping.name))
     return faults
 

@@ -21,9 +21,10 @@ from kinematics.readers.psv.per_point import looks_like_points
 from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff.datasets import looks_like_uff, plain_content
+from kinematics.readers.wide.spectra import is_wide
 from stapeskit.faults import Fault
 
-TIDY = "tidy"
+TIDY, WIDE = "tidy", "wide"
 _SERIES_READER = "kinematics.readers.series.frequency_responses"
 _HEAD_BYTES = 1 << 16  # holds the header of every known format
 _ZIP = b"PK\x03\x04"
@@ -33,10 +34,11 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True)
 class Head:
-    """The first bytes of a file, and the ending of its name in small letters."""
+    """The first bytes of a file, the ending of its name in small letters, whether it has a mapping."""
 
     content: bytes
     suffix: str
+    mapped: bool = False
 
     @cached_property
     def text(self) -> str:
@@ -160,12 +162,19 @@ FORMATS = (
         options=("series",),
         series="channels",
     ),
+    Format(
+        WIDE,
+        "kinematics.readers.wide.spectra",
+        "a wide table (.csv)",
+        lambda head: head.mapped or is_wide(head.text),
+        options=("mapping",),
+    ),
     Format(TIDY, "", "a tidy table (.csv)", suffixes=(".csv", ".tsv", ".txt")),
 )
 
 
-def format_of(path: Path) -> Format:
-    """Return the format of a file or folder.
+def format_of(path: Path, mapped: bool = False) -> Format:
+    """Return the format of a file or folder; with a mapping, a table that is not known is a wide one.
 
     Raises
     ------
@@ -179,7 +188,7 @@ def format_of(path: Path) -> Format:
         raise KinematicsError(Fault("the vibrometer file", "an existing file", path, "", "Check its name"))
     head = _head_of(path)
     for entry in FORMATS:
-        if entry.holds(head):
+        if entry.holds(replace(head, mapped=head.mapped or mapped)):
             return entry
     *first, last = (entry.words for entry in (FORMATS[-1], *FORMATS[:-1]) if entry.words)
     known = f"{', '.join(first)} or {last}"
@@ -199,7 +208,8 @@ def format_of(path: Path) -> Format:
 
 def _head_of(path: Path) -> Head:
     with path.open("rb") as stream:
-        return Head(stream.read(_HEAD_BYTES), path.suffix.lower())
+        beside = path.with_name(path.name + ".toml")
+        return Head(stream.read(_HEAD_BYTES), path.suffix.lower(), beside.is_file())
 
 
 def _format_of_folder(path: Path) -> Format:

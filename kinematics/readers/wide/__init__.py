@@ -1,0 +1,1 @@
+"""Wide tables: one row a frequency, one or two columns a beam."""

@@ -1,0 +1,102 @@
+"""What the columns of a wide table hold, told from their names: ``P3 Vx Mag``, ``Point 3 - Vib Z - Real``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+PARTS = {
+    "re": ("re", "real", "realteil"),
+    "im": ("im", "imag", "imaginary", "imaginärteil"),
+    "amp": ("mag", "magnitude", "amp", "amplitude", "abs", "betrag"),
+    "phase": ("ph", "phase", "arg", "angle", "winkel"),
+    "coherence": ("coh", "coherence", "gamma2", "kohärenz"),
+}
+_FREQUENCY = ("frequency", "freq", "frequenz", "fréquence", "f")
+# Words that name neither point nor axis nor part.
+_FILLERS = (
+    "v", "d", "a", "vib", "vel", "velocity", "disp", "displacement", "acc", "acceleration",
+    "point", "pt", "punkt", "node", "axis", "channel", "of", "part", "frf", "fft", "h1", "spectrum",
+)  # fmt: skip
+# A table with one row a body, point, beam and frequency has one of these.
+_TIDY = {"body", "dir", "dir_x", "freq_hz"}
+_WORD = re.compile(r"(?:(?<![^\s(\[])[+-])?[^\W_]+")
+_POINT = re.compile(r"(?:p|pt|point|punkt|node)(\d+)")
+_AXIS = re.compile(r"([+-]?)[vdau]?([xyz])")
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The columns of one beam at one point.
+
+    Attributes
+    ----------
+    columns : dict of str to int
+        Place of each part: ``re`` and ``im``, or ``amp`` and ``phase``; perhaps ``coherence`` and ``sd``.
+    point : str
+        Empty where the names do not say it.
+    direction : Any
+        ``x``, ``-y`` ... or three numbers; empty where the names do not say it.
+    unit, phase_unit : str
+        Empty: as in the header.
+    body, run : str
+    n_avg : float or None
+    """
+
+    columns: dict[str, int] = field(default_factory=dict)
+    point: str = ""
+    direction: Any = ""
+    unit: str = ""
+    phase_unit: str = ""
+    body: str = ""
+    run: str = ""
+    n_avg: float | None = None
+
+
+def is_frequency(name: str) -> bool:
+    """Tell whether a column holds the frequencies."""
+    words = [word.lower() for word in _WORD.findall(name)]
+    return bool(words) and words[0] in _FREQUENCY and set(words[1:]) <= {"hz", "khz", "axis"}
+
+
+def meaning(name: str) -> tuple[str, str, str] | None:
+    """Return the part, point and axis that a name says; None where it says no part, or two of a kind."""
+    part, axis, rest = "", "", []
+    for word in _WORD.findall(name):
+        low = word.lower()
+        known = next((key for key, words in PARTS.items() if low in words), "")
+        turned = _AXIS.fullmatch(low)
+        if (known and part) or (turned and axis):
+            return None
+        if known:
+            part = known
+        elif turned:
+            axis = turned[1].replace("+", "") + turned[2]
+        elif low not in _FILLERS:
+            numbered = _POINT.fullmatch(low)
+            rest.append(numbered[1] if numbered else word.lstrip("+-"))
+    return (part, " ".join(rest), axis) if part else None
+
+
+def looks_wide(names: Sequence[str]) -> bool:
+    """Tell whether names are those of a wide table: frequencies, and a pair of columns at least."""
+    parts = {found[0] for name in names if (found := meaning(name))}
+    if not _TIDY.isdisjoint(name.lower() for name in names):
+        return False
+    return any(map(is_frequency, names)) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
+
+
+def beams_of(names: Sequence[str]) -> tuple[list[Beam], list[str]]:
+    """Return the beams that the names tell, and the names that tell nothing."""
+    found: dict[tuple[str, str], dict[str, int]] = {}
+    unknown = []
+    for column, name in enumerate(names):
+        told = meaning(name)
+        if told is None or told[0] in found.get(told[1:], {}):
+            if not is_frequency(name):
+                unknown.append(name)
+            continue
+        found.setdefault(told[1:], {})[told[0]] = column
+    return [Beam(columns, point, axis) for (point, axis), columns in found.items()], unknown

@@ -1,0 +1,179 @@
+"""Read wide tables, as spreadsheets and scripts write them: ``Frequency [Hz], Vx Mag [m/s], ...``.
+
+The names say part, axis and point; where they do not, a mapping does (kinematics.readers.wide.mapping).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinematics.errors import KinematicsError
+from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
+from kinematics.readers.text import shown
+from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
+from kinematics.readers.wide.columns import Beam, beams_of, is_frequency, looks_wide
+from kinematics.readers.wide.mapping import mapped_beams, plain_name, read_mapping
+from kinematics.readers.wide.sheet import Sheet, header_of, read_sheet
+from stapeskit.faults import Fault, collecting, raise_all
+from stapeskit.frames import axis_vector
+from stapeskit.warnings import Notice
+
+Array = NDArray[np.float64]
+_TURNS = {
+    "deg": np.pi / 180.0,
+    "°": np.pi / 180.0,
+    "degree": np.pi / 180.0,
+    "degrees": np.pi / 180.0,
+    "rad": 1.0,
+}
+_HERTZ = {"": 1.0, "hz": 1.0, "khz": 1e3}
+
+
+def is_wide(text: str) -> bool:
+    """Tell from its head whether a text is a wide table whose names say what the columns are."""
+    header = header_of(text)
+    return header is not None and looks_wide(header[1])
+
+
+def read(path: Path, mapping: Path | None = None) -> Recordings:
+    """Read a wide table.
+
+    Parameters
+    ----------
+    path : Path
+    mapping : Path, optional
+        Which column is what; ``<path>.toml`` is taken by itself when it exists.
+
+    Raises
+    ------
+    KinematicsError
+        Cells that are no numbers, missing columns, a magnitude without phase, a unit that is no motion.
+    """
+    path = Path(path)
+    sheet = read_sheet(path)
+    beside = path.with_name(path.name + ".toml")
+    mapping = beside if mapping is None and beside.is_file() else mapping
+    document: dict[str, Any] = {} if mapping is None else read_mapping(mapping)
+    beams, unused = beams_of(sheet.names)
+    if document:
+        beams, unused = mapped_beams(document["signal"], sheet.names, sheet.file), []
+    freq = _frequencies(sheet, document)
+    faults: list[Fault] = []
+    recordings = []
+    stated = {document.get("amplitude", "")} if document else set()
+    for beam in beams:
+        with collecting(faults):
+            one, amplitude = _recording(sheet, beam, freq, document, path.stem)
+            recordings.append(one)
+            stated.add(document.get("amplitude", "") or amplitude)
+    raise_all(KinematicsError, list(dict.fromkeys(faults)))
+    notices: tuple[Notice, ...] = ()
+    if unused:
+        text = f"{path.name}: columns that say no part of a signal were left out: {', '.join(unused[:12])}."
+        notices = (Notice("columns_ignored", text),)
+    return Recordings(tuple(recordings), notices, "columns by their names", amplitude_stated="" not in stated)
+
+
+def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
+    """Return the column of frequencies, Hz."""
+    named = plain_name(document.get("frequency", ""))
+    columns = [k for k, name in enumerate(sheet.names) if (name == named if named else is_frequency(name))]
+    if len(columns) != 1:
+        got = "none" if not columns else " and ".join(sheet.names[k] for k in columns)
+        step = f'Name it in {sheet.file}.toml: frequency = "{sheet.names[0]}"'
+        raise KinematicsError(Fault("the column of frequencies", "one", got, sheet.place(), step))
+    unit = document.get("frequency_unit", "") or sheet.units[columns[0]]
+    if unit.lower() not in _HERTZ:
+        raise KinematicsError(
+            Fault("the unit of the frequencies", "Hz or kHz", shown(unit), sheet.place(columns[0]))
+        )
+    freq = sheet.numbers[:, columns[0]] * _HERTZ[unit.lower()]
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
+    if np.any(bad):
+        row = int(np.flatnonzero(bad)[0])
+        step = "Sort the rows, one a frequency"
+        got = f"{freq[row]:g} Hz in row {row + 1}"
+        raise KinematicsError(
+            Fault("the frequencies", "ascending and not negative", got, sheet.place(columns[0]), step)
+        )
+    return np.asarray(freq)
+
+
+def _recording(
+    sheet: Sheet, beam: Beam, freq: Array, document: dict[str, Any], stem: str
+) -> tuple[Recording, str]:
+    """Return one beam at one point, and whether its unit says ``peak`` or ``rms``."""
+    value, first = _complex(sheet, beam)
+    unit, amplitude = _unit(sheet, beam, first)
+    amplitude = document.get("amplitude", "") or amplitude
+    if document.get("convention", "+") == "-":
+        value = value.conj()
+    scale = unit.scale * (np.sqrt(2.0) if amplitude == "rms" and not unit.per else 1.0)
+
+    def column(part: str) -> Array | None:
+        return sheet.numbers[:, beam.columns[part]] if part in beam.columns else None
+
+    sd = column("sd")
+    return Recording(
+        beam.point or stem, freq, scaled(value, scale), unit.order, sheet.place(first), beam.run, beam.body,
+        direction=_direction(beam, sheet), sd=None if sd is None else sd * scale,
+        coherence=column("coherence"), n_avg=None if beam.n_avg is None else float(beam.n_avg), per=unit.per,
+    ), amplitude  # fmt: skip
+
+
+def _complex(sheet: Sheet, beam: Beam) -> tuple[NDArray[np.complex128], int]:
+    """Return the values of a beam in its unit, and the column that says the unit."""
+    parts = beam.columns
+    if {"re", "im"} <= set(parts):
+        value = np.empty(len(sheet.numbers), dtype=complex)
+        value.real, value.imag = sheet.numbers[:, parts["re"]], sheet.numbers[:, parts["im"]]
+        return value, parts["re"]
+    if {"amp", "phase"} <= set(parts):
+        label = (beam.phase_unit or sheet.units[parts["phase"]] or "deg").lower()
+        if label not in _TURNS:
+            raise KinematicsError(
+                Fault("the unit of the phase", "deg or rad", shown(label), sheet.place(parts["phase"]))
+            )
+        with np.errstate(invalid="ignore", over="ignore"):
+            turn = np.exp(1j * _TURNS[label] * sheet.numbers[:, parts["phase"]])
+            return np.asarray(sheet.numbers[:, parts["amp"]] * turn), parts["amp"]
+    lone = next(iter(parts.values()))
+    want = "with its phase, or a real part with its imaginary part"
+    step = f"Export both, or say in {sheet.file}.toml which column is what (docs/vibrometer_files.md)"
+    raise KinematicsError(Fault(f"the column {sheet.names[lone]}", want, "alone", sheet.place(lone), step))
+
+
+def _unit(sheet: Sheet, beam: Beam, column: int) -> tuple[MotionUnit, str]:
+    """Return the unit of a beam, and ``peak`` or ``rms`` where it says so."""
+    label = beam.unit or sheet.units[column]
+    words = label.replace("_", " ").split()
+    said = {"pk": "peak", "peak": "peak", "rms": "rms"}
+    amplitude = next((said[word.lower()] for word in words if word.lower() in said), "")
+    unit = motion_unit(" ".join(word for word in words if word.lower() not in said))
+    if unit is None:
+        got = shown(label) if label else "none"
+        step = f'Write it behind the name, "{sheet.names[column]} [mm/s]", or as unit in {sheet.file}.toml'
+        raise KinematicsError(
+            Fault(f"the unit of {sheet.names[column]}", "; ".join(MOTIONS), got, sheet.place(), step)
+        )
+    return unit, amplitude
+
+
+def _direction(beam: Beam, sheet: Sheet) -> Array:
+    """Return the unit vector towards the laser head, NaN where nothing says it."""
+    said = beam.direction
+    if said == "":
+        return unknown_vector()
+    if isinstance(said, str) and said.lower().lstrip("+-") in ("x", "y", "z"):
+        return np.asarray(axis_vector(said.lower()))
+    if isinstance(said, list) and len(said) == 3 and all(isinstance(v, int | float) for v in said):
+        return np.array(said, dtype=float)
+    step = 'Write direction = "z", or three numbers'
+    raise KinematicsError(
+        Fault("the direction of a signal", "x, -y ... or three numbers", said, sheet.file, step)
+    )
