@@ -14,6 +14,7 @@ from fitting.kd import fit_kd
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from fitting.results import KDResult
+from stapeskit.option_values import WithSd
 from stapeskit.results import extended
 from stapeskit.warnings import Notice, unique
 
@@ -43,7 +44,7 @@ def kd_of(
     options : KDOptions
         With ``monte_carlo``, the scatter of so many refits is kept with the fit.
     record : MassRecord, optional
-        Of the same stapes, for the outline of its footplate.
+        Of the same stapes, for the outline of its footplate and the gap around it.
     provenance : mapping, optional
     files : tuple of Path
         Every file that was read.
@@ -62,6 +63,7 @@ def kd_of(
         fit,
         provenance=dict(provenance or {}),
         footplate_outline_mm=footplate_outline(record),
+        ligament_gap_mm=window_gap(record),
         scatter=monte_carlo(fit, options.monte_carlo) if options.monte_carlo else None,
         files=files,
     )
@@ -76,3 +78,10 @@ def footplate_outline(record: MassRecord | None) -> Array | None:
     outline = np.asarray(raw, dtype=float)
     good = outline.ndim == 2 and outline.shape[1] in (2, 3) and len(outline) > 2
     return outline if good and np.all(np.isfinite(outline)) else None
+
+
+def window_gap(record: MassRecord | None) -> WithSd | None:
+    """Return the width of the gap around the footplate, mm, when mass.json holds one."""
+    findings = {} if record is None else record.raw.get("found") or {}
+    value, sd = (float(findings.get(key) or 0.0) for key in ("gap_mm", "gap_sd_mm"))
+    return WithSd((value, sd or None)) if 0.0 < value < np.inf and sd >= 0.0 else None

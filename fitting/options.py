@@ -21,6 +21,7 @@ from stapeskit.option_kinds import (
     RANGE,
     RANGES,
     TEXT,
+    VALUE_WITH_SD,
     choice,
     file,
     output,
@@ -28,6 +29,7 @@ from stapeskit.option_kinds import (
     summaries,
     whole,
 )
+from stapeskit.option_values import WithSd
 from stapeskit.options import OptionTable, Rule, Values, excludes, option
 
 COMPARE = "compare"
@@ -119,6 +121,18 @@ class KDOptions(OptionTable):
         "",
         metavar="NAMES",
         example="delay",
+    )
+    ligament_gap_mm: WithSd | None = option(
+        VALUE_WITH_SD,
+        "width of the ligament between the rims of footplate and window, mm; else that of mass.json",
+        metavar="GAP[+-SD]",
+        example="0.1+-0.02",
+    )
+    ligament_thickness_mm: WithSd | None = option(
+        VALUE_WITH_SD,
+        "its thickness along y, mm: with the width, the shear modulus follows from K11",
+        metavar="T[+-SD]",
+        example="0.25+-0.05",
     )
     band_hz: tuple[float, float] | None = option(
         RANGE, "fit these frequencies only, Hz", unit="hz", example=[400, 5000]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from stapeskit.option_values import WithSd
     from stapeskit.page.page import Section
 
 Array = NDArray[np.float64]
@@ -34,7 +35,9 @@ class KDResult(Result, KDFit):
     provenance : mapping
         Inputs, choices and versions.
     footplate_outline_mm : ndarray, (points, 2 or 3), or None
-        Outline of the footplate in footplate axes, for pictures.
+        Outline of the footplate in footplate axes, for pictures and the ring test.
+    ligament_gap_mm : WithSd or None
+        Width of the gap around the footplate as the scan shows it.
     scatter : MonteCarlo or None
         Refits of simulated repetitions, when they were asked for.
     files : tuple of Path
@@ -43,6 +46,7 @@ class KDResult(Result, KDFit):
 
     provenance: Mapping[str, Any] = field(default_factory=dict)
     footplate_outline_mm: Array | None = None
+    ligament_gap_mm: WithSd | None = None
     scatter: MonteCarlo | None = None
     files: tuple[Path, ...] = ()
 
@@ -63,7 +67,7 @@ class KDResult(Result, KDFit):
         from fitting.report.ring_section import ring_json, ring_of
 
         content = kd_json(self, self.provenance)
-        content["ring"] = ring_json(ring_of(self, self.footplate_outline_mm))
+        content["ring"] = ring_json(ring_of(self, self.footplate_outline_mm, self.ligament_gap_mm))
         if self.scatter is not None:
             content["monte_carlo"] = monte_carlo_json(self, self.scatter)
         return content
@@ -73,7 +77,7 @@ class KDResult(Result, KDFit):
         from fitting.report.sections import kd_sections
 
         scatter = [] if self.scatter is None else [monte_carlo_section(self, self.scatter)]
-        return [*kd_sections(self, self.footplate_outline_mm), *scatter]
+        return [*kd_sections(self, self.footplate_outline_mm, self.ligament_gap_mm), *scatter]
 
     def to_frame(self) -> DataFrame:
         """Return one row a parameter: value, standard deviations and 95 % interval, SI."""
@@ -108,7 +112,7 @@ class KDResult(Result, KDFit):
         html = Path(name).with_suffix(".html").name
         text = json.dumps(self.content(), indent=1) + "\n"
         (Path(folder) / name).write_text(text, encoding="utf-8")
-        page = kd_page(self, self.provenance, self.footplate_outline_mm)
+        page = kd_page(self, self.provenance, self.footplate_outline_mm, self.ligament_gap_mm)
         if self.scatter is not None:
             page.sections.insert(-1, monte_carlo_section(self, self.scatter))
         page.write(Path(folder) / html)

@@ -230,8 +230,8 @@ def _axes() -> Section:
     names = ("stiffness y (N/m)", "about x' (N m/rad)", "about z' (N m/rad)")
     for name, was, now in zip(names, paper.PAPER_PRINCIPAL_STIFFNESS, axes.stiffness, strict=True):
         rows.append(_row(name, f"{was:g}", f"{now:.5g}"))
-    piston = complex(paper.PAPER_STIFFNESS[0, 0])
-    ring = ring_test(paper.PAPER_STIFFNESS, piston, ellipse_mm(*FOOTPLATE_MM))
+    piston = (paper.PAPER_STIFFNESS[0, 0], paper.PAPER_DAMPING_CORRECTED[0, 0])
+    ring = ring_test(paper.PAPER_STIFFNESS, piston, 1j, ellipse_mm(*FOOTPLATE_MM))
     for name, value in zip(names[1:], () if ring is None else ring.rocking_ratio, strict=False):
         rows.append(_row(f"{name} over that of a uniform ring", "-", f"{value:.2f}", _RING))
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])

@@ -2,46 +2,85 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from fitting.model.ring import RingTest, ring_test
+from fitting.model.ring import RingTest, Value, ring_test
 from stapeskit.page import page
+from stapeskit.page.numbers import plus_minus
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
     from fitting.kd_fit import KDFit
+    from stapeskit.option_values import WithSd
 
 Array = NDArray[np.float64]
 
 
-def ring_of(fit: KDFit, outline_mm: Array | None) -> RingTest | None:
-    """Return the ring test of a fit; None for other degrees of freedom or without an outline."""
+def ring_of(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None = None) -> RingTest | None:
+    """Return the ring test of a fit; None for other degrees of freedom or without an outline.
+
+    ``gap_mm`` is what the scan shows; a width among the options of the fit comes first.
+    """
     if fit.dof != PRINCIPAL_DOF:
         return None
     middle = 2.0 * np.pi * float(np.sqrt(fit.observation.freq_hz.min() * fit.observation.freq_hz.max()))
-    dynamic = fit.stiffness[0, 0] + complex(fit.law.factor(middle)) * fit.damping[0, 0]
-    return ring_test(fit.stiffness, dynamic, outline_mm)
+    places = [fit.parameters.index(name) for name in ("K11", "D11")]
+    piston = (fit.stiffness[0, 0], fit.damping[0, 0])
+    factor = complex(fit.law.factor(middle))
+    covariance = fit.covariance[np.ix_(places, places)]
+    test = ring_test(fit.stiffness, piston, factor, outline_mm, covariance)
+    if test is None:
+        return None
+    gap, thickness = fit.options.ligament_gap_mm or gap_mm, fit.options.ligament_thickness_mm
+    return replace(test, gap_m=_length(gap), thickness_m=_length(thickness))
+
+
+def _length(given: WithSd | None) -> Value | None:
+    """Return a length that was given in mm, in m; its standard deviation is NaN where none is given."""
+    if given is None:
+        return None
+    value, sd = given
+    return Value(1e-3 * value, np.nan if sd is None else 1e-3 * sd)
 
 
 def ring_json(test: RingTest | None) -> dict[str, Any] | None:
     """Return the key ``ring`` of kd.json."""
     if test is None:
         return None
+    shear, loss = test.shear_pa, test.loss_factor
     return {
         "rim_length_mm": 1e3 * test.rim_length_m,
-        "shear_modulus_times_thickness_over_width_pa": test.shear_pa,
-        "loss_factor": test.loss_factor,
+        "shear_modulus_times_thickness_over_width_pa": shear.value,
+        "shear_modulus_times_thickness_over_width_sd_pa": _finite(shear.sd),
+        "loss_factor": loss.value,
+        "loss_factor_sd": _finite(loss.sd),
         "expected_stiffness_si": test.expected.stiffness.tolist(),
         "expected_origin_mm": [1e3 * test.expected.origin_x_m, 1e3 * test.expected.origin_z_m],
         "expected_angle_deg": float(np.degrees(test.expected.angle_rad)),
         "rocking_over_expected": list(test.rocking_ratio),
         "thickness_over_width_for_published_shear": list(test.thickness_over_width),
+        **_known("gap", "mm", test.gap_m, 1e3),
+        **_known("shear_modulus_times_thickness", "pa_m", test.shear_times_thickness, 1.0),
+        **_known("thickness", "mm", test.thickness_m, 1e3),
+        **_known("shear_modulus", "pa", test.modulus_pa, 1.0),
     }
+
+
+def _known(name: str, unit: str, number: Value | None, factor: float) -> dict[str, float | None]:
+    """Return the keys of a number and its standard deviation; none where it is not known."""
+    if number is None:
+        return {}
+    return {f"{name}_{unit}": factor * number.value, f"{name}_sd_{unit}": _finite(factor * number.sd)}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def ring_parts(test: RingTest) -> tuple[Markup, ...]:
@@ -58,13 +97,34 @@ def ring_parts(test: RingTest) -> tuple[Markup, ...]:
         ("rotation (degrees)", np.degrees(measured.angle_rad), np.degrees(expected.angle_rad)),
     ):
         rows.append((name, f"{own:+.3f}", f"{ring:+.3f}", ""))
-    low, high = test.thickness_over_width
     words = (
         f"A uniform ligament around the rim ({1e3 * test.rim_length_m:.2f} mm) with this piston stiffness "
-        f"has a shear modulus times thickness over width of {1e-3 * test.shear_pa:.3g} kPa and a loss factor "
-        f"of {test.loss_factor:.2g}; published shear moduli (5 to 70 kPa) ask for a thickness of {low:.2g} "
-        f"to {high:.2g} widths. Its other stiffnesses follow from the outline alone; a ratio far from one "
-        "means that the ligament is uneven around the rim, or that the model does not hold."
+        f"has a shear modulus times thickness over width of {_text(test.shear_pa, 1e-3)} kPa and a loss "
+        f"factor of {_text(test.loss_factor)}. {_modulus(test)} Its other stiffnesses follow from the "
+        "outline alone; a ratio far from one means that the ligament is uneven around the rim, or that the "
+        "model does not hold."
     )
     table = page.table(("", "measured", "uniform ring", "ratio"), rows)
     return page.subheading("Ring test"), page.text(words), table
+
+
+def _modulus(test: RingTest) -> str:
+    """Return what follows for the shear modulus, or the thickness that published moduli ask for."""
+    if test.modulus_pa is not None and test.gap_m is not None and test.thickness_m is not None:
+        return (
+            f"With a width of {_text(test.gap_m, 1e3)} mm and a thickness of "
+            f"{_text(test.thickness_m, 1e3)} mm the shear modulus is {_text(test.modulus_pa, 1e-3)} kPa "
+            "(published: 5 to 70 kPa)."
+        )
+    wanted = "Published shear moduli (5 to 70 kPa) ask for a thickness of"
+    if test.gap_m is not None and test.thickness_for_published_m is not None:
+        low, high = (1e3 * value for value in test.thickness_for_published_m)
+        return f"{wanted} {low:.2g} to {high:.2g} mm at a width of {_text(test.gap_m, 1e3)} mm."
+    low, high = test.thickness_over_width
+    return f"{wanted} {low:.2g} to {high:.2g} widths."
+
+
+def _text(number: Value, factor: float = 1.0) -> str:
+    """Return a number with its standard deviation where that is known."""
+    value, sd = factor * number.value, factor * number.sd
+    return plus_minus(value, sd) if sd > 0.0 else f"{value:.3g}"

@@ -21,6 +21,7 @@ from fitting.report.responses import responses
 from fitting.report.ring_section import ring_of, ring_parts
 from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.covariance import ATTENUATION, NOISE
+from stapeskit.option_values import WithSd
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
@@ -44,7 +45,7 @@ SOURCE_WORDS = {
 }
 
 
-def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
+def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | None = None) -> list[Section]:
     """Return the sections of a fit: warnings excepted, which the page puts first.
 
     Parameters
@@ -52,13 +53,15 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
     fit : KDFit
     outline_mm : ndarray, (points, 3), optional
         Outline of the footplate in footplate axes, mm.
+    gap_mm : WithSd, optional
+        Width of the gap around the footplate.
     """
     sections = [_responses(fit), _matrices(fit), _modal(fit)]
     if fit.ligament is not None:
         sections.insert(2, ligament_section(fit, fit.ligament))
     if fit.diagnosis is not None:
         sections.insert(1, causes_section(fit, fit.diagnosis))
-    axes = _axes(fit, outline_mm)
+    axes = _axes(fit, outline_mm, gap_mm)
     if axes is not None:
         sections.append(axes)
     if fit.frequency is not None:
@@ -66,7 +69,12 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None) -> list[Section]:
     return [*sections, _budget(fit), _residuals(fit), _identifiability(fit)]
 
 
-def kd_page(fit: KDFit, provenance: Mapping[str, Any], outline_mm: Array | None = None) -> Page:
+def kd_page(
+    fit: KDFit,
+    provenance: Mapping[str, Any],
+    outline_mm: Array | None = None,
+    gap_mm: WithSd | None = None,
+) -> Page:
     """Return kd.html: summary, warnings, the sections of the fit, inputs."""
     report = Page(
         "Stiffness and damping of the annular ligament",
@@ -77,7 +85,7 @@ def kd_page(fit: KDFit, provenance: Mapping[str, Any], outline_mm: Array | None 
     report.section(
         "At a glance", page.table(("", ""), summary_rows(fit), words=True), page.notices(fit.notices)
     )
-    report.sections.extend(kd_sections(fit, outline_mm))
+    report.sections.extend(kd_sections(fit, outline_mm, gap_mm))
     report.section("Inputs", page.inputs_table(dict(provenance)))
     return report
 
@@ -273,7 +281,7 @@ def _modal(fit: KDFit) -> Section:
     return section
 
 
-def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
+def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Section | None:
     axes = principal_axes_json(fit)
     values, sd = fit.derived.principal, fit.derived.principal_sd
     if axes is None or values is None:
@@ -293,7 +301,7 @@ def _axes(fit: KDFit, outline_mm: Array | None) -> Section | None:
         *((f"stiffness {name}", f"{value:.5g}", _sd(spread)) for name, value, spread in stiffness),
     ]
     drawn = "over the footplate's outline " if outline_mm is not None else ""
-    test = ring_of(fit, outline_mm)
+    test = ring_of(fit, outline_mm, gap_mm)
     return Section("Principal axes", key="principal_axes").add(
         page.figure(
             principal_figure(values, sd, outline_mm, centre),
