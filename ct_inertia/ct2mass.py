@@ -290,14 +290,14 @@ def _footplate(
         footplate = footplate_frame(surface, known.hints, blur, noise)
     except CtInertiaError:
         # Landmarks that do not fit a wrong body are not at fault: tell of the body first.
-        found = [] if named else implausible(footplate_frame(surface, blur_mm=blur), moments.volume_mm3)
-        if found:
-            raise unsuitable(found, notices) from None
+        reasons = [] if named else implausible(footplate_frame(surface, blur_mm=blur), moments.volume_mm3)
+        if reasons:
+            raise unsuitable(reasons, notices) from None
         raise
-    found = implausible(footplate, moments.volume_mm3)
-    if found and not named:
-        raise unsuitable(found, notices)
-    return _with_doubt(footplate, known.hints, bodies), [size_notice(found)] if found else []
+    reasons = implausible(footplate, moments.volume_mm3)
+    if reasons and not named:
+        raise unsuitable(reasons, notices)
+    return _with_doubt(footplate, known.hints, bodies), [size_notice(reasons)] if reasons else []
 
 
 def _with_doubt(footplate: FootplateFrame, hints: AnatomyHints, bodies: Bodies | None) -> FootplateFrame:

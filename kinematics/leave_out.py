@@ -120,10 +120,10 @@ def _direction(beam: str) -> Array | None:
         return sign * np.eye(3)["xyz".index(axis.lower())]
     parts = beam.split(",")
     try:
-        found = np.array([float(part) for part in parts])
+        direction = np.array([float(part) for part in parts])
     except ValueError:
         return None
-    return found if found.shape == (3,) and bool(np.all(np.isfinite(found))) else None
+    return direction if direction.shape == (3,) and bool(np.all(np.isfinite(direction))) else None
 
 
 def _along(body: BodyChannels, channels: Sequence[int], wanted: Array) -> tuple[int, ...]:

@@ -27,8 +27,8 @@ def files_by_role(
     from kinematics.readers import inputs_of
 
     sidecars = (path.with_name(path.name + ".toml") for path in files)
-    found = {path.name: path for path in sidecars if path.is_file()}
-    return {**inputs_of(files, points), **named, **found}
+    companions = {path.name: path for path in sidecars if path.is_file()}
+    return {**inputs_of(files, points), **named, **companions}
 
 
 @dataclass(frozen=True)

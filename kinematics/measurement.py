@@ -299,7 +299,7 @@ def from_arrays(
         Displacements (order 0) are never copied.
     """
     factor = (2j * np.pi * np.asarray(freq_hz, dtype=float)) ** order
-    made = []
+    channels = []
     for name, parts in bodies.items():
         value = np.asarray(parts["value"], dtype=complex)
         value = value[None] if value.ndim == 2 else value
@@ -307,7 +307,7 @@ def from_arrays(
             value = np.divide(value, factor, out=value if overwrite else None)
         sd = parts.get("sd")
         spread = np.asarray(parts.get("position_sd_mm", np.nan), dtype=float)
-        made.append(
+        channels.append(
             BodyChannels(
                 name,
                 tuple(parts["points"]),  # type: ignore[arg-type]
@@ -320,4 +320,4 @@ def from_arrays(
                 position_sd_mm=np.broadcast_to(spread, (value.shape[1],)).copy(),
             )
         )
-    return Measurement(frame, runs, np.asarray(freq_hz, dtype=float), tuple(made), order)
+    return Measurement(frame, runs, np.asarray(freq_hz, dtype=float), tuple(channels), order)

@@ -35,12 +35,12 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
 
 def _measured_lines(body: BodyChannels) -> NDArray[np.bool_]:
     """Return the lines (freq,) at which any channel of any run was measured."""
-    found = np.zeros(body.displacement.shape[2], dtype=bool)
+    measured = np.zeros(body.displacement.shape[2], dtype=bool)
     for at in np.ndindex(body.displacement.shape[:2]):
-        found |= np.isfinite(body.displacement[at].real)
-        if np.all(found):
+        measured |= np.isfinite(body.displacement[at].real)
+        if np.all(measured):
             break
-    return found
+    return measured
 
 
 def check_determined(motion: RigidMotion) -> None:

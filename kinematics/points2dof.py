@@ -260,10 +260,10 @@ def _motion(
     runs, bodies = range(len(placed.runs)), range(len(placed.bodies))
 
     def stacked(name: str, dtype: type = float) -> NDArray[Any]:
-        made = np.empty((len(runs), len(bodies), *getattr(fits[0, 0], name).shape), dtype=dtype)
+        values = np.empty((len(runs), len(bodies), *getattr(fits[0, 0], name).shape), dtype=dtype)
         for run, body in product(runs, bodies):
-            made[run, body] = getattr(fits[run, body], name)
-        return made
+            values[run, body] = getattr(fits[run, body], name)
+        return values
 
     return RigidMotion(
         placed.runs,

@@ -30,12 +30,12 @@ def measured_mass(result: MassMeasurement, content: Mapping[str, Any] | None = N
     """
     import xxhash
 
-    made = mass_json(result, second=False) if content is None else content
-    text = json.dumps(made, indent=1) + "\n"
+    record = mass_json(result, second=False) if content is None else content
+    text = json.dumps(record, indent=1) + "\n"
     source = {
         "file": "mass.json in memory",
         "size_bytes": len(text.encode()),
-        "modified": made["provenance"]["date"],
+        "modified": record["provenance"]["date"],
         "hash": f"xxh3_128:{xxhash.xxh3_128_hexdigest(text.encode())}",
         "document_hash": document_hash(json.loads(text)),
     }

@@ -65,19 +65,19 @@ def face_candidates(mesh: Mesh, extent_mm: float) -> list[FaceCandidate]:
     scores = _scores(directions, pieces, extent_mm)
     free = np.ones(len(directions), dtype=bool)
     fine = sphere(_FINE_DIRECTIONS)
-    found: list[FaceCandidate] = []
+    candidates: list[FaceCandidate] = []
     while np.any(free):
         best = int(np.argmax(np.where(free, scores, -1.0)))
         outward, area = directions[best], float(scores[best])
         free &= directions @ outward < np.cos(np.radians(_OTHER_DEG))
-        if len(found) < _REFINED:
+        if len(candidates) < _REFINED:
             near = fine[fine @ outward > np.cos(np.radians(_NEAR_DEG))]
             closer = _scores(near, pieces, extent_mm)
             place = int(np.argmax(closer))
             if closer[place] > area:
                 outward, area = near[place], float(closer[place])
-        found.append(FaceCandidate(outward, area))
-    return sorted(found, key=lambda face: -face.area_mm2)
+        candidates.append(FaceCandidate(outward, area))
+    return sorted(candidates, key=lambda face: -face.area_mm2)
 
 
 def _scores(directions: Array, pieces: tuple[Array, Array, Array], extent_mm: float) -> Array:

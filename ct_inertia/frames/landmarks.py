@@ -79,7 +79,7 @@ def normal_name(name: str) -> str:
 
 
 def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]:
-    found: dict[str, Array] = {}
+    by_name: dict[str, Array] = {}
     faults = []
     for label, point in points:
         name = normal_name(label)
@@ -93,7 +93,7 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
                     next_step="Set the point again, or correct the file",
                 )
             )
-        elif name in found:
+        elif name in by_name:
             faults.append(
                 Fault(
                     f"landmark {label}",
@@ -103,19 +103,19 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
                     next_step="Rename or remove one of the two",
                 )
             )
-        found[name] = point
+        by_name[name] = point
     raise_all(CtInertiaError, faults)
-    if not found.keys() & set(LANDMARK_NAMES):
+    if not by_name.keys() & set(LANDMARK_NAMES):
         raise CtInertiaError(
             Fault(
                 "the landmarks",
                 f"named out of {', '.join(LANDMARK_NAMES)}",
-                ", ".join(found) or "no point at all",
+                ", ".join(by_name) or "no point at all",
                 file,
                 "Rename them in the program they were set in",
             )
         )
-    return found
+    return by_name
 
 
 def _text(path: Path) -> str:

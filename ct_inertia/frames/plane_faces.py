@@ -114,18 +114,18 @@ def plane_faces(
     normals = _smoothed(mesh, vectors)
     centres = mesh.points[mesh.faces].mean(axis=1)
     nearest = _nearest(directions, normals)
-    found: list[PlaneFace] = []
+    faces: list[PlaneFace] = []
     for border, chosen in ((False, count == 0), (True, count == 3)):
         pieces = _Pieces(centres[chosen], normals[chosen], areas[chosen], nearest[chosen])
         failures = 0
         while pieces.areas.sum() > least_area_mm2 and failures < _FAILURES:
             face, members = _largest(pieces, directions)
             if face is not None and face.area_mm2 >= least_area_mm2:
-                found.append(replace(face, at_border=border))
+                faces.append(replace(face, at_border=border))
             else:
                 failures += 1
             pieces = pieces.chosen(~members)
-    return sorted(found, key=lambda face: -face.area_mm2)
+    return sorted(faces, key=lambda face: -face.area_mm2)
 
 
 def large_faces(surface: SurfaceLike, on_border: NDArray[np.bool_] | None = None) -> list[PlaneFace]:
@@ -152,8 +152,8 @@ class _Pieces:
 def _nearest(directions: Array, normals: Array) -> NDArray[np.intp]:
     """Return which of some unit directions (m, 3) each unit normal (n, 3) is nearest to."""
     parts = [normals[start : start + _PIECE] for start in range(0, len(normals), _PIECE)]
-    found = [np.argmax(part @ directions.T, axis=1) for part in parts]
-    return np.concatenate([np.zeros(0, dtype=np.intp), *found])
+    nearest = [np.argmax(part @ directions.T, axis=1) for part in parts]
+    return np.concatenate([np.zeros(0, dtype=np.intp), *nearest])
 
 
 def _smoothed(mesh: Mesh, vectors: Array) -> Array:

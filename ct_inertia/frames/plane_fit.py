@@ -73,10 +73,10 @@ def fitted_to_grey(
     rest = [other for other in known if all(other is not face for face in faces)]
     for place, face in enumerate(faces):
         others = [*result[:place], *result[place + 1 :], *rest]
-        found = None if face.at_border else _fitted(face, others, volume, sigma_mm)
-        if found is not None and abs(face.distance(found.point_mm[None])[0]) > _FAR * sigma_mm:
-            found = _fitted(found, others, volume, sigma_mm)
-        result[place] = face if found is None else found
+        fitted = None if face.at_border else _fitted(face, others, volume, sigma_mm)
+        if fitted is not None and abs(face.distance(fitted.point_mm[None])[0]) > _FAR * sigma_mm:
+            fitted = _fitted(fitted, others, volume, sigma_mm)
+        result[place] = face if fitted is None else fitted
     return result
 
 

@@ -117,14 +117,14 @@ def plate_frame(
         seen, (main, *sides) = main, fitted_to_grey([main, *sides], faces, volume, sigma_mm)
         if main is seen and not main.at_border:
             main, covered = covered_face(main, faces, near, volume, sigma_mm)
-    found = _frame(main, sides)
-    weights = _agreeing(main, sides, found)
-    found = _frame(main, sides, found.along, weights)
-    covariance = _propagated(main, sides, found, weights)
-    notices = (*_notices(found, sides), *covered)
-    transform = RigidTransform.from_parts(found.axes, found.origin, "scan", "plate")
+    frame = _frame(main, sides)
+    weights = _agreeing(main, sides, frame)
+    frame = _frame(main, sides, frame.along, weights)
+    covariance = _propagated(main, sides, frame, weights)
+    notices = (*_notices(frame, sides), *covered)
+    transform = RigidTransform.from_parts(frame.axes, frame.origin, "scan", "plate")
     return PlateFrame(
-        transform, covariance, found.corners, any(side.at_border for side in sides), "faces", notices
+        transform, covariance, frame.corners, any(side.at_border for side in sides), "faces", notices
     )
 
 

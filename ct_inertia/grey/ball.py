@@ -54,8 +54,8 @@ def ball_diameter(volume: Volume, place_mm: Array, diameter_mm: float) -> tuple[
     noise = 4.0 * float(np.std(inside))
     if spread > max(_EVEN * abs(high - low), 1.5 * noise):
         raise _unseen("other material within 0.8 diameters of its centre", "alone")
-    found = (6.0 * total * volume.voxel_mm3 / np.pi) ** (1.0 / 3.0)
-    return float(found), float(found * _LEVEL_SD / 3.0)
+    size_mm = (6.0 * total * volume.voxel_mm3 / np.pi) ** (1.0 / 3.0)
+    return float(size_mm), float(size_mm * _LEVEL_SD / 3.0)
 
 
 def _around(volume: Volume, centre_mm: Array, reach_mm: float) -> tuple[Array, Array]:

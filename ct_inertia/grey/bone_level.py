@@ -131,11 +131,11 @@ def _change(values: Array, deeper: NDArray[np.bool_], places: Array, air: Air) -
 
 def _box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
     """Return the slices z, y, x of a mask, one voxel wider where there is room."""
-    found = []
+    ranges = []
     for axis in range(3):
         used = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
-        found.append(slice(max(0, int(used[0]) - 1), int(used[-1]) + 2))
-    return tuple(found)
+        ranges.append(slice(max(0, int(used[0]) - 1), int(used[-1]) + 2))
+    return tuple(ranges)
 
 
 def bone_of(

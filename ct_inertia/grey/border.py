@@ -54,14 +54,14 @@ def cut_layers(
     begins, ends : 3 bool each
         Whether the grid begins, and whether it ends, where the scan does, along x, y, z.
     """
-    found = []
+    cuts = []
     for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         area = float(np.prod(np.delete(spacing_mm, k)))
         for place, name, there in ((0, "first", begin), (-1, "last", end)):
             count = int(np.count_nonzero(np.take(mask, place, axis=2 - k))) if there else 0
             if count:
-                found.append(BorderCut("xyz"[k], name, count * area))
-    return tuple(found)
+                cuts.append(BorderCut("xyz"[k], name, count * area))
+    return tuple(cuts)
 
 
 def cut_notice(cuts: Iterable[BorderCut], where: str = "scan") -> Notice:

@@ -160,7 +160,7 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
 
 def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, float]:
     """Return the change of the level per mm along x, y, z between halves of the box, where it stands out."""
-    found = [0.0, 0.0, 0.0]
+    slope = [0.0, 0.0, 0.0]
     for axis in range(3):
         count, total = air.count[2 - axis], air.total[2 - axis]
         low = np.arange(len(count)) < len(count) // 2
@@ -171,8 +171,8 @@ def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, fl
         place = count * np.arange(len(count)) * float(spacing_mm[axis])
         length = place[~low].sum() / parts[1] - place[low].sum() / parts[0]
         if abs(change) > _STANDS_OUT * noise * np.sqrt(1.0 / parts[0] + 1.0 / parts[1]):
-            found[axis] = float(change / length)
-    return found[0], found[1], found[2]
+            slope[axis] = float(change / length)
+    return slope[0], slope[1], slope[2]
 
 
 def _censored(mean: float, pile: float, lowest: float) -> tuple[float, float]:

@@ -171,11 +171,11 @@ def blur_of(
     """Return the width of the point spread, its standard deviation (mm), and where they come from."""
     air, bone = levels
     more = {} if most is None else {"most": most}
-    found = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air), **more)
-    if found is None:
+    edge = edge_sigma(cut.grey, rim, air, bone, spacing_mm, noise / (bone - air), **more)
+    if edge is None:
         sigma = _DEFAULT_SIGMA_VOXELS * float(spacing_mm.mean())
         return sigma, 0.5 * sigma, "assumed: one voxel"
-    return found[0], found[1], "edges of the stapes"
+    return edge[0], edge[1], "edges of the stapes"
 
 
 def _unclipped(

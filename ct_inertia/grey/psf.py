@@ -248,12 +248,12 @@ def _smoothed(
         place = np.ascontiguousarray(index, dtype=np.int64)
         wide = np.ascontiguousarray(reach, dtype=np.int64)
         weights = np.concatenate([pair.T.ravel() for pair in pairs])
-        found = np.empty((len(place), 4))
+        smoothed = np.empty((len(place), 4))
         kernels.smooth_slopes(
             *(grey.ctypes.data, shape_of(grey), place.ctypes.data, len(place), wide.ctypes.data),
-            *(weights.ctypes.data, found.ctypes.data),
+            *(weights.ctypes.data, smoothed.ctypes.data),
         )
-        return found
+        return smoothed
     offsets = [np.arange(-r, r + 1) for r in reach]
     blocks = grey[
         (index[:, 0, None] + offsets[0])[:, :, None, None],

@@ -165,11 +165,11 @@ def level_of(values: Array, store: Store, noise: float | None = None, correlatio
 
 def _without_rare(values: Array) -> Array:
     """Leave out rare grey values where two steps hold nearly all: they would pass for wide noise."""
-    found, count = np.unique(values, return_counts=True)
+    levels, count = np.unique(values, return_counts=True)
     most = np.sort(count)[::-1]
-    if found.size >= 30 or most[1:2].sum() <= 0.6 * most[1:].sum() - 0.5:
+    if levels.size >= 30 or most[1:2].sum() <= 0.6 * most[1:].sum() - 0.5:
         return values
-    return np.asarray(values[np.isin(values, found[count > _RARE * values.size])])
+    return np.asarray(values[np.isin(values, levels[count > _RARE * values.size])])
 
 
 def _histogram(values: Array, store: Store, noise: float, tiny: float) -> tuple[Array, Array, Array]:

@@ -71,14 +71,14 @@ class Stored:
 
     def notices(self) -> list[Notice]:
         """Report clipped bone and coarse steps; clipped air is reported with the air."""
-        found = []
+        notices = []
         if self.bone.at_high > _PILE:
             text = (
                 f"{100.0 * self.bone.at_high:.0f} % of the voxels deep inside bone lie at the highest grey "
                 f"value: the export has clipped them. That was corrected for, and the budget holds what "
                 f"remains (levels). Export with a window that ends above bone and its noise."
             )
-            found.append(Notice("bone_clipped", text))
+            notices.append(Notice("bone_clipped", text))
         if self.coarse:
             share = 100.0 * self.store.step / (self.bone.level - self.air.level)
             text = (
@@ -86,8 +86,8 @@ class Stored:
                 f"smaller than the noise: levels are known to a part of a step (budget: levels). "
                 f"Export with 16 bits."
             )
-            found.append(Notice("grey_steps_coarse", text))
-        return found
+            notices.append(Notice("grey_steps_coarse", text))
+        return notices
 
 
 def stored_levels(around: Surroundings, air: Air, shell: NDArray[np.bool_], sigma_mm: float) -> Stored | None:

@@ -192,14 +192,14 @@ def _labelled(
 
 def _cut_by_border(stapes: NDArray[np.bool_], spacing_mm: Array) -> list[Notice]:
     """Warn when the labels end in a flat cut at the border; a crop that only touches them does not count."""
-    found = []
+    cuts = []
     for axis in range(3):
         layers = np.moveaxis(stapes, axis, 0)
         for end, outer, inner in (("first", layers[0], layers[1]), ("last", layers[-1], layers[-2])):
             count = int(np.count_nonzero(outer))
             if count > max(_LEAST_VOXELS, 0.8 * np.count_nonzero(inner)):
-                found.append(_border_cut(axis, end, count, spacing_mm))
-    return [cut_notice(found, "label volume")] if found else []
+                cuts.append(_border_cut(axis, end, count, spacing_mm))
+    return [cut_notice(cuts, "label volume")] if cuts else []
 
 
 def _border_cut(axis: int, end: str, count: int, spacing_mm: Array) -> BorderCut:

@@ -72,20 +72,20 @@ def _silent(name: str) -> bool:
 
 def _named(names: Mapping[int, str], pattern: str, where: str, other: int | None = None) -> int | None:
     """Return the number of the segment whose name holds a pattern."""
-    found = [n for n, name in names.items() if n != other and re.search(pattern, name, re.IGNORECASE)]
-    exact = [n for n in found if re.fullmatch(pattern, names[n].strip(), re.IGNORECASE)]
-    found = exact if len(exact) == 1 else found
-    if len(found) > 1:
+    matching = [n for n, name in names.items() if n != other and re.search(pattern, name, re.IGNORECASE)]
+    exact = [n for n in matching if re.fullmatch(pattern, names[n].strip(), re.IGNORECASE)]
+    matching = exact if len(exact) == 1 else matching
+    if len(matching) > 1:
         raise CtInertiaError(
             Fault(
                 "the label volume",
                 "one with a single segment of that name",
-                ", ".join(f"{number} {names[number]}" for number in found),
+                ", ".join(f"{number} {names[number]}" for number in matching),
                 where,
                 "Rename the others, or give {stapes_label} and {plate_label}",
             )
         )
-    return found[0] if found else None
+    return matching[0] if matching else None
 
 
 def without_islands(labels: Volume, number: int) -> tuple[NDArray[np.bool_], list[Notice]]:

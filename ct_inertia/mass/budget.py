@@ -85,8 +85,8 @@ def mass_sd_missing(content: Mapping[str, Any]) -> str:
     A mass without it is not shown with the standard deviation of the rest of the budget.
     """
     missing = set(content["uncertainty"].get("not_included", ()))
-    found = [way for way, words in _MASS_SOURCES.items() if words in missing]
-    return f"the {found[0]} has no standard deviation" if found else ""
+    without_sd = [way for way, words in _MASS_SOURCES.items() if words in missing]
+    return f"the {without_sd[0]} has no standard deviation" if without_sd else ""
 
 
 def not_included(

@@ -104,10 +104,10 @@ def masses_by_way(
     CtInertiaError
         A density that no bone has, or a calibration without grey values.
     """
-    found: dict[str, MassProperties] = {}
+    masses: dict[str, MassProperties] = {}
     if options.mass_mg is not None:
         value, sd = options.mass_mg
-        found["mass"] = from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
+        masses["mass"] = from_mass(moments, value * 1e-6, None if sd is None else sd * 1e-6)
     if options.calibration is not None:
         from ct_inertia.mass.calibration import from_calibration
 
@@ -124,10 +124,10 @@ def masses_by_way(
 
         air, bone = bodies.levels.air, bodies.levels.bone
         shape = shape_moments(bodies, air, bone)
-        found["calibration"] = from_calibration(moments, shape, air, bone, calibration)
+        masses["calibration"] = from_calibration(moments, shape, air, bone, calibration)
     if options.density is not None:
-        found["density"] = from_density(moments, *options.density)
-    return found
+        masses["density"] = from_density(moments, *options.density)
+    return masses
 
 
 def at_uniform_density(body: MassProperties, moments: Moments) -> MassProperties:

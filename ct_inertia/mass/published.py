@@ -98,7 +98,7 @@ def _z(entry: Published, value: float) -> float | None:
 
 def unusual_notice(values: Mapping[str, float]) -> list[Notice]:
     """Warn of quantities that lie more than 3 standard deviations from every publication."""
-    found = []
+    unusual = []
     for quantity, value in values.items():
         of = [
             (abs(z), published)
@@ -109,14 +109,14 @@ def unusual_notice(values: Mapping[str, float]) -> list[Notice]:
             z, nearest = min(of, key=lambda entry: entry[0])
             name, unit = NAMES[quantity]
             signed = np.copysign(z, value - nearest.mean)
-            found.append(
+            unusual.append(
                 f"{name} {value:.3g} {unit} (published {nearest.mean:g} +- {nearest.sd:g}, z {signed:+.1f}; "
                 f"{nearest.reference})"
             )
-    if not found:
+    if not unusual:
         return []
     text = (
-        f"Outside of what is published of human stapedes: {'; '.join(found)}. Check the voxel spacing "
+        f"Outside of what is published of human stapedes: {'; '.join(unusual)}. Check the voxel spacing "
         f"(1 % of it is 3 % of the volume), the density, and in the report what was measured."
     )
     return [Notice(CODE, text)]

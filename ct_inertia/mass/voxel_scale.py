@@ -73,27 +73,27 @@ def voxel_scale(options: MassOptions, volume: Volume) -> VoxelScale | None:
         A length differs from the scan by more than 10 %, or a ball is not seen where it is stated.
     """
     picked = _PICKED_VOXELS * float(np.mean(volume.spacing_mm))
-    found: list[tuple[str, float, float]] = []
+    lengths: list[tuple[str, float, float]] = []
     for row in options.scale_length:
         apart = float(np.linalg.norm(np.subtract(row[3:6], row[:3])))
         length, sd = row[6], row[7]
         if apart == 0.0:
             raise _unfit("{scale_length}", length, apart)
-        found.append(("{scale_length}", length / apart, np.hypot(sd, np.sqrt(2.0) * picked) / apart))
+        lengths.append(("{scale_length}", length / apart, np.hypot(sd, np.sqrt(2.0) * picked) / apart))
     for row in options.scale_ball:
         from ct_inertia.grey.ball import ball_diameter
 
         measured, measured_sd = ball_diameter(volume, np.array(row[:3]), row[3])
-        found.append(("{scale_ball}", row[3] / measured, np.hypot(row[4], measured_sd) / measured))
-    if not found:
+        lengths.append(("{scale_ball}", row[3] / measured, np.hypot(row[4], measured_sd) / measured))
+    if not lengths:
         return None
-    for name, factor, _ in found:
+    for name, factor, _ in lengths:
         if not abs(factor - 1.0) < _MOST:
             raise _unfit(name, factor, 1.0)
     known = SCANNER_SD if options.voxel_size_sd is None else max(options.voxel_size_sd, 1e-6)
-    factors = np.array([1.0, *(factor for _, factor, _ in found)])
-    weights = 1.0 / np.square([known, *(sd for _, _, sd in found)])
-    words = f"{len(found)} stated length{'s' if len(found) > 1 else ''}, and {100.0 * known:.2g} % before"
+    factors = np.array([1.0, *(factor for _, factor, _ in lengths)])
+    weights = 1.0 / np.square([known, *(sd for _, _, sd in lengths)])
+    words = f"{len(lengths)} stated length{'s' if len(lengths) > 1 else ''}, and {100.0 * known:.2g} % before"
     return VoxelScale(float(weights @ factors / weights.sum()), float(1.0 / np.sqrt(weights.sum())), words)
 
 

@@ -169,18 +169,18 @@ def existing_file(path: Path) -> Path:
         Nothing is there, it cannot be looked at, it is empty, or it is a pipe or a device.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except FileNotFoundError:
         raise CtInertiaError(
             Fault("the scan", "an existing file or folder", path, next_step="Check the path")
         ) from None
     except (OSError, ValueError) as fault:
         raise unreadable(path, fault) from fault
-    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         raise CtInertiaError(
             Fault("the scan", "a file or folder", "a pipe or a device", path.name, "Save it as a file first")
         )
-    if stat.S_ISREG(found.st_mode) and found.st_size == 0:
+    if stat.S_ISREG(status.st_mode) and status.st_size == 0:
         raise CtInertiaError(
             Fault(
                 "the scan",

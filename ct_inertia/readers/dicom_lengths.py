@@ -77,11 +77,11 @@ def dicom_size(path: Path) -> DicomSize:
             walk.elements(size, 0, top=True)
         except struct.error as fault:
             raise header_fault(path, "DICOM file", "a file that ends within an element") from fault
-    found = walk.found
-    if found.native and found.pixel_bytes and found.claimed_bytes > found.pixel_bytes + 1:
-        got = f"{found.pixel_bytes} bytes of pixels for {found.claimed_bytes}"
+    lengths = walk.found
+    if lengths.native and lengths.pixel_bytes and lengths.claimed_bytes > lengths.pixel_bytes + 1:
+        got = f"{lengths.pixel_bytes} bytes of pixels for {lengths.claimed_bytes}"
         raise header_fault(path, "DICOM file", got)
-    return found
+    return lengths
 
 
 class _Walk:

@@ -29,30 +29,30 @@ def mass_words(content: Mapping[str, Any]) -> str:
 
 def found_section(content: Mapping[str, Any]) -> page.Section:
     """Return sizes, mass and centre of mass, and how far they lie from published ones."""
-    found = content["found"]
+    stapes = content["found"]
     com = np.array(content["inertial_parameters"]["values_si"])
     com = LENGTH.of(com[1:4] / com[0])
     deviation = content["uncertainty"]["total"]
     com_sd = ", ".join(f"{SMALL_LENGTH.of(value):.2g}" for value in deviation["center_of_mass_m"])
     rows = [
-        ("mass with what was added" if found["added_masses"] else "mass", mass_words(content)),
+        ("mass with what was added" if stapes["added_masses"] else "mass", mass_words(content)),
         ("density of the bone", f"{content['density_kg_m3']:.1f} kg/m³"),
         ("volume of the bone", VOLUME.text(content["volume_m3"], ".4f")),
         (
             "centre of mass, footplate axes",
             f"{com[0]:+.4f}, {com[1]:+.4f}, {com[2]:+.4f} mm (± {com_sd} µm)",
         ),
-        ("height of the stapes", f"{found['height_mm']:.2f} mm"),
-        ("length of the footplate", f"{found['footplate_length_mm']:.2f} mm"),
-        ("width of the footplate", f"{found['footplate_width_mm']:.2f} mm"),
+        ("height of the stapes", f"{stapes['height_mm']:.2f} mm"),
+        ("length of the footplate", f"{stapes['footplate_length_mm']:.2f} mm"),
+        ("width of the footplate", f"{stapes['footplate_width_mm']:.2f} mm"),
         (
             "medial face of the footplate",
-            f"{found['footplate_area_mm2']:.3f} mm², "
-            f"{found['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
+            f"{stapes['footplate_area_mm2']:.3f} mm², "
+            f"{stapes['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
         ),
-        ("holes through the body (a stapes has 1)", str(found["holes"])),
+        ("holes through the body (a stapes has 1)", str(stapes["holes"])),
     ]
-    for mass in found["added_masses"]:
+    for mass in stapes["added_masses"]:
         place = ", ".join(f"{value:g}" for value in mass["position_mm"])
         sd = f" ± {MASS.of(mass['sd_kg']):g}" if mass["sd_kg"] else ""
         value = f"{MASS.of(mass['mass_kg']):g}{sd} {MASS.symbol}"

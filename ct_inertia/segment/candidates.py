@@ -120,8 +120,8 @@ def labelled_pieces(mask: NDArray[np.bool_], spacing_mm: Array) -> tuple[NDArray
     for k in np.argsort(-sizes[1:]) + 1:
         if sizes[k] * voxel < _LEAST_MM3:
             break
-        found = zip(boxes[k - 1] or (), box, strict=True)
-        place = tuple(slice(inner.start + outer.start, inner.stop + outer.start) for inner, outer in found)
+        ranges = zip(boxes[k - 1] or (), box, strict=True)
+        place = tuple(slice(inner.start + outer.start, inner.stop + outer.start) for inner, outer in ranges)
         pieces.append(describe(labels, int(k), place, spacing_mm))
     return labels, pieces
 

@@ -48,24 +48,24 @@ def refuse_rivals(possible: list[Piece], places_mm: list[Array]) -> None:
 
 def doubts(piece: Piece) -> tuple[Notice, ...]:
     """Return what speaks against a piece that was taken for the stapes."""
-    found = []
+    notices = []
     if piece.holes != 1:
         text = (
             f"The body taken for the stapes has {piece.holes} holes instead of one between its crura "
             f"({piece.volume_mm3:.2f} mm3, {piece.length_mm:.1f} mm long). Check it in the report."
         )
-        found.append(Notice("stapes_uncertain", text))
+        notices.append(Notice("stapes_uncertain", text))
     elif piece.surrounds >= MOST_SURROUNDED:
         text = (
             f"The body taken for the stapes ({piece.volume_mm3:.2f} mm3) surrounds other bone, as the bone "
             f"around the oval window does. Check it in the report, or name the stapes with {named('seed')}."
         )
-        found.append(Notice("stapes_uncertain", text))
+        notices.append(Notice("stapes_uncertain", text))
     elif piece.oddness > USUAL:
         extents = " x ".join(f"{v:.1f}" for v in piece.extents_mm)
         text = (
             f"The body taken for the stapes is unusual for one ({piece.volume_mm3:.2f} mm3, {extents} mm). "
             f"Check it in the report, and the voxel spacing."
         )
-        found.append(Notice("stapes_uncertain", text))
-    return tuple(found)
+        notices.append(Notice("stapes_uncertain", text))
+    return tuple(notices)

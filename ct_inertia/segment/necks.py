@@ -74,30 +74,30 @@ def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list
     voxel = float(np.prod(spacing_mm)) * count / len(points)
     grain = _Grain(voxel, float(np.mean(spacing_mm)), voxel * len(points))
     _, axes = np.linalg.eigh(np.cov(points.T))
-    found: list[Neck] = []
+    candidates: list[Neck] = []
     for end in (1.0, -1.0):
         axis = end * axes[:, 2]
         height = points @ axis
         near = points[height > height.max() - _FROM_END_MM]
         every = [_along(normal, near, grain) for normal in _around(axis, _LEAN_DEG)]
         best = _apart(sorted((neck for some in every for neck in some), key=lambda neck: neck.share))
-        found += [_settled(neck, near, grain) for neck in best]
-    found = [
+        candidates += [_settled(neck, near, grain) for neck in best]
+    candidates = [
         Neck(neck.normal, neck.height_mm + float(neck.normal @ middle), neck.area_mm2, neck.share)
-        for neck in found
+        for neck in candidates
     ]
-    return sorted(found, key=lambda neck: neck.share)
+    return sorted(candidates, key=lambda neck: neck.share)
 
 
 def _around(axis: Array, lean_deg: tuple[float, ...]) -> list[Array]:
     side = np.linalg.svd(axis[None])[2][1]
     other = np.cross(axis, side)
-    found = [axis]
+    directions = [axis]
     for lean in np.radians(lean_deg[1:]):
         for turn in 2.0 * np.pi * np.arange(_TURNS) / _TURNS:
             across = np.cos(turn) * side + np.sin(turn) * other
-            found.append(np.cos(lean) * axis + np.sin(lean) * across)
-    return found
+            directions.append(np.cos(lean) * axis + np.sin(lean) * across)
+    return directions
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     area = np.convolve(counts, np.full(3, 1.0 / 3.0), mode="same") * voxel / step
     beyond = np.cumsum(counts[::-1])[::-1] * voxel
     reach = max(2, round(_WIDENS_WITHIN_MM / step))
-    found = []
+    minima = []
     for k in range(reach, len(area) - 3):
         if not _LEAST_BEYOND_MM3 < beyond[k] < _MOST_BEYOND * grain.total_mm3:
             continue
@@ -126,8 +126,8 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
             continue
         wide = min(area[k - reach : k].max(), area[k + 1 : k + 1 + reach].max())
         if area[k] < _NARROWER * wide:
-            found.append(Neck(normal, low + (k + 0.5) * step, float(area[k]), float(area[k] / wide)))
-    return found
+            minima.append(Neck(normal, low + (k + 0.5) * step, float(area[k]), float(area[k] / wide)))
+    return minima
 
 
 def _apart(found: list[Neck]) -> list[Neck]:

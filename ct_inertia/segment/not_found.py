@@ -68,8 +68,8 @@ def _inverted(scan: CoarseScan) -> bool:
     except CtInertiaError:
         return False
     for air, plastic, bone in readings(levels, None):
-        pieces, found = labelled_pieces(turned.grey > between_levels(air, plastic, bone), scan.spacing_mm)
-        for piece in found:
+        pieces, bodies = labelled_pieces(turned.grey > between_levels(air, plastic, bone), scan.spacing_mm)
+        for piece in bodies:
             if piece.possible and piece.oddness < 0.3 and not np.any(piece.low == 0):
                 sight = Sight(turned, pieces, piece, (), air, bone, plastic, 0.0)
                 if with_holes(sight, piece).holes == 1:

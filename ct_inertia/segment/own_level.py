@@ -49,14 +49,14 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
     if not bone > sight.air or abs(between - sight.between) < _SAME_THRESHOLD * (bone - sight.air):
         return None
     quiet = calmed(sight.scan.grey, sight.scan.noise / (bone - sight.air))
-    pieces, found = labelled_pieces(quiet > between, sight.scan.spacing_mm)
+    pieces, candidates = labelled_pieces(quiet > between, sight.scan.spacing_mm)
     votes = np.bincount(pieces[own], minlength=1)
     votes[0] = 0
-    found = find_pieces(found)
-    same = [piece for piece in found if piece.label == int(np.argmax(votes))]
+    candidates = find_pieces(candidates)
+    same = [piece for piece in candidates if piece.label == int(np.argmax(votes))]
     if not same:
         return None
-    others = tuple(piece for piece in found if piece is not same[0])
+    others = tuple(piece for piece in candidates if piece is not same[0])
     return replace(
         sight, pieces=pieces, stapes=same[0], others=others, bone=bone, plastic=plastic, between=between
     )

@@ -50,13 +50,13 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
     doubtful: tuple[Sight, Sight] | None = None
     for air, plastic, bone in readings(levels, options.threshold):
         between = options.threshold if options.threshold is not None else between_levels(air, plastic, bone)
-        pieces, found = labelled_pieces(
+        pieces, candidates = labelled_pieces(
             calmed(scan.grey, scan.noise / (bone - air)) > between, scan.spacing_mm
         )
-        found = _whole(found, scan, volume)
-        if not found:
+        candidates = _whole(candidates, scan, volume)
+        if not candidates:
             continue
-        sight = Sight(scan, pieces, found[0], tuple(found[1:]), air, bone, plastic, between)
+        sight = Sight(scan, pieces, candidates[0], tuple(candidates[1:]), air, bone, plastic, between)
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)

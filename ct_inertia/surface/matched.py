@@ -52,18 +52,18 @@ def moment_matched(field: Grey, moments: Moments, scan_from_index: Array) -> tup
     rim = _Rim.about(part, *_in_index(moments, scan_from_index, corner))
     coefficients = np.zeros(10)
     coefficients[0] = rim.level
-    least, found = np.inf, part_above(rim.lowered(part, coefficients), 0.0)
-    points, faces = found
+    least, surface = np.inf, part_above(rim.lowered(part, coefficients), 0.0)
+    points, faces = surface
     for _ in range(_ROUNDS):
         off = rim.wanted - rim.integrals(*enclosed_moments(points, faces))
         fault = float(np.max(np.abs(off)) / rim.wanted[0])
         if fault < least:
-            least, found = fault, (points, faces)
+            least, surface = fault, (points, faces)
         if fault < _CLOSE or fault > 2.0 * least:
             break
         coefficients = coefficients - rim.inverse @ off
         points, faces = part_above(rim.lowered(part, coefficients), 0.0)
-    return placed(found[0] + corner, found[1], scan_from_index), rim.level
+    return placed(surface[0] + corner, surface[1], scan_from_index), rim.level
 
 
 def _in_index(moments: Moments, scan_from_index: Array, corner: Array) -> tuple[float, Array, Array]:

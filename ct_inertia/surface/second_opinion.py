@@ -55,13 +55,13 @@ def second_opinion(surface: Surface) -> SecondOpinion | None:
     centred: NDArray[np.float64] = surface.vertices_mm - own.centroid_mm
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(centred, surface.faces.astype(np.int32)))
-    found, shape = meshes.get_geometric_measures(), meshes.get_topological_measures()
-    if "mesh_volume" not in found:
+    measures, shape = meshes.get_geometric_measures(), meshes.get_topological_measures()
+    if "mesh_volume" not in measures:
         return None
-    tensor = np.asarray(found["inertia_tensor"])
+    tensor = np.asarray(measures["inertia_tensor"])
     return SecondOpinion(
-        volume_difference=float(found["mesh_volume"] / own.volume_mm3 - 1.0),
-        centroid_difference_mm=float(np.linalg.norm(found["center_of_mass"])),
+        volume_difference=float(measures["mesh_volume"] / own.volume_mm3 - 1.0),
+        centroid_difference_mm=float(np.linalg.norm(measures["center_of_mass"])),
         inertia_difference=float(np.abs(tensor - own.inertia_mm5).max() / np.abs(own.inertia_mm5).max()),
         genus=int(shape["genus"]),
         two_manifold=bool(shape["is_mesh_two_manifold"] and shape["boundary_edges"] == 0),

@@ -276,9 +276,9 @@ def _each(
     for start in range(0, block.s.shape[1], step):
         part = slice(start, start + step)
         s = block.s[:, part].T
-        made = np.einsum("fc,kcm,mf->fck", s, slopes, z[:, part], optimize=True)
-        score += np.real(np.einsum("fck,cf->k", made.conj(), residual[:, part], optimize=True))
-        information += _gram(made, q[part])
+        derivative = np.einsum("fc,kcm,mf->fck", s, slopes, z[:, part], optimize=True)
+        score += np.real(np.einsum("fck,cf->k", derivative.conj(), residual[:, part], optimize=True))
+        information += _gram(derivative, q[part])
         if noise:
             weighted = s[:, :, None] * rows
             gram = np.einsum("fcm,fcn->fmn", weighted, weighted)

@@ -108,7 +108,7 @@ def _all_rows(made: Calibration, fit: LineFit, number: int) -> Array:
 
 def _named(made: Calibration, fit: LineFit, number: int) -> ComplexArray:
     """Return d q / d parameter, (k, freq, m), group by group of equal channels."""
-    found = np.zeros((len(made.names), *fit.q.shape), dtype=complex)
+    derivatives = np.zeros((len(made.names), *fit.q.shape), dtype=complex)
     places = dof_indices(fit.beams.dof)
     channels = len(made.measurement.bodies[number].points)
     groups: dict[bytes, list[int]] = {}
@@ -119,8 +119,8 @@ def _named(made: Calibration, fit: LineFit, number: int) -> ComplexArray:
         mask = np.zeros(channels, dtype=bool)
         mask[changes[members[0]].channels] = True
         rows = np.stack([changes[place].rows[:, places] for place in members])
-        found[[changes[place].parameter for place in members]] = fit_derivatives(fit, rows, mask)
-    return found
+        derivatives[[changes[place].parameter for place in members]] = fit_derivatives(fit, rows, mask)
+    return derivatives
 
 
 def _strongest(made: Calibration, fits: Mapping[tuple[int, int], LineFit], half: Array) -> Array:

@@ -63,18 +63,18 @@ def with_corrections(
 
 def _derivatives(one: Correction, fits: Mapping[Key, LineFit], shape: tuple[int, ...]) -> ComplexArray:
     """Return d q / d parameter, (p, run, body, freq, m)."""
-    made = np.zeros((len(one.parameters), *shape), dtype=complex)
+    derivatives = np.zeros((len(one.parameters), *shape), dtype=complex)
     mine = np.zeros(len(fits[one.run, one.body].beams.rows), dtype=bool)
     mine[one.channels] = True
     if len(one.factor):
         part = channel_part(fits[one.run, one.body], mine)
-        made[:, one.run, one.body] = -part * one.factor[1:, :, None]
+        derivatives[:, one.run, one.body] = -part * one.factor[1:, :, None]
     elif one.fault is not None:
         for run in range(shape[0]):
             fit = fits[run, one.body]
             rows = _row_changes(one, one.fault, fit.beams.lever_m)[:, mine]
-            made[:, run, one.body] = fit_derivatives(fit, rows[:, :, dof_indices(fit.beams.dof)], mine)
-    return made
+            derivatives[:, run, one.body] = fit_derivatives(fit, rows[:, :, dof_indices(fit.beams.dof)], mine)
+    return derivatives
 
 
 def _row_changes(one: Correction, fault: Fault, lever_m: float) -> Array:

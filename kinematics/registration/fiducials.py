@@ -94,9 +94,9 @@ def read_fiducials(path: Path) -> Fiducials:
 
 def _spread(table: Table, faults: list[Fault]) -> dict[str, Array]:
     """Return the columns of standard deviations that hold something, and add their faults."""
-    found = {name: table.numbers[name] for name in _SD if name in table.numbers}
-    found = {name: values for name, values in found.items() if not np.all(np.isnan(values))}
-    for name, values in found.items():
+    columns = {name: table.numbers[name] for name in _SD if name in table.numbers}
+    columns = {name: values for name, values in columns.items() if not np.all(np.isnan(values))}
+    for name, values in columns.items():
         faults += sd_faults(table, values, name)
         faults += [
             Fault(
@@ -108,13 +108,13 @@ def _spread(table: Table, faults: list[Fault]) -> dict[str, Array]:
             )
             for row in np.flatnonzero(np.isnan(values))
         ]
-    axes = [name for name in _SD_AXES if name in found]
-    if axes and (len(axes) < 3 or "sd_mm" in found):
-        got = ", ".join(name for name in (*axes, "sd_mm") if name in found)
+    axes = [name for name in _SD_AXES if name in columns]
+    if axes and (len(axes) < 3 or "sd_mm" in columns):
+        got = ", ".join(name for name in (*axes, "sd_mm") if name in columns)
         step = "Give one sd_mm, or one column for each axis"
         faults.append(Fault("the sd of the fiducials", "sd_mm, or all three of " + ", ".join(_SD_AXES),
                                got, table.file, step))  # fmt: skip
-    return found
+    return columns
 
 
 def _words(table: Table, faults: list[Fault]) -> tuple[tuple[str, ...], tuple[str, ...]]:

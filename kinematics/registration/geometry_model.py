@@ -187,11 +187,11 @@ class GeometryModel:
         body = self.body(number, values)
         arms, directions = body.positions_mm * 1e-3, body.directions
         every = np.arange(len(body.points))
-        made: list[Change] = []
+        changes: list[Change] = []
 
         def turned(parameter: int, channels: Index, axis: Array) -> None:
             step = np.cross(axis, directions[channels])
-            made.append(Change(parameter, channels, point_rows(arms[channels], step)))
+            changes.append(Change(parameter, channels, point_rows(arms[channels], step)))
 
         whole = np.eye(3)
         place = self._places.get(("axes", 0, ""))
@@ -208,11 +208,11 @@ class GeometryModel:
             place = self._places.get(("gain", laser, ""))
             if place is not None and len(channels):
                 rows = point_rows(arms[channels], directions[channels]) / (1.0 + values[place])
-                made.append(Change(place, channels, rows))
+                changes.append(Change(place, channels, rows))
         for (kind, owner, point), place in self._places.items():
             if kind == "position" and owner == number:
                 channels = np.array([c for c, name in enumerate(body.points) if name == point])
                 for axis in range(3):
                     rows = shifted_point_rows(directions[channels], np.eye(3)[axis])
-                    made.append(Change(place + axis, channels, rows))
-        return made
+                    changes.append(Change(place + axis, channels, rows))
+        return changes

@@ -115,12 +115,12 @@ def check_axes(
 
 def _changes() -> dict[str, Array]:
     """Return what may have happened to the positions: an axis turned round, or two axes exchanged."""
-    made = {axis: np.diag(signs) for axis, signs in MIRRORS.items()}
+    changes = {axis: np.diag(signs) for axis, signs in MIRRORS.items()}
     for one, two in combinations(range(3), 2):
         order = [0, 1, 2]
         order[one], order[two] = two, one
-        made[f"{'xyz'[one]} and {'xyz'[two]}"] = np.eye(3)[order]
-    return made
+        changes[f"{'xyz'[one]} and {'xyz'[two]}"] = np.eye(3)[order]
+    return changes
 
 
 def _words(change: str) -> str:

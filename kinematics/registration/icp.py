@@ -120,8 +120,8 @@ def fit_to_surface(
         refined(cloud, surface, start, None)
         for start in candidates(cloud.points_mm, surface, towards, 0.02 * surface.diagonal_mm)[:8]
     ]
-    for found in sorted(fits, key=lambda one: one.energy)[:2]:
-        fits += [refined(cloud, surface, start, None) for start in _half_turned(found.pose, surface)]
+    for best in sorted(fits, key=lambda one: one.energy)[:2]:
+        fits += [refined(cloud, surface, start, None) for start in _half_turned(best.pose, surface)]
     fits = _facing(fits, towards)
     chosen, notices = _chosen(fits, cloud, witnesses, surface)
     fit = _finished(chosen, cloud, surface, None, axes, source, notices)
@@ -134,11 +134,11 @@ def _half_turned(pose: Candidate, surface: TriangleSurface) -> list[Candidate]:
     samples, _ = surface.samples(_SAMPLES)
     centre = samples.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((samples - centre).T))
-    made = []
+    turned = []
     for axis in axes.T:
         turn = 2.0 * np.outer(axis, axis) - np.eye(3)
-        made.append(Candidate(turn @ pose.rotation, turn @ (pose.shift - centre) + centre, pose.miss_mm))
-    return made
+        turned.append(Candidate(turn @ pose.rotation, turn @ (pose.shift - centre) + centre, pose.miss_mm))
+    return turned
 
 
 def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:

@@ -102,12 +102,12 @@ def candidates(
         order = np.argsort(miss)[:keep]
         rotation, shift, miss = rotation[order], shift[order], miss[order]
     shift = shift - rotation @ middle
-    found: list[Candidate] = []
+    kept: list[Candidate] = []
     for r, t, value in zip(rotation, shift, miss, strict=True):
         new = Candidate(r, t, float(value))
-        if all(separation(new, old, points_mm) > apart_mm for old in found):
-            found.append(new)
-    return found
+        if all(separation(new, old, points_mm) > apart_mm for old in kept):
+            kept.append(new)
+    return kept
 
 
 def separation(one: Candidate, other: Candidate, points_mm: Array) -> float:

@@ -309,12 +309,12 @@ def _slopes(
     places: dict[tuple[int, str], int], prior: list[float], size: int,
 ) -> list[tuple[int, int, Array]]:  # fmt: skip
     """Return what each parameter does to the weighted readings; new positions are listed."""
-    found: list[tuple[int, int, Array]] = []
+    slopes: list[tuple[int, int, Array]] = []
     mine = lasers[used]
     for place, kind in enumerate(kinds):
         for laser in np.unique(mine).tolist():
             rows = np.where((mine == laser)[:, None], by_channel[:, None] * basis, 0.0)
-            found.append((place * count + laser, KINDS.index(kind), rows))
+            slopes.append((place * count + laser, KINDS.index(kind), rows))
     channels = np.flatnonzero(used)
     for point in dict.fromkeys(body.points[channel] for channel in channels):
         own = np.array([body.points[channel] == point for channel in channels])
@@ -328,8 +328,8 @@ def _slopes(
             rows = np.zeros_like(basis)
             moved = shifted_point_rows(body.directions[channels[own]], np.eye(3)[axis])
             rows[own] = by_channel[own, None] * (moved[:, dof] @ to_dof)
-            found.append((places[number, point] + axis, 0, rows))
-    return found
+            slopes.append((places[number, point] + axis, 0, rows))
+    return slopes
 
 
 def _information(block: _Block, size: int) -> tuple[Array, Array]:

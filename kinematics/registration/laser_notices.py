@@ -23,7 +23,7 @@ def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tu
 
     A gain, phase or delay that all channels of a laser share does not count: it is estimated for the laser.
     """
-    found: dict[tuple[int, int], list[int]] = {}
+    at_fault: dict[tuple[int, int], list[int]] = {}
     for key, diagnosis in diagnoses.items():
         channels: set[int] = set()
         for finding in diagnosis.findings:
@@ -33,8 +33,8 @@ def channels_at_fault(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tu
                 break
             channels.update(finding.channels)
         else:
-            found[key] = sorted(channels)
-    return found
+            at_fault[key] = sorted(channels)
+    return at_fault
 
 
 def laser_notices(lasers: LaserErrors) -> list[Notice]:

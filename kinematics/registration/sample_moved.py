@@ -79,37 +79,37 @@ def check_surfaces(
 
 def clouds(measurement: Measurement, bone: Cloud | None = None) -> list[Cloud]:
     """Return the points of every body, once each, with their stated sd."""
-    made = [] if bone is None else [bone]
+    clouds = [] if bone is None else [bone]
     for body in measurement.bodies:
         first = [body.points.index(name) for name in dict.fromkeys(body.points)]
         sd = body.position_sd_mm[first]
         known = bool(np.all(np.isfinite(sd) & (sd > 0.0)))
         names = tuple(body.points[place] for place in first)
-        made.append(Cloud(names, body.positions_mm[first], sd if known else None, body.body))
-    return made
+        clouds.append(Cloud(names, body.positions_mm[first], sd if known else None, body.body))
+    return clouds
 
 
 def paired(
     measurement: Measurement, bone: Cloud | None, to_scan: RigidTransform, surfaces: ScanSurfaces
 ) -> list[tuple[Cloud, TriangleSurface]]:
     """Return the clouds of at least 3 points with the surface that each must lie on, where there is one."""
-    made = []
+    pairs = []
     for cloud in clouds(measurement, bone):
         surface = _surface_of(cloud, to_scan.points(cloud.points_mm), surfaces)
         if surface is not None and len(cloud.points_mm) >= LEAST:
-            made.append((cloud, surface))
-    return made
+            pairs.append((cloud, surface))
+    return pairs
 
 
 def _surface_of(cloud: Cloud, placed: Array, surfaces: ScanSurfaces) -> TriangleSurface | None:
     if cloud.kind in ("stapes", "plate"):
         return surfaces.mesh(cloud.kind)
     near = [surfaces.bone_near(placed), surfaces.mesh("plate") if cloud.kind != "bone" else None]
-    found = [
+    distances = [
         (float(np.median(surface.closest(placed)[1])), surface) for surface in near if surface is not None
     ]
-    found = [(away, surface) for away, surface in found if away < _MOST_DISTANCE_MM]
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    distances = [(away, surface) for away, surface in distances if away < _MOST_DISTANCE_MM]
+    return min(distances, key=lambda pair: pair[0])[1] if distances else None
 
 
 def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface]]) -> None:

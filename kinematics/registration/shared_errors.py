@@ -124,20 +124,20 @@ def _derivatives_of_all(
     value, motion = given.view(float), np.ascontiguousarray(z).view(float)
     for part in blocks(*fit.value.shape):
         lines = slice(2 * part.start, 2 * part.stop)
-        found = forward @ value[:, lines] - back @ motion[:, lines]
-        out[:, part] = found.view(complex).reshape(count, size, -1).transpose(0, 2, 1)
+        change = forward @ value[:, lines] - back @ motion[:, lines]
+        out[:, part] = change.view(complex).reshape(count, size, -1).transpose(0, 2, 1)
     out[:, ~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
 
 
 def position_parameters(bodies: Sequence[BodyChannels]) -> list[tuple[int, str, float]]:
     """Return (body, point, sd in m) for every point with a stated position error."""
-    found: dict[tuple[int, str], float] = {}
+    spreads: dict[tuple[int, str], float] = {}
     for number, body in enumerate(bodies):
         for point, sd in zip(body.points, body.position_sd_mm, strict=True):
             if np.isfinite(sd) and sd > 0.0:
-                found[(number, point)] = float(sd) * 1e-3
-    return [(number, point, sd) for (number, point), sd in found.items()]
+                spreads[(number, point)] = float(sd) * 1e-3
+    return [(number, point, sd) for (number, point), sd in spreads.items()]
 
 
 @dataclass(frozen=True)
@@ -181,28 +181,28 @@ def position_errors(fits: Mapping[tuple[int, int], LineFit], bodies: Sequence[Bo
         derivatives = np.zeros((len(names), *shape), dtype=complex)
         for place, (owner, point, _) in enumerate(parameters):
             for run in range(runs):
-                found = position_derivatives(fits[run, owner], bodies[owner], point)
-                derivatives[3 * place : 3 * place + 3, run, owner] = found
+                of_point = position_derivatives(fits[run, owner], bodies[owner], point)
+                derivatives[3 * place : 3 * place + 3, run, owner] = of_point
         return Positions(tuple(names), np.repeat([sd**2 for _, _, sd in parameters], 3), derivatives)
-    made: list[tuple[str, int, Array]] = []
+    shared: list[tuple[str, int, Array]] = []
     for owner, body in enumerate(bodies):
         own = {point: sd for number, point, sd in parameters if number == owner}
         if own:
             shifts = position_patterns([fits[run, owner] for run in range(runs)], body, own)
-            made += [
+            shared += [
                 (f"position.{body.body}.pattern_{k + 1}", owner, shift) for k, shift in enumerate(shifts)
             ]
-    derivatives = np.zeros((len(made), *shape), dtype=complex)
+    derivatives = np.zeros((len(shared), *shape), dtype=complex)
     for owner, body in enumerate(bodies):
-        mine = [place for place, (_, number, _) in enumerate(made) if number == owner]
+        mine = [place for place, (_, number, _) in enumerate(shared) if number == owner]
         if mine:
-            changes = np.stack([shifted_point_rows(body.directions, made[place][2]) for place in mine])
+            changes = np.stack([shifted_point_rows(body.directions, shared[place][2]) for place in mine])
             for run in range(runs):
                 fit = fits[run, owner]
                 derivatives[mine, run, owner] = fit_derivatives(
                     fit, changes[:, :, dof_indices(fit.beams.dof)]
                 )
-    return Positions(tuple(name for name, _, _ in made), np.ones(len(made)), derivatives)
+    return Positions(tuple(name for name, _, _ in shared), np.ones(len(shared)), derivatives)
 
 
 def position_patterns(fits: Sequence[LineFit], body: BodyChannels, sd_m: Mapping[str, float]) -> list[Array]:
@@ -246,14 +246,14 @@ def _sampled(
     residual, _sd, weights = fit.at(pick)
     changes = np.stack([shifted_point_rows(body.directions, axis)[:, places] for axis in np.eye(3)])
     q = fit.q[pick].T
-    made = np.zeros((3, points, len(places), len(pick)), dtype=complex)
+    summed = np.zeros((3, points, len(places), len(pick)), dtype=complex)
     chosen = owner >= 0
     for axis in range(3):
         in_basis = changes[axis] @ beams.to_dof
         each = in_basis[:, :, None] * (weights * residual)[:, None]
         each -= beams.basis[:, :, None] * (weights * (changes[axis] @ q))[:, None]
-        np.add.at(made[axis], owner[chosen], each[chosen])
+        np.add.at(summed[axis], owner[chosen], each[chosen])
     inverse = fit.solution.inverse[:, pick]
-    solved = symmetric_batches.times(inverse, made.transpose(2, 0, 1, 3))
+    solved = symmetric_batches.times(inverse, summed.transpose(2, 0, 1, 3))
     out = np.tensordot(beams.to_dof, solved, axes=1)
     return np.asarray(out.transpose(2, 1, 0, 3).reshape(3 * points, len(places), len(pick)))

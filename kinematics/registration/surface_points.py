@@ -37,21 +37,21 @@ def read_surface_points(path: Path, kind: str) -> Cloud:
 
     table = read_table(path, choose)
     rows = _rows(table, kind)
-    found = [*table.faults, *finite_faults(table, _PLACE)]
-    names = _names(table, rows, found)
+    faults = [*table.faults, *finite_faults(table, _PLACE)]
+    names = _names(table, rows, faults)
     sd = table.numbers.get("sd_mm")
     if sd is not None:
-        found += sd_faults(table, sd)
+        faults += sd_faults(table, sd)
         sd = None if np.all(np.isnan(sd[rows])) else sd[rows]
     if sd is not None:
         step = "Fill it in, or leave the column out"
-        found += [
+        faults += [
             Fault(
                 "sd_mm", "stated for all points or for none", "an empty cell", table.where(int(rows[k])), step
             )
             for k in np.flatnonzero(np.isnan(sd))
         ]
-    raise_all(KinematicsError, found)
+    raise_all(KinematicsError, faults)
     places = np.column_stack([table.numbers[name][rows] for name in _PLACE])
     return Cloud(names, places, sd, kind)
 

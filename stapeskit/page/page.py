@@ -99,7 +99,7 @@ class Page:
         from markupsafe import Markup
 
         listed = [(section.key or f"s{place + 1}", section) for place, section in enumerate(self.sections)]
-        grouped = [(name, list(found)) for name, found in groupby(listed, lambda pair: pair[1].group)]
+        grouped = [(name, list(entries)) for name, entries in groupby(listed, lambda pair: pair[1].group)]
         return str(
             _render(
                 _part("page.html"),
