@@ -93,7 +93,9 @@ class LogTable:
             There is none, or more than one, of that name.
         """
         names = (*self.predictors, *self.responses)
-        close = [one for one in names if one == name] or [one for one in names if one.startswith(f"{name}_")]
+        close = [known for known in names if known == name] or [
+            known for known in names if known.startswith(f"{name}_")
+        ]
         if len(close) != 1:
             raise KeyError(name)
         return close[0]
