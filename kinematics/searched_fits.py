@@ -104,14 +104,16 @@ def searched_fits(
         if too_large(body, known[key]):
             notices.append(_unsearched(body))
         diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
-    # Rows under a wrong label are single values far off, too: the narrower cause is looked for first.
+    # Rows under a wrong label are single values far off, too: the narrower cause is looked for first, and
+    # believed unless a body that bends remains.
     exchanged = told_across(placed, searched, diagnoses, known)
     for key in keys:
-        if key not in exchanged:
+        other = None
+        if key not in exchanged or exchanged[key].bends:
             body = screens[key[1]].body
             other = explained(placed, key[0], body, searched[key], known[key], diagnoses[key])
-            diagnoses[key] = other[0] if other else diagnoses[key]
-    return SearchedFits(placed, tuple(screens), fits, known, diagnoses | exchanged, notices)
+        diagnoses[key] = other[0] if other else exchanged.get(key, diagnoses[key])
+    return SearchedFits(placed, tuple(screens), fits, known, diagnoses, notices)
 
 
 def _unsearched(body: BodyChannels) -> Notice:

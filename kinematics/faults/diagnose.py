@@ -84,6 +84,11 @@ class Diagnosis:
     kept: float = 1.0
 
     @property
+    def bends(self) -> bool:
+        """Whether the body moves by more than rigid motions and noise, and nothing else explains it."""
+        return any(finding.kind == "flexible" for finding in self.findings)
+
+    @property
     def level_matters(self) -> bool:
         """Whether the level is known well enough to differ from 1."""
         return float(np.sum(self.lines)) * (self.level - 1.0) ** 2 > 16.0

@@ -17,7 +17,10 @@ _MOST_LINES, _MOST_VALUES = 2048, 400_000
 # Lines a motion, from which on the course of the noise is not absorbed by the motions.
 _DRIFTING = 8
 _LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
-_FREQUENT_SHARE = 0.6  # of lines in frequent patterns of missing channels: one projection a pattern pays
+# Rounds of factors and motions where values are missing, with so many lines a motion.
+_TURNS, _FREE = 3, 3
+# Share of the trace, or size, that keeps channels and lines solvable that do not determine their factors.
+_RIDGE, _LEAST = 1e-12, 1e-100
 _LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
 # Rounds of clipping and of reweighting; they end earlier once the course changes by less than 2 %.
 _ROUNDS = 5
@@ -49,78 +52,105 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
         return None
     most = int(np.clip(_MOST_VALUES // max(len(fit.value), 1), 8 * len(fit.solution.z), _MOST_LINES))
     lines = good[np.unique(np.linspace(0, len(good) - 1, min(most, len(good))).round().astype(int))]
+    white, z, own, whole = _whitened(fit, lines)
+    number = fit.n_dof[lines] / 2.0
+    drifting = np.mean(white != 0.0) * len(lines) >= _DRIFTING * len(z)
+    turn = np.linspace(-1.0, 1.0, len(lines)) if drifting else None
+    logs = np.log(freq_hz)
+    place = 2.0 * (logs - logs[0]) / max(float(logs[-1] - logs[0]), 1e-9) - 1.0
+    base = np.polynomial.legendre.legvander(place, 2)
+    course, sure = np.zeros(len(freq_hz)), False
+    if not np.max(whole) > 0.0:
+        return None
+    loud = 0.5 * np.log(np.maximum(whole, 1e-12 * np.max(whole)) / np.mean(whole))
+    for _ in range(_PASSES):
+        flat = np.exp(-course[lines] - loud)
+        energy, taken, z = _unexplained(white * flat, z * flat, own, turn)
+        z = z / flat
+        left = 1.0 - (1.0 - len(z) / len(white)) * taken / number
+        some = (left > _LEAST_RESIDUAL_SHARE) & (energy > 0.0)
+        if np.sum(some) < _LEAST_LINES // 2:
+            return None
+        energy = energy[some] / left[some] / flat[some] ** 2
+        before = course
+        course, loud[some], sure = _parabola(base, lines[some], energy, number[some], left[some])
+        if float(np.max(np.abs(course - before))) < _SETTLED:
+            break
+    return np.asarray(np.exp(course)) if sure else None
+
+
+def _whitened(fit: LineFit, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array, Array]:
+    """Return readings over stated noise, and the motion, share of noise and energy that a fit leaves.
+
+    Readings (channel, line) are zero where missing; the motion (m, line) is in their unit; the share of its
+    noise that each residual holds is (channel, line), the energy of the residuals (line,).
+    """
     residual, sd, _ = fit.at(lines)
     used = np.isfinite(sd)
     factor = np.ones(len(lines)) if fit.noise.factor is None else fit.noise.factor[lines]
     with np.errstate(divide="ignore"):
         weight = np.where(used, factor / sd, 0.0)
     line = np.sqrt(np.sum(weight**2, axis=0) / np.maximum(np.sum(used, axis=0), 1))
-    white, z = residual * weight, fit.solution.z[:, lines] * line
-    if len(lines) >= _DRIFTING * len(z):
-        z = np.vstack([z, z * np.linspace(-1.0, 1.0, len(lines))])
-    logs = np.log(freq_hz)
-    place = 2.0 * (logs - logs[0]) / max(float(logs[-1] - logs[0]), 1e-9) - 1.0
-    base = np.polynomial.legendre.legvander(place, 2)
-    course, sure = np.zeros(len(freq_hz)), False
-    whole = np.sum(np.abs(white) ** 2, axis=0)
-    if not np.max(whole) > 0.0:
-        return None
-    loud = 0.5 * np.log(np.maximum(whole, 1e-12 * np.max(whole)) / np.mean(whole))
-    for _ in range(_PASSES):
-        flat = np.exp(-course[lines] - loud)
-        energy, left = _unexplained(white * flat, z * flat, used)
-        some = (left > _LEAST_RESIDUAL_SHARE) & (energy > 0.0)
-        if np.sum(some) < _LEAST_LINES // 2:
-            return None
-        half = fit.n_dof[lines][some] / 2.0
-        energy = energy[some] / left[some] / flat[some] ** 2
-        before = course
-        course, loud[some], sure = _parabola(base, lines[some], energy, half, left[some])
-        if float(np.max(np.abs(course - before))) < _SETTLED:
-            break
-    return np.asarray(np.exp(course)) if sure else None
+    white = np.where(used, fit.value[:, lines], 0.0) * weight
+    # All lines of complete data leave the same share.
+    own = used.astype(float) if np.all(used) else np.where(used, 1.0 - fit.leverage(lines), 0.0)
+    return white, fit.solution.z[:, lines] * line, own, np.sum(np.abs(residual * weight) ** 2, axis=0)
 
 
-def _unexplained(white: ComplexArray, motion: ComplexArray, used: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the energy (line,) that no factors of the motion explain, and the share of noise in it.
+def _unexplained(
+    white: ComplexArray, motion: ComplexArray, own: Array, turn: Array | None
+) -> tuple[Array, Array, ComplexArray]:
+    """Return the energy (line,) that no factors of the motion explain, and the variance that they take.
+
+    The third value is the motion without what faults of lines with gaps do to it.
 
     Parameters
     ----------
     white : ndarray, (channel, line), complex
-        Residuals over their noise; zero where missing.
-    motion : ndarray, (k, line), complex
-    used : ndarray, (channel, line)
+        Readings over their noise; zero where missing.
+    motion : ndarray, (m, line), complex
+    own : ndarray, (channel, line)
+        Share of the noise that a rigid fit leaves; zero where missing.
+    turn : ndarray, (line,), or None
+        Place of the lines from -1 to 1; None for factors that are the same at all lines.
 
     Notes
     -----
-    Where channels are missing a fault leaves other factors of the motion in the residuals of the others.
-    Lines that lack the same channels are taken together.
+    Readings with constant faults have the rank of the motion. What a fault does to the motion fitted to it
+    differs between lines that lack different channels: factors of the channels and motions of the lines are
+    found in turn, each by least squares (Gabriel and Zamir 1979, doi:10.1080/00401706.1979.10489819).
     """
-    if np.all(used):
-        return _projected(white, motion)
-    of = np.unique(used, axis=1, return_inverse=True)[1].ravel()
-    many = np.flatnonzero(np.bincount(of) >= 2 * len(motion))
-    if np.mean(np.isin(of, many)) > _FREQUENT_SHARE:
-        energy, left = np.zeros(len(of)), np.zeros(len(of))
-        for pattern in many:
-            own = of == pattern
-            energy[own], left[own] = _projected(white[:, own], motion[:, own])
-        return energy, left
-    vectors = np.linalg.svd(motion, full_matrices=False)[2]
-    gram = np.einsum("cl,kl,jl->ckj", used, vectors.conj(), vectors, optimize=True)
-    inverse = np.linalg.pinv(gram, rcond=1e-6, hermitian=True)
-    factors = np.einsum("ck,ckj->cj", white @ vectors.conj().T, inverse)
-    rest = np.where(used, white - factors @ vectors, 0.0)
-    taken = np.einsum("kl,ckj,jl->cl", vectors, inverse, vectors.conj(), optimize=True).real
-    number = np.maximum(np.sum(used, axis=0), 1)
-    return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(np.where(used, taken, 0.0), axis=0) / number
+    used = white != 0.0
+    complete = bool(np.all(used))
+    free = np.mean(used) * white.shape[1] >= _FREE * len(motion)
+    for _ in range(_TURNS if free and not complete else 0):
+        factors = _solved(_gram(motion, used), white, motion)
+        rest = np.where(used, white - factors @ motion, 0.0)
+        motion = motion + _solved(_gram(factors.T, used.T), rest.T, factors.T).T
+    rows = motion if turn is None else np.vstack([motion, motion * turn])
+    if complete:
+        vectors = np.linalg.svd(rows, full_matrices=False)[2]
+        rest = white - (white @ vectors.conj().T) @ vectors
+        return np.sum(np.abs(rest) ** 2, axis=0), len(white) * np.sum(np.abs(vectors) ** 2, axis=0), motion
+    gram = _gram(rows, used)
+    rest = np.where(used, white - _solved(gram, white, rows) @ rows, 0.0)
+    inverse = np.linalg.inv(gram).reshape(len(white), -1)
+    taken = np.real(inverse @ (rows[:, None] * rows.conj()[None]).reshape(inverse.shape[1], -1))
+    return np.sum(np.abs(rest) ** 2, axis=0), np.sum(own * taken, axis=0), motion
 
 
-def _projected(white: ComplexArray, motion: ComplexArray) -> tuple[Array, Array]:
-    """Return what ``_unexplained`` does where no value, or all of a channel, is missing."""
-    vectors = np.linalg.svd(motion, full_matrices=False)[2]
-    rest = white - (white @ vectors.conj().T) @ vectors
-    return np.sum(np.abs(rest) ** 2, axis=0), 1.0 - np.sum(np.abs(vectors) ** 2, axis=0)
+def _gram(rows: ComplexArray, used: NDArray[np.bool_]) -> ComplexArray:
+    """Return the Gram matrices (n, k, k) of rows (k, line) at the lines that each of n owners has."""
+    size = len(rows)
+    products = (rows.conj()[:, None] * rows[None]).reshape(size * size, -1)
+    gram = (products @ used.T.astype(float)).T.reshape(-1, size, size)
+    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
+    return np.asarray(gram + np.maximum(ridge, _LEAST)[:, None, None] * np.eye(size))
+
+
+def _solved(gram: ComplexArray, value: ComplexArray, rows: ComplexArray) -> ComplexArray:
+    """Return the factors (n, k) of rows (k, line) that are nearest to values (n, line)."""
+    return np.asarray(np.linalg.solve(gram, (value @ rows.conj().T)[:, :, None])[:, :, 0])
 
 
 def _parabola(

@@ -156,11 +156,11 @@ class LineFit:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.where(out.freedom > 1e-9, out.scaled / out.freedom, np.nan))
 
-    def leverage(self) -> Array:
-        """Return the diagonal of the weighted hat matrix, (channel, freq)."""
+    def leverage(self, lines: Lines = _WHOLE) -> Array:
+        """Return the diagonal of the weighted hat matrix, (channel, n), at some lines."""
         basis, inverse = self.beams.basis, self.solution.inverse
         rows = symmetric_batches.products(basis) * symmetric_batches.doubled(basis.shape[1])
-        return np.asarray(self.weights * (rows @ inverse))
+        return np.asarray(self.at(lines)[2] * (rows @ inverse[:, lines]))
 
     def is_rounding(self, share: float = 1e-8) -> bool:
         """Return whether the residuals are rounding errors only, so that they are no measure of noise."""

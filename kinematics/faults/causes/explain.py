@@ -55,7 +55,7 @@ def explained(
     can pass for faults of channels: they are tried whenever there are any, and believed when fewer faults
     remain without them. No fault is accepted next to scattered gains, which are such faults themselves.
     """
-    bends = any(finding.kind == "flexible" for finding in found.findings)
+    bends = found.bends
     if fit.is_rounding() or (known and not found.findings):
         return None
     if not found.findings and np.any(found.offsets_m):
@@ -69,7 +69,7 @@ def explained(
         for made in cause(suspect):
             again, stated, _notices = with_noise(placed, run, made.remedied, fit.beams, "none")
             left = diagnosed(placed, made.remedied, again, stated)
-            if any(finding.kind == "flexible" for finding in left.findings):
+            if left.bends:
                 continue
             if bends and len(left.findings) > _NEXT_TO_IT:
                 continue

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.fit.line_noise import LineNoise
+from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from stapeskit.vocabulary import named
 
@@ -22,9 +23,8 @@ _LEAST = 3
 _SURELY, _NUMBER = 1e-5, 1e-4
 # Outliers are single: so many at most have another one at a neighbouring line of their channel.
 _WITH_NEIGHBOUR = 0.5
-# Chance of outliers so unevenly spread over the lines below which they are not sparse: 1 of 100 sparse sets
-# is then left to the other tests. Chosen by judgement.
-_UNEVEN = 0.01
+# Rounds in which outliers and the course of the noise without them are found.
+_ROUNDS = 4
 # Values that are looked at to see whether there may be any.
 _SAMPLE = 200_000
 # Share of its noise that a residual holds at least, and what keeps lines solvable that do not determine
@@ -43,13 +43,11 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
     outliers hardly move.
     """
     fit = suspect.robust
-    far, size = _far(fit, suspect.course)
+    far, size = _far(suspect)
     used = np.isfinite(size)
     number, most = int(np.sum(far)), max(int(np.sum(used)), 1)
     lines = np.any(far, axis=0)
     if number < _LEAST or number > _OF_ALL * most or _in_runs(far):
-        return
-    if suspect.course is not None and _in_one_place(lines):
         return
     if float(np.sum(far)) > _OF_LINE * float(np.sum(used[:, lines])):
         return
@@ -94,22 +92,22 @@ def _in_runs(far: NDArray[np.bool_]) -> bool:
     return float(np.sum(far & beside)) > _WITH_NEIGHBOUR * float(np.sum(far))
 
 
-def _in_one_place(lines: NDArray[np.bool_]) -> bool:
-    """Return whether the lines with outliers are not spread over the measurement (Kolmogorov and Smirnov).
+def _far(suspect: Suspect) -> tuple[NDArray[np.bool_], Array]:
+    """Return which values (channel, freq) are outliers, and the squares of all residuals over noise.
 
-    Noise that is not stated, and estimated too small over a part of the band, looks like outliers there.
+    The course of noise that is not stated is found without the outliers, and these by its course.
     """
-    from scipy.stats import kstest
-
-    place = (np.flatnonzero(lines) + 0.5) / len(lines)
-    return float(kstest(place, "uniform").pvalue) < _UNEVEN
-
-
-def _far(fit: LineFit, course: Array | None) -> tuple[NDArray[np.bool_], Array]:
-    """Return which values (channel, freq) are outliers, and the squares of all residuals over noise."""
-    size = _sizes(fit, np.arange(fit.value.shape[1]), course)
-    with np.errstate(invalid="ignore"):
-        return size > -np.log(_CHANCE), size
+    fit, every = suspect.robust, np.arange(suspect.value.shape[1])
+    course: Array | None = None
+    far = np.zeros(suspect.value.shape, dtype=bool)
+    for _ in range(1 if suspect.known else _ROUNDS):
+        size = _sizes(fit, every, course)
+        with np.errstate(invalid="ignore"):
+            before, far = far, size > -np.log(_CHANCE)
+        if suspect.known or np.array_equal(far, before):
+            break
+        course = noise_course(suspect.without(far), suspect.freq_hz)
+    return far, size
 
 
 def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None) -> Array:

@@ -70,6 +70,11 @@ class Suspect:
         """The fit of all observed degrees of freedom that single outliers hardly move."""
         return self._fit("huber")
 
+    def without(self, some: NDArray[np.bool_]) -> LineFit:
+        """Return the least-squares fit without some values (channel, freq)."""
+        body = self.with_value(np.where(some, np.nan, self.value))
+        return with_noise(self.placed, self.run, body, self.whole_beams, "none")[0]
+
     def _fit(self, robust: str) -> LineFit:
         return with_noise(self.placed, self.run, self.body, self.whole_beams, robust)[0]
 

@@ -67,8 +67,8 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     stated = {document.get("amplitude", "")} if document else set()
     for beam in beams:
         with collecting(faults):
-            recording, amplitude = _recording(sheet, beam, freq, document, path.stem)
-            recordings.append(recording)
+            one, amplitude = _recording(sheet, beam, freq, document, path.stem)
+            recordings.append(one)
             stated.add(document.get("amplitude", "") or amplitude)
     raise_all(KinematicsError, list(dict.fromkeys(faults)))
     notices: tuple[Notice, ...] = ()

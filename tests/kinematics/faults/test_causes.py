@@ -34,6 +34,11 @@ def dropouts(made, value, rng):
     value[some] *= rng.uniform(0.0, 0.7, some.sum())
 
 
+def multiples(made, value, rng):
+    """Make 3 % of the values three times what they should be."""
+    value[rng.random(value.shape) < 0.03] *= 3.0
+
+
 def hum(made, value, rng):
     """Add another pattern at every odd multiple of 50 Hz, on a grid of 12.5 Hz."""
     near = np.abs(made.freq_hz % 100.0 - 50.0) < 1.0
@@ -60,7 +65,7 @@ def conjugate(made, value, rng):
 
 
 SPOILED = {
-    "sparse_outliers": (spikes, dropouts),
+    "sparse_outliers": (spikes, dropouts, multiples),
     "mains_lines": (hum,),
     "gains_scattered": (gains,),
     "drift_between_points": (drying,),

@@ -44,14 +44,16 @@ def test_noise_without_a_course_has_none() -> None:
 
 
 @pytest.mark.parametrize("power", [0.0, -1.0, 1.0])
-@pytest.mark.parametrize("size", [-2.0, 0.3])
-def test_a_fault_however_large_is_no_course_of_the_noise(power: float, size: float) -> None:
+@pytest.mark.parametrize("size", [-2.0, 0.0, 0.3])
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+def test_a_fault_however_large_is_no_course_of_the_noise(power: float, size: float, missing: float) -> None:
     rng = np.random.default_rng(3)
     places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(np.eye(3), (9, 1))
     value = readings(places, beams, smooth_motion(rng, FREQ))
     value[[7, 8, 20]] *= 1.0 + size * np.array([[1.0], [1j], [0.5]])
     sd = 0.002 * np.std(value) * (FREQ / 500.0) ** power
     value = value + sd * rng.normal(size=(27, 2 * len(FREQ))).view(complex)
+    value[rng.random(value.shape) < missing] = np.nan
     course = noise_course(fit_lines(beam_set("s", places, beams, DOF_NAMES), value, np.array(1e-10)), FREQ)
     found = np.ones(len(FREQ)) if course is None else course
     assert np.std(np.log(found * FREQ**-power)) < 0.15
