@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded: times are of one thread
 
 import sys
 import time

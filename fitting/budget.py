@@ -186,7 +186,7 @@ def derived_quantities(problem: Problem, stiffness: Array, damping: Array, budge
         moved = [point.copy(), point.copy()]
         moved[0][place] += step
         moved[1][place] -= step
-        ahead, behind = (_quantities(one, problem) for one in moved)
+        ahead, behind = (_quantities(there, problem) for there in moved)
         if ahead.count == behind.count == base.count and ahead.with_axes == behind.with_axes:
             slopes.append((ahead.values - behind.values) / (2.0 * step))
         else:

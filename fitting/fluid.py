@@ -85,7 +85,7 @@ def choose_fluid(
     if FLUID not in candidates or options.fluid == "none":
         reason = "left out as asked for" if options.fluid == "none" else "the data do not call for it"
         return best, diagnosis, _unused(options, reason)
-    refit = next(one for one in diagnosis.refits if one.name == FLUID)
+    refit = next(tried for tried in diagnosis.refits if tried.name == FLUID)
     expected = options.cochlea == "closed"
     if refit.size < _SIGNIFICANT * refit.sd or not (candidates[0] == FLUID or expected):
         return best, diagnosis, _unused(options, f"{title_of(candidates[0])} explains the data better")

@@ -115,7 +115,7 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         )
     statistic, threshold, effect, entry = significance(problem, without)
     significant = statistic > threshold
-    levels = tuple(_chi2(one) for one in (without, problem))
+    levels = tuple(_chi2(candidate) for candidate in (without, problem))
     needed = _misfit(without, levels[0]) and levels[0] - levels[1] > threshold
     used = choice == LOAD or (choice == AUTO and (significant or needed))
     words = "significant" if significant else "not significant"

@@ -113,11 +113,11 @@ def _fitted(
     if options.causes and both is None:
         raise FittingError(_not_joint(options))
     plain, laws, choice, undetermined = _laws(problem, options, both)
-    best = min(laws, key=lambda one: (not one.law.physical, one.bic))
+    best = min(laws, key=lambda fit: (not fit.law.physical, fit.bic))
     diagnosis, fluid = None, None
     if best.ligament is not None and both is not None:
         before = best
-        start = next(one for one in plain if one.law.name == best.law.name)
+        start = next(fit for fit in plain if fit.law.name == best.law.name)
         best, diagnosis, fluid = choose_fluid(best, start, both, options)
         laws = tuple(best if law is before else law for law in laws)
     problem = best.problem
@@ -173,7 +173,7 @@ def _laws(
         if options.causes and not settled:
             raise FittingError(_without_result(options))
         for fit in fits:
-            if settled and fit.law.name not in {one.law.name for one in settled}:
+            if settled and fit.law.name not in {other.law.name for other in settled}:
                 undetermined[fit.law.name] = NOT_SETTLED
         if settled:
             return fits, comparable(settled), replace(choice, reason=WITH_LIGAMENT), undetermined
@@ -199,8 +199,8 @@ def _joint(fit: LawFit, both: Observation, options: KDOptions) -> LawFit | None:
         tried = []
     if options.fluid == "auto":
         tried.append(with_ligament(fit, both, (FLUID,)))
-    settled = comparable(one for one in tried if one.ligament is not None)
-    return min(settled, key=lambda one: one.bic) if settled else None
+    settled = comparable(joint for joint in tried if joint.ligament is not None)
+    return min(settled, key=lambda joint: joint.bic) if settled else None
 
 
 def _without_result(options: KDOptions) -> Fault:

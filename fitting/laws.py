@@ -148,7 +148,8 @@ def with_ligament(
         terms = [term_of(name, setting) for name in names]
         more = sizes or {}
         return tuple(
-            replace(one, starts=(*one.starts, more[one.name])) if one.name in more else one for one in terms
+            replace(term, starts=(*term.starts, more[term.name])) if term.name in more else term
+            for term in terms
         )
 
     ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, begun, held)

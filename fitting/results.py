@@ -116,9 +116,9 @@ class KDResult(Result, KDFit):
         if self.scatter is not None:
             page.sections.insert(-1, monte_carlo_section(self, self.scatter))
         page.write(Path(folder) / html)
-        more = [file_name(Path(name).stem, one) for one in export]
-        for one, file in zip(export, more, strict=True):
-            (Path(folder) / file).write_bytes(exported(self, one))
+        more = [file_name(Path(name).stem, kind) for kind in export]
+        for kind, file in zip(export, more, strict=True):
+            (Path(folder) / file).write_bytes(exported(self, kind))
         return [name, html, *more]
 
     def write(
@@ -128,7 +128,7 @@ class KDResult(Result, KDFit):
         from stapeskit.own_files import OutputSet
 
         html = Path(name).with_suffix(".html").name
-        more = tuple(file_name(Path(name).stem, one) for one in export)
+        more = tuple(file_name(Path(name).stem, kind) for kind in export)
         outputs = OutputSet("dof2kd", Path(folder), (name, html, *more), self.files, force)
         outputs.check()
         with outputs.staged() as stage:

@@ -134,7 +134,7 @@ def _outcome(result: MotionResult, files: list[Path]) -> Outcome:
                 for v in result.channels
                 if v.verdict != "ok"
             ],
-            "corrections": [one.as_json(result.measurement) for one in result.corrections],
+            "corrections": [correction.as_json(result.measurement) for correction in result.corrections],
             "warnings": [notice.as_json() for notice in result.notices],
             "files": [str(path) for path in files],
         },

@@ -361,7 +361,7 @@ class LdvOptions(_SeriesTable, _MeasurementOptions):
     @property
     def series_given(self) -> dict[str, Any]:
         """The options of time series that are given, by field."""
-        values = {one.field: getattr(self, one.field) for one in declared(_SeriesTable)}
+        values = {option.field: getattr(self, option.field) for option in declared(_SeriesTable)}
         return {name: value for name, value in values.items() if value is not None}
 
 

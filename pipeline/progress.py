@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, TextIO
+
+from stapeskit.run_log import note
 
 
 @dataclass
@@ -46,15 +48,15 @@ class Progress:
     def step(self, title: str) -> Iterator[Step]:
         """Show a step while its block runs, and its line when it has ended."""
         current = Step(title)
-        if self.quiet:
-            yield current
-            return
         stream = sys.stderr if self.stream is None else self.stream
-        with _alive(title, stream):
+        with nullcontext() if self.quiet else _alive(title, stream):
             yield current
-        note = f"  {current.note}" if current.note else ""
-        stream.write(f"{self.prefix}{title:<40} {current.seconds:7.1f} s{note}\n")
-        stream.flush()
+        told = f"  {current.note}" if current.note else ""
+        line = f"{self.prefix}{title:<40} {current.seconds:7.1f} s{told}\n"
+        note(line)
+        if not self.quiet:
+            stream.write(line)
+            stream.flush()
 
 
 @contextmanager

@@ -145,7 +145,10 @@ def _unknown(key: str, name: str) -> Fault:
     """Return the fault of an unknown table, with the nearest, or with the table that has such a key."""
     known = [f"[{table}]" for table in TABLES]
     homes = [
-        f"{key} in [{one.table}]" for kind in TABLES.values() for one in declared(kind) if one.key == key
+        f"{key} in [{option.table}]"
+        for kind in TABLES.values()
+        for option in declared(kind)
+        if option.key == key
     ]
     near = homes or difflib.get_close_matches(f"[{key}]", known, 1)
     hint = f"Did you mean {near[0]}?" if near else ""

@@ -28,8 +28,11 @@ its three steps:
   points2dof    vibrometer readings to rigid-body motion
   dof2kd        motion and mass matrix to stiffness and damping
 
-to begin:
+to begin, and to publish:
   sample DIR    copy a complete simulated study into DIR
+  figures PAGE DIR
+                write the figures of a page as SVG or PNG, its tables as CSV
+                and LaTeX into DIR
   completion    print the completion for bash, zsh or fish
 
 Each of the four is also a separate command: stapeskit scan2kd is scan2kd.
@@ -46,7 +49,7 @@ COMMANDS = {
     "dof2kd": "fitting.cli",
     "scan2kd": "pipeline.cli",
 }
-_OWN = ("sample", "completion")
+_OWN = ("sample", "figures", "completion")
 
 
 def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
@@ -71,6 +74,9 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
         return done
     if word == "sample":
         _sample(rest)
+        return None
+    if word == "figures":
+        _figures(rest)
         return None
     if word == "completion":
         _completion(rest)
@@ -115,6 +121,23 @@ def _sample(words: Sequence[str]) -> None:
         f"{len(files)} files of a simulated ear written into {target}. Run it with:\n"
         f"  scan2kd {target / 'study.toml'} --out results\n"
     )
+
+
+def _figures(words: Sequence[str]) -> None:
+    """Write the figures and tables of the page that the words name."""
+    from pathlib import Path
+
+    from stapeskit.faults import Fault, StapeskitError
+
+    names = [word for word in words if word != "--force"]
+    if len(names) != 2 or any(name.startswith("-") for name in names):
+        step = "stapeskit figures results/report.html figures"
+        got = " ".join(words) or "nothing"
+        raise StapeskitError(Fault("stapeskit figures", "given a page and a folder", got, "", step))
+    from pipeline.figures import write_figures
+
+    files = write_figures(Path(names[0]), Path(names[1]), force="--force" in words)
+    sys.stdout.write(f"{len(files)} files written into {names[1]}\n")
 
 
 def _completion(words: Sequence[str]) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stapeskit.run_log import note
 from stapeskit.warnings import Notice
 
 
@@ -27,15 +28,17 @@ class Outcome:
 
 
 def show(options: Any, outcome: Outcome) -> None:
-    """Print an outcome: JSON, or a table of its rows; notices go to standard error."""
+    """Print an outcome: JSON, or a table of its rows; notices go to standard error, all of it to the log."""
+    notices = "".join(f"warning [{notice.code}] {notice.text}\n" for notice in outcome.notices)
+    width = max((len(label) for label, _ in outcome.rows), default=0)
+    lines = [outcome.title, *(f"  {label:<{width}}  {text}" for label, text in outcome.rows)]
+    if outcome.files:
+        lines.append("  written: " + ", ".join(str(path) for path in outcome.files))
+    table = "\n".join(lines) + "\n"
+    note(notices + table)
     if not options.quiet:
-        for notice in outcome.notices:
-            sys.stderr.write(f"warning [{notice.code}] {notice.text}\n")
+        sys.stderr.write(notices)
     if options.json:
         sys.stdout.write(json.dumps(outcome.result, indent=1) + "\n")
     elif not options.quiet:
-        width = max((len(label) for label, _ in outcome.rows), default=0)
-        lines = [outcome.title, *(f"  {label:<{width}}  {text}" for label, text in outcome.rows)]
-        if outcome.files:
-            lines.append("  written: " + ", ".join(str(path) for path in outcome.files))
-        sys.stdout.write("\n".join(lines) + "\n")
+        sys.stdout.write(table)

@@ -47,11 +47,11 @@ def template(title: str, tables: Mapping[str, type[OptionTable]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def example_of(one: Option) -> object:
+def example_of(option: Option) -> object:
     """Return a value to show for an option."""
-    if one.example is None and one.default is None:
-        raise ValueError(f"{one.name} has neither a default nor an example")
-    return one.default if one.example is None else one.example
+    if option.example is None and option.default is None:
+        raise ValueError(f"{option.name} has neither a default nor an example")
+    return option.default if option.example is None else option.example
 
 
 def page(commands: Mapping[str, Iterable[type[OptionTable]]], others: Iterable[type[OptionTable]]) -> str:
@@ -76,17 +76,17 @@ def page(commands: Mapping[str, Iterable[type[OptionTable]]], others: Iterable[t
     return "\n".join(lines) + "\n"
 
 
-def _key_row(one: Option) -> str:
-    return f"| `{one.key}` | `{toml(example_of(one))}` | {_cell(one.help)} |"
+def _key_row(option: Option) -> str:
+    return f"| `{option.key}` | `{toml(example_of(option))}` | {_cell(option.help)} |"
 
 
-def _row(one: Option) -> str:
-    flag = f"`{one.flag}`"
-    value = "" if one.kind.is_flag or one.positional else f"`{_cell(one.metavar)}`"
-    key = f"`{one.place}`" if one.table else ""
-    usual = one.default in (None, False, "", (), {})
-    default = "" if usual else f"`{', '.join(one.kind.words(one.default))}`"
-    text = written(one.help, lambda name: "--" + name.replace("_", "-"))
+def _row(option: Option) -> str:
+    flag = f"`{option.flag}`"
+    value = "" if option.kind.is_flag or option.positional else f"`{_cell(option.metavar)}`"
+    key = f"`{option.place}`" if option.table else ""
+    usual = option.default in (None, False, "", (), {})
+    default = "" if usual else f"`{', '.join(option.kind.words(option.default))}`"
+    text = written(option.help, lambda name: "--" + name.replace("_", "-"))
     return f"| {flag} | {value} | {key} | {default} | {_cell(text)} |"
 
 
@@ -98,7 +98,7 @@ def _of_study(table: type[OptionTable]) -> list[Option]:
     return [option for option in declared(table) if option.table]
 
 
-def _study_help(one: Option, table: type[OptionTable]) -> str:
+def _study_help(option: Option, table: type[OptionTable]) -> str:
     """Return the help of a key; other options of the table by their keys."""
     keys = {other.name: other.key for other in declared(table)}
-    return written(one.help, lambda name: keys.get(name, name))
+    return written(option.help, lambda name: keys.get(name, name))

@@ -179,8 +179,8 @@ def file(what: str = "file", next_step: str = "Check its name and folder", metav
 
 def files(what: str, next_step: str = "Check its name and folder") -> Kind:
     """Return the kind of one or several files that are read."""
-    one = file(what, next_step)
-    return replace(one, read=read_paths, repeats=True)
+    single = file(what, next_step)
+    return replace(single, read=read_paths, repeats=True)
 
 
 def output(suffix: str) -> Kind:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, StapeskitError, in_words, raise_all
-from stapeskit.option_kinds import FLAG, file
+from stapeskit.option_kinds import FLAG, file, output
 from stapeskit.options import Option, OptionTable, Rule, Table, Values, declared, option
 from stapeskit.system_faults import why_unreadable
 from stapeskit.vocabulary import written
@@ -52,6 +52,11 @@ class Terminal(OptionTable):
     )
     quiet: bool = option(FLAG, "print faults only", False)
     json: bool = option(FLAG, "print the result as JSON instead of a table", False)
+    log: Path | None = option(
+        output(".log"),
+        "append to this file what was run, with what, every message and how it ended",
+        example="ear1.log",
+    )
 
 
 class Parser(argparse.ArgumentParser):
@@ -127,6 +132,10 @@ class Parser(argparse.ArgumentParser):
         faults += [*absent, *self._check(values, faults)]
         flags = {entry.name: entry.flag for entry in self.declared.values()}
         raise_all(StapeskitError, [in_words(fault, lambda name: flags.get(name, name)) for fault in faults])
+        if values["log"] is not None:
+            from stapeskit.run_log import begin
+
+            begin(values["log"], self.prog, tuple(arguments))
         return Given(values)
 
     def _read(self, entry: Option, given: Any, values: dict[str, Any], faults: list[Fault]) -> None:

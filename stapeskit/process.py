@@ -60,6 +60,9 @@ def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> N
         code = 130
         _tell(f"{prog}: {stop if str(stop) else _farewell()}\n")
     _State.code = code
+    with suppress(OSError, ImportError, ValueError):
+        if "stapeskit.run_log" in sys.modules:
+            sys.modules["stapeskit.run_log"].end(code)
     raise SystemExit(code)
 
 
@@ -233,7 +236,10 @@ def _drop_output() -> None:
 
 
 def _tell(text: str) -> None:
-    """Write to standard error, where that is possible."""
+    """Write to standard error, and to the log of the run, where that is possible."""
     with suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(text)
         sys.stderr.flush()
+    with suppress(OSError, ValueError):
+        if "stapeskit.run_log" in sys.modules:
+            sys.modules["stapeskit.run_log"].note(text)

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from stapeskit.run_log import note
+
 Tell = Callable[[str], None]
 _CLEAR = "\r\x1b[2K"
 
@@ -27,11 +29,12 @@ def stage_on_terminal(shown: bool) -> Iterator[Tell]:
         False: nothing is shown, as when standard error is no terminal.
     """
     if not shown or not sys.stderr.isatty():
-        yield silent
+        yield note
         return
     start = time.perf_counter()
 
     def tell(stage: str) -> None:
+        note(stage)
         sys.stderr.write(f"{_CLEAR}{time.perf_counter() - start:5.1f} s  {stage} ...")
         sys.stderr.flush()
 

@@ -94,6 +94,26 @@ def test_6_a_shift_removes_the_couplings_of_y():
     assert sp.simplify(moved[0, 2].subs(found)) == 0
 
 
+def mean(expression, variances):
+    """Return the expectation over independent variables of mean zero, in which it is of second degree."""
+    total = 0
+    for powers, factor in sp.Poly(expression, *variances).terms():
+        assert max(powers) <= 2
+        if 1 not in powers:
+            total += factor * sp.prod(v for n, v in zip(powers, variances.values(), strict=True) if n == 2)
+    return total
+
+
+def test_7_noise_in_the_regressor_shrinks_the_slope_symbolically():
+    d, e = sp.symbols("d e", real=True)  # deflection and its noise
+    k, power, noise = sp.symbols("K S s2", positive=True)
+    seen, load = d + e, k * d
+    variances = {d: power, e: noise}
+    # the slope of least squares over many lines is E[A b] / E[A A] (law of large numbers)
+    slope = mean(seen * load, variances) / mean(seen * seen, variances)
+    assert sp.simplify(slope - k * power / (power + noise)) == 0
+
+
 def test_7_noise_in_the_regressor_shrinks_the_slope():
     rng = np.random.default_rng(5)
     true = rng.standard_normal(200_000)
@@ -124,6 +144,16 @@ def test_9_stiffness_of_a_cantilever():
     expected = rigidity * sp.Matrix([[12 / length**3, 6 / length**2], [6 / length**2, 4 / length]])
     assert sp.simplify(compliance.inv() - expected) == sp.zeros(2, 2)
     assert sp.simplify(expected * tip - loads) == sp.zeros(2, 1)
+
+
+def test_10_errors_of_the_predictor_shrink_a_law_symbolically():
+    p, e = sp.symbols("p e", real=True)  # log P about its mean, and its error
+    a, b = sp.symbols("a b", real=True)
+    spread, error = sp.symbols("V t2", positive=True)
+    seen, response = p + e, a + b * p
+    variances = {p: spread, e: error}
+    slope = mean(seen * response, variances) / mean(seen * seen, variances)
+    assert sp.simplify(slope - b * spread / (spread + error)) == 0
 
 
 def test_10_errors_of_the_predictor_shrink_a_law():

@@ -73,7 +73,8 @@ def test_the_commands_of_the_pages_run_as_they_are_printed(lab):
     folder, truth = lab[0] / "ear", lab[1]
     wanted = dict.fromkeys(line for page in CHAIN for line in lines(page))
     chain = [line for line in wanted if not line.startswith(("pip ", "cd ", "stapeskit sample "))]
-    assert {shlex.split(line)[0] for line in chain} == {"ct2mass", "points2dof", "dof2kd", "scan2kd"}
+    commands = {"ct2mass", "points2dof", "dof2kd", "scan2kd", "stapeskit"}
+    assert {shlex.split(line)[0] for line in chain} == commands
     first = next(line for line in chain if line.startswith("ct2mass"))
     given = [line for line in chain if line.startswith(first + " --labels ")]
     assert len(given) == 1

@@ -1,38 +1,64 @@
 function worst = redraw_responses(folder, picture)
-% Redraw measured and fitted responses from the files of scan2kd (Octave 7 or newer, MATLAB).
+% Redraw measured and fitted responses from the files of scan2kd or dof2kd (Octave 7 or newer, MATLAB).
 %
-%   redraw_responses('results', 'responses.png')
+%   redraw_responses('results', 'responses.svg')
 %
-% Reads dof.csv (motion, m and rad, peak, e^{+iwt}), kd.json (K, D) and mass.json (M), all about the footplate
-% centre in footplate axes, and computes q_s = H q_b with H = (-w^2 M + i w D + K)^-1 (K + i w D).
+% Reads the motion from dof.h5 (MATLAB) or dof.csv (Octave has no h5read); K, D and M from kd.mat
+% (dof2kd --export mat), or from kd.json and mass.json. All about the footplate centre in footplate axes, SI,
+% peak amplitudes, e^{+iwt}. Computes q_s = H q_b with H = (-w^2 M + i w D + K)^-1 (K + i w D).
 % Returns the root mean square difference of the piston motion y, relative to its root mean square.
-  kd = jsondecode(fileread(fullfile(folder, 'kd.json')));
-  mass = jsondecode(fileread(fullfile(folder, 'mass.json')));
-  order = {'x', 'y', 'z', 'alpha', 'beta', 'gamma'};
-  rows = cellfun(@(name) find(strcmp(order, name)), kd.dof);
-  M = mass.mass_matrix.matrix_si(rows, rows);
-  [freq, stapes] = motion_of(folder, 'stapes', kd.dof);
-  [~, base] = motion_of(folder, 'base', kd.dof);
+  [K, D, M, dof] = matrices_of(folder);
+  if exist('h5read', 'file')
+    [freq, stapes, base] = motion_of_h5(fullfile(folder, 'dof.h5'), dof);
+  else
+    [freq, stapes] = motion_of_csv(folder, 'stapes', dof);
+    [~, base] = motion_of_csv(folder, 'base', dof);
+  end
   fitted = zeros(size(stapes));
   for line = 1:numel(freq)
     w = 2 * pi * freq(line);
-    Z = kd.stiffness_si + 1i * w * kd.damping_si;
+    Z = K + 1i * w * D;
     fitted(line, :) = ((Z - w^2 * M) \ (Z * base(line, :).')).';
   end
-  y = find(strcmp(kd.dof, 'y'));
+  y = find(strcmp(dof, 'y'));
   worst = sqrt(mean(abs(stapes(:, y) - fitted(:, y)).^2) / mean(abs(stapes(:, y)).^2));
   fprintf('y: measured and fitted differ by %.2f %%\n', 100 * worst);
   if nargin < 2, return; end
   figure('visible', 'off');
-  for k = 1:numel(kd.dof)
-    subplot(1, numel(kd.dof), k);
+  for k = 1:numel(dof)
+    subplot(1, numel(dof), k);
     semilogy(freq, abs(stapes(:, k)), '.', freq, abs(fitted(:, k)), '-');
-    title(kd.dof{k}); xlabel('frequency (Hz)');
+    title(dof{k}); xlabel('frequency (Hz)');
   end
-  print(picture, '-dpng');
+  [~, ~, kind] = fileparts(picture);
+  print(picture, ['-d', kind(2:end)]);
 end
 
-function [freq, q] = motion_of(folder, body, dof)
+function [K, D, M, dof] = matrices_of(folder)
+% Stiffness, damping and mass matrix of the degrees of freedom of the fit.
+  file = fullfile(folder, 'kd.mat');
+  if exist(file, 'file')
+    fit = load(file);
+    K = fit.K; D = fit.D; M = fit.M; dof = cellstr(fit.dof(:).');
+    return
+  end
+  kd = jsondecode(fileread(fullfile(folder, 'kd.json')));
+  mass = jsondecode(fileread(fullfile(folder, 'mass.json')));
+  order = {'x', 'y', 'z', 'alpha', 'beta', 'gamma'};
+  rows = cellfun(@(name) find(strcmp(order, name)), kd.dof);
+  K = kd.stiffness_si; D = kd.damping_si; M = mass.mass_matrix.matrix_si(rows, rows); dof = kd.dof(:).';
+end
+
+function [freq, stapes, base] = motion_of_h5(file, dof)
+% The motion of both bodies in dof.h5; MATLAB reverses dimensions: dof x line x body x run, fields r and i.
+  q = h5read(file, '/q'); freq = h5read(file, '/freq_hz');
+  bodies = cellstr(h5read(file, '/bodies')); names = cellstr(h5read(file, '/dof'));
+  rows = cellfun(@(name) find(strcmp(names, name)), dof);
+  pick = @(body) complex(q.r(rows, :, strcmp(bodies, body), 1), q.i(rows, :, strcmp(bodies, body), 1)).';
+  stapes = pick('stapes'); base = pick('base');
+end
+
+function [freq, q] = motion_of_csv(folder, body, dof)
 % The lines of a body in dof.csv: frequencies (Hz), coordinates (lines x dof, complex).
   file = fopen(fullfile(folder, 'dof.csv'));
   header = strsplit(strtrim(fgetl(file)), ',');

@@ -110,7 +110,7 @@ class Diagnosis:
         if named is None:
             return ()
         close = max(self.evidence(named) - calibrated("causes.look_alike_chi2"), 0.0)
-        return tuple(one.name for one in self.refits[1:] if self.evidence(one) > close)
+        return tuple(other.name for other in self.refits[1:] if self.evidence(other) > close)
 
 
 def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
@@ -150,12 +150,12 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
         likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
     refits: list[Refit] = []
     for place in likely[: int(calibrated("causes.shortlist"))]:
-        explained = any(one.p_value > calibrated("causes.misfit_p") for one in refits)
-        one = _refit(ligament, names[place], terms[place], tested, place, units, explained)
-        refits += [] if one is None else [one]
+        explained = any(found.p_value > calibrated("causes.misfit_p") for found in refits)
+        refit = _refit(ligament, names[place], terms[place], tested, place, units, explained)
+        refits += [] if refit is None else [refit]
     if not searched:
         least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
-        searched = any(one.fall > least for one in refits)
+        searched = any(found.fall > least for found in refits)
         refits = refits if searched else []
     equations = 2 * ligament.equations.n * ligament.lines.count
     shown = sorted(leading)
@@ -264,7 +264,7 @@ def largest_effect(change: Array, stiffness: Array, damping: Array) -> tuple[int
 
 def with_refits(diagnosis: Diagnosis, more: Sequence[Refit]) -> Diagnosis:
     """Return a diagnosis with further refits, e.g. under other damping laws."""
-    refits = sorted((*diagnosis.refits, *more), key=lambda one: -diagnosis.evidence(one))
+    refits = sorted((*diagnosis.refits, *more), key=lambda refit: -diagnosis.evidence(refit))
     return replace(diagnosis, refits=tuple(refits))
 
 

@@ -151,7 +151,7 @@ def _stable_starts(lines: Lines, problem: Quadratic, convex: Array) -> list[Arra
     """Return stable starts: the convex solution with K, D >= 0, and others around it, moved inside."""
     generator = np.random.default_rng(0)
     spread = [convex * generator.uniform(0.5, 1.5, len(convex)) for _ in range(_EXTRA_STARTS)]
-    starts = [_interior_start(problem, pull_inside(one, lines.n, 0.1)) for one in (convex, *spread)]
+    starts = [_interior_start(problem, pull_inside(matrices, lines.n, 0.1)) for matrices in (convex, *spread)]
     return [start for start in starts if np.isfinite(height(start, problem))] or [
         stable_start(problem, starts[0])
     ]

@@ -184,7 +184,7 @@ def best_stable(problem: Objective, begin: Array, others: Sequence[Array]) -> tu
     candidates = [follow(problem, begin, _FIRST)]
     for other in others:
         candidates += [follow(problem, other, weight) for weight in (1e-2, 1e-3)]
-    parameters, _, converged = min(candidates, key=lambda one: problem.value(one[0]))
+    parameters, _, converged = min(candidates, key=lambda path: problem.value(path[0]))
     return parameters, sum(steps for _, steps, _ in candidates), converged
 
 

@@ -34,15 +34,15 @@ _HEADER = ("model", "estimator", "c1 (%)", "c2 (%)", "c3 (%)", "Eq. 9, c1 c2 c3 
 def rows_of(shown: Sequence[Deviations]) -> list[tuple[str, ...]]:
     """Return deviations as table rows: mean ± scatter of every coefficient."""
     rows = []
-    for one in shown:
-        pairs = zip(one.mean_percent, one.scatter_percent, strict=True)
+    for row in shown:
+        pairs = zip(row.mean_percent, row.scatter_percent, strict=True)
         rows.append(
             (
-                MODEL_WORDS[one.model],
-                one.estimator,
+                MODEL_WORDS[row.model],
+                row.estimator,
                 *(f"{mean:+.2f} ± {scatter:.2g}" for mean, scatter in pairs),
-                " ".join(f"{value:.2f}" for value in one.absolute_percent),
-                f"{one.chi2_per_dof:.3g}",
+                " ".join(f"{value:.2f}" for value in row.absolute_percent),
+                f"{row.chi2_per_dof:.3g}",
             )
         )
     return rows

@@ -13,12 +13,13 @@ import numpy as np
 from fitting.examples import paper
 from fitting.examples.beam import Beam, deviations_percent
 from fitting.examples.page_command import write_page
-from fitting.examples.paper_figures import shape_figure, simulated_figure
+from fitting.examples.paper_figures import simulated_figure
 from fitting.model.model import NORMALISATION, Modes, modes, passive
 from fitting.model.principal_axes import principal_axes
 from fitting.model.ring import ellipse_mm, ring_test
 from fitting.model.symmetric import entry_units
 from fitting.report.figures import principal_figure
+from fitting.report.mode_shapes import shape_figure
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
 
@@ -152,7 +153,7 @@ def _printed_damping() -> Section:
 
 
 def _damping_unit(unit: str) -> str:
-    return {"N/m": "N s/m", "N": "N s", "N m": "N m s"}[unit]
+    return {"N/m": "N s/m", "N": "N s", "N m/rad": "N m s/rad"}[unit]
 
 
 def _modal() -> Section:
@@ -208,8 +209,9 @@ def _shape_caption(mode_list: Modes) -> str:
         phases = np.degrees(np.angle(mode.shape))
         parts.append(f"mode {place + 1}: {', '.join(f'{value:+.0f}°' for value in phases)}")
     return (
-        "Piston motion y - z alpha + x gamma of the footplate plane at the instant of largest motion, each "
-        f"scaled to its own maximum. Phases of y, alpha, gamma: {'; '.join(parts)}."
+        "Piston motion y - z alpha + x gamma of the footplate plane at the instant of largest motion and a "
+        "quarter of a period later, each mode scaled to its own maximum, with the nodal line. Phases of y, "
+        f"alpha, gamma: {'; '.join(parts)}."
     )
 
 

@@ -224,7 +224,7 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
     size = np.log(max(abs(middle), _SMALLEST))
     bounds = (size - _WIDTH, size + _WIDTH)
     minimize_scalar(profile, bounds=bounds, method="bounded", options={"xatol": 1e-2})
-    best = min(found, key=lambda one: found[one].chi2)
+    best = min(found, key=lambda tried: found[tried].chi2)
     start = np.insert(found[best].parameters, place, np.exp(best))
     return fit_joint(lines, equations.with_terms((term,)), start, tolerance=_SETTLED)
 

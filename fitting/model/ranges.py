@@ -59,7 +59,7 @@ def check_result(*results: Array) -> None:
         Any of these.
     """
     good = all(bool(np.all(np.isfinite(result))) for result in results)
-    if not (good and all(np.all(np.diag(one) >= 0.0) for one in results[2:])):
+    if not (good and all(np.all(np.diag(matrix) >= 0.0) for matrix in results[2:])):
         raise unsolvable()
 
 

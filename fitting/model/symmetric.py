@@ -66,11 +66,11 @@ def join(stiffness: Array, damping: Array) -> Array:
 
 
 def entry_units(dof: tuple[str, ...]) -> list[list[str]]:
-    """Return the unit of every entry of a stiffness matrix: N/m, N or N m by its row and column."""
+    """Return the unit of every entry of a stiffness matrix: N/m, N or N m/rad by its row and column."""
     table = {
         ("m", "m"): "N/m",
         ("m", "rad"): "N",
         ("rad", "m"): "N",
-        ("rad", "rad"): "N m",
+        ("rad", "rad"): "N m/rad",
     }
     return [[table[DOF_UNITS[row], DOF_UNITS[column]] for column in dof] for row in dof]

@@ -235,7 +235,7 @@ def _expected(table: Mapping[str, Any], key: str, dof: tuple[str, ...], default:
 
 def _band(table: Mapping[str, Any], where: str) -> tuple[float, float]:
     raw = table.get("band_hz", [400.0, 5000.0])
-    good = isinstance(raw, list) and len(raw) == 2 and all(isinstance(one, int | float) for one in raw)
+    good = isinstance(raw, list) and len(raw) == 2 and all(isinstance(value, int | float) for value in raw)
     if not good or not 0.0 < raw[0] < raw[1] < np.inf:
         raise FittingError(Fault("band_hz", "two frequencies in Hz, low before high", raw, where))
     return float(raw[0]), float(raw[1])

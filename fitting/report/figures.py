@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -253,4 +254,23 @@ def frequency_figure(dependence: FrequencyDependence) -> Figure:
         axis.set_ylim(1.0 - 1.15 * largest, 1.0 + 1.15 * largest)
         axis.set_xlabel("frequency (Hz)")
         axis.set_ylabel(f"{name} of the part / {name}")
+    return figure
+
+
+def correlation_figure(covariance: Array, names: Sequence[str]) -> Figure:
+    """Draw the correlation matrix of the entries, in percent."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    percent = 100.0 * covariance / np.outer(sd, sd)
+    side = 0.9 + 0.36 * len(names)
+    figure = new_figure(side, side)
+    axis = figure.subplots()
+    axis.imshow(percent, cmap="RdBu_r", vmin=-100.0, vmax=100.0)
+    for (row, column), value in np.ndenumerate(percent):
+        color = "white" if abs(value) > 50.0 else "#1d2733"
+        axis.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=color)
+    axis.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    axis.set_yticks(range(len(names)), names, fontsize=8)
+    axis.tick_params(length=0)
+    for side_name in ("top", "right", "bottom", "left"):
+        axis.spines[side_name].set_visible(False)
     return figure

@@ -110,7 +110,7 @@ def _model(fit: KDFit) -> dict[str, Any]:
         "lines": len(fit.observation.freq_hz),
         "lines_dropped": fit.observation.dropped,
         "band_hz": [float(fit.observation.freq_hz.min()), float(fit.observation.freq_hz.max())],
-        "excluded_hz": [list(one) for one in fit.options.exclude_hz],
+        "excluded_hz": [list(band) for band in fit.options.exclude_hz],
     }
 
 

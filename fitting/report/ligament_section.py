@@ -55,7 +55,7 @@ def ligament_section(fit: KDFit, ligament: LigamentFit) -> Section:
             zip(
                 INPLANE_DOF,
                 np.sqrt(np.diag(split(np.diag(ligament.inplane.covariance), len(INPLANE_DOF))[0])),
-                ("N/m", "N/m", "N m"),
+                ("N/m", "N/m", "N m/rad"),
                 strict=True,
             )
         )

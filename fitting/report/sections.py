@@ -11,12 +11,18 @@ from numpy.typing import NDArray
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.causality import causal_rise
-from fitting.model.model import NORMALISATION
 from fitting.model.symmetric import entry_units, join
 from fitting.report.causes import causes_section
-from fitting.report.figures import frequency_figure, principal_figure, residual_figure, response_figure
+from fitting.report.figures import (
+    correlation_figure,
+    frequency_figure,
+    principal_figure,
+    residual_figure,
+    response_figure,
+)
 from fitting.report.kd_json import principal_axes_json
 from fitting.report.ligament_section import ligament_section
+from fitting.report.modes_section import modes_section
 from fitting.report.responses import responses
 from fitting.report.ring_section import ring_of, ring_parts
 from fitting.uncertainty.bands import FrequencyDependence
@@ -56,7 +62,7 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | No
     gap_mm : WithSd, optional
         Width of the gap around the footplate.
     """
-    sections = [_responses(fit), _matrices(fit), _modal(fit)]
+    sections = [_responses(fit), _matrices(fit), modes_section(fit, outline_mm)]
     if fit.ligament is not None:
         sections.insert(2, ligament_section(fit, fit.ligament))
     if fit.diagnosis is not None:
@@ -220,6 +226,12 @@ def _matrices(fit: KDFit) -> Section:
             f"M as used, {place}.",
             units=[[_mass_unit(a, b) for b in fit.dof] for a in fit.dof],
         ),
+        page.figure(
+            correlation_figure(fit.covariance, fit.parameters),
+            "Correlations of the errors of K and D, all sources, in percent: entries that are strongly "
+            "correlated are known better together than each alone.",
+            "correlation matrix of the entries",
+        ),
     )
     freq = fit.observation.freq_hz
     loss = float(fit.damping[0, 0] / fit.stiffness[0, 0])
@@ -254,33 +266,6 @@ def _mass_unit(row: str, column: str) -> str:
     return {2: "kg", 1: "kg m", 0: "kg m²"}[[DOF_UNITS[row], DOF_UNITS[column]].count("m")]
 
 
-def _modal(fit: KDFit) -> Section:
-    header = ["mode", "damped (Hz)", "undamped (Hz)", "damping ratio"]
-    scales = [("nm", 1e9) if DOF_UNITS[name] == "m" else ("µrad", 1e6) for name in fit.dof]
-    header += [f"|φ| {name} ({unit})" for name, (unit, _) in zip(fit.dof, scales, strict=True)]
-    rows = []
-    for place, mode in enumerate(fit.modes.pairs):
-        derived = fit.derived
-        cells = [
-            str(place + 1),
-            plus_minus(mode.frequency_hz, derived.frequency_sd_hz[place]),
-            plus_minus(mode.undamped_frequency_hz, derived.undamped_frequency_sd_hz[place]),
-            plus_minus(mode.damping_ratio, derived.damping_ratio_sd[place]),
-        ]
-        for index, (_, scale) in enumerate(scales):
-            value, sd = abs(mode.shape[index]) * scale, derived.shape_sd[place, index] * scale
-            cells.append(plus_minus(value, sd))
-        rows.append(cells)
-    section = Section("Modes", key="modes").add(
-        page.table(header, rows),
-        page.text(f"Shapes have {NORMALISATION}; the units only name the scaling (paper Table 2)."),
-    )
-    if fit.modes.overdamped_roots_1_s:
-        roots = ", ".join(f"{value:.4g}" for value in fit.modes.overdamped_roots_1_s)
-        section.add(page.text(f"Overdamped motions, real eigenvalues (1/s): {roots}."))
-    return section
-
-
 def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Section | None:
     axes = principal_axes_json(fit)
     values, sd = fit.derived.principal, fit.derived.principal_sd
@@ -289,16 +274,16 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
     mass = fit.mass
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
     stiffness = zip(
-        ("y′ (N/m)", "about x′ (N m)", "about z′ (N m)"),
+        ("y′ (N/m)", "about x′ (N m/rad)", "about z′ (N m/rad)"),
         axes["stiffness_si"],
         axes["stiffness_sd_si"],
         strict=True,
     )
     rows = [
-        ("origin x (mm)", f"{axes['origin_x_mm']:.4f}", _sd(axes["origin_x_sd_mm"])),
-        ("origin z (mm)", f"{axes['origin_z_mm']:.4f}", _sd(axes["origin_z_sd_mm"])),
-        ("rotation about +y (degrees)", f"{axes['angle_deg']:.3f}", _sd(axes["angle_sd_deg"])),
-        *((f"stiffness {name}", f"{value:.5g}", _sd(spread)) for name, value, spread in stiffness),
+        ("origin x (mm)", plus_minus(axes["origin_x_mm"], axes["origin_x_sd_mm"])),
+        ("origin z (mm)", plus_minus(axes["origin_z_mm"], axes["origin_z_sd_mm"])),
+        ("rotation about +y (degrees)", plus_minus(axes["angle_deg"], axes["angle_sd_deg"])),
+        *((f"stiffness {name}", plus_minus(value, spread)) for name, value, spread in stiffness),
     ]
     drawn = "over the footplate's outline " if outline_mm is not None else ""
     test = ring_of(fit, outline_mm, gap_mm)
@@ -310,7 +295,7 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
             "piston and rocking uncouple, then a rotation about y. Paper Fig. 6.",
             "principal axes of the stiffness",
         ),
-        page.table(("", "value", "sd"), rows),
+        page.table(("", "value"), rows),
         *(() if test is None else ring_parts(test)),
     )
 

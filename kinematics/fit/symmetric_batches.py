@@ -46,9 +46,9 @@ def congruence(matrix: Array) -> Array:
     """Return K (q, p) with K @ packed(S) = packed(matrix S matrix^T), for ``matrix`` (n, m)."""
     rows, columns = places(matrix.shape[1])
     high, low = places(matrix.shape[0])
-    one = matrix[high][:, rows] * matrix[low][:, columns]
-    two = matrix[high][:, columns] * matrix[low][:, rows]
-    return np.where(rows == columns, one, one + two)
+    straight = matrix[high][:, rows] * matrix[low][:, columns]
+    crossed = matrix[high][:, columns] * matrix[low][:, rows]
+    return np.where(rows == columns, straight, straight + crossed)
 
 
 def transformed(matrix: Array, packed: Array) -> Array:

@@ -109,19 +109,23 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
     assigned: list[Entry] = []
     faults: list[Fault] = []
     without: dict[str, list[str]] = {}
-    for file, one in entries:
-        rules = [name for name, items in options.bodies if any(item.holds(file, one.point) for item in items)]
+    for file, recording in entries:
+        rules = [
+            name for name, items in options.bodies if any(item.holds(file, recording.point) for item in items)
+        ]
         used |= set(rules)
-        names = list(dict.fromkeys([*rules, *([one.body] if one.body else [])]))
+        names = list(dict.fromkeys([*rules, *([recording.body] if recording.body else [])]))
         if not names:
-            names = by_point.get(one.point, [])
+            names = by_point.get(recording.point, [])
         if len(names) > 1:
             step = f"Name each point once, by file where numbers repeat: {named('body')} base=base.uff:1-9"
-            faults.append(Fault(f"point {one.point}", "of one body", " and ".join(names), one.where, step))
+            faults.append(
+                Fault(f"point {recording.point}", "of one body", " and ".join(names), recording.where, step)
+            )
         elif not names:
-            without.setdefault(file, []).append(one.point)
+            without.setdefault(file, []).append(recording.point)
         else:
-            assigned.append((file, replace(one, body=names[0])))
+            assigned.append((file, replace(recording, body=names[0])))
     for file, lost in without.items():
         lost = list(dict.fromkeys(lost))
         shown = ", ".join(lost[:12]) + (f" and {len(lost) - 12} more" if len(lost) > 12 else "")
@@ -130,7 +134,7 @@ def with_bodies(entries: Sequence[Entry], points: Points | None, options: InputO
             f"base=11-19, or list them in {named('points')}"
         )
         faults.append(Fault(f"points {shown}", "of a body", "none", file, step))
-    known = ", ".join(dict.fromkeys(one.point for _, one in entries))
+    known = ", ".join(dict.fromkeys(recording.point for _, recording in entries))
     known = known if len(known) < 120 else f"{known[:117]}..."
     faults += [
         Fault(f"{{body}} {name}", f"points that were measured ({known})", "others", "", "Correct the numbers")
@@ -148,30 +152,43 @@ def with_runs(entries: Sequence[Entry], options: InputOptions) -> tuple[list[Ent
     each named after its file; files of different points are parts of one.
     """
     labelled: list[Entry] = []
-    for file, one in entries:
+    for file, recording in entries:
         files = [name for name, chosen in options.runs if is_file(chosen, file)]
         run = files[0] if files else ""
-        if run and one.run:
-            run = f"{run} {one.run}"
-        labelled.append((file, replace(one, run=run or one.run)))
-    unnamed = {file for file, one in labelled if not one.run}
+        if run and recording.run:
+            run = f"{run} {recording.run}"
+        labelled.append((file, replace(recording, run=run or recording.run)))
+    unnamed = {file for file, recording in labelled if not recording.run}
     seen: dict[tuple[object, ...], str] = {}
     again = False
-    for file, one in labelled:
-        key = (one.body, one.point, np.round(one.direction, 6).tobytes(), one.run, one.repeat, str(one.level))
+    for file, recording in labelled:
+        key = (
+            recording.body,
+            recording.point,
+            np.round(recording.direction, 6).tobytes(),
+            recording.run,
+            recording.repeat,
+            str(recording.level),
+        )
         again |= seen.setdefault(key, file) != file
     if not again:
-        return [(file, replace(one, run=one.run or DEFAULT_RUN)) for file, one in labelled], []
-    twice = [one.run for _, one in labelled if one.run]
+        return [
+            (file, replace(recording, run=recording.run or DEFAULT_RUN)) for file, recording in labelled
+        ], []
+    twice = [recording.run for _, recording in labelled if recording.run]
     assigned = []
-    for file, one in labelled:
-        run = one.run or Path(file).stem
-        if one.run and not options.runs and len({f for f, other in labelled if other.run == one.run}) > 1:
-            run = f"{Path(file).stem} {one.run}"
-        assigned.append((file, replace(one, run=run)))
+    for file, recording in labelled:
+        run = recording.run or Path(file).stem
+        if (
+            recording.run
+            and not options.runs
+            and len({f for f, other in labelled if other.run == recording.run}) > 1
+        ):
+            run = f"{Path(file).stem} {recording.run}"
+        assigned.append((file, replace(recording, run=run)))
     if not unnamed and not twice:
         return assigned, []
-    listed = ", ".join(dict.fromkeys(one.run for _, one in assigned))
+    listed = ", ".join(dict.fromkeys(recording.run for _, recording in assigned))
     text = (
         f"the files measure the same points again: they are different runs, {listed}. {named('run')} "
         "names them."

@@ -35,7 +35,7 @@ def body_noise(
     From coherence g2 and n averages: |v| sqrt((1 - g2) / (2 n g2)) (Bendat and Piersol 2010, Random Data,
     section 9.2, for the real part of a frequency response).
     """
-    noises = [_noise(one, order) for _, one in entries]
+    noises = [_noise(recording, order) for _, recording in entries]
     absolute = any(kind == "absolute" for kind, _ in noises)
     if not absolute and all(kind == "none" for kind, _ in noises):
         return None, True, []
@@ -54,19 +54,25 @@ def body_noise(
     return sd, not absolute, notices
 
 
-def _noise(one: Recording, order: int) -> tuple[str, Array | None]:
+def _noise(recording: Recording, order: int) -> tuple[str, Array | None]:
     """Return ``absolute``, ``relative`` or ``none``, and the sd as displacement, m."""
-    rate = (2.0 * np.pi * one.freq_hz) ** one.order
-    if one.sd is not None:
-        return ("relative" if one.relative else "absolute"), one.sd / rate
-    if one.coherence is not None:
-        count = one.n_avg or 1.0
+    rate = (2.0 * np.pi * recording.freq_hz) ** recording.order
+    if recording.sd is not None:
+        return ("relative" if recording.relative else "absolute"), recording.sd / rate
+    if recording.coherence is not None:
+        count = recording.n_avg or 1.0
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            sd = np.abs(one.value) * np.sqrt((1.0 - one.coherence) / (2.0 * count * one.coherence)) / rate
+            sd = (
+                np.abs(recording.value)
+                * np.sqrt((1.0 - recording.coherence) / (2.0 * count * recording.coherence))
+                / rate
+            )
         sd[~np.isfinite(sd)] = np.nan
-        return ("relative" if one.n_avg is None else "absolute"), sd
-    if one.n_avg is not None:
-        return "relative", np.full(len(rate), 1.0 / np.sqrt(one.n_avg)) / (2.0 * np.pi * one.freq_hz) ** order
+        return ("relative" if recording.n_avg is None else "absolute"), sd
+    if recording.n_avg is not None:
+        return "relative", np.full(len(rate), 1.0 / np.sqrt(recording.n_avg)) / (
+            2.0 * np.pi * recording.freq_hz
+        ) ** order
     return "none", None
 
 
@@ -78,11 +84,11 @@ def _steady(body: str, entries: Sequence[tuple[Place, Recording]], sd: Array) ->
     notices: list[Notice] = []
     for from_coherence in (True, False):
         counts = np.full(sd.shape[:2], np.nan)
-        for (run, channel, _), one in entries:
-            if one.sd is not None and one.coherence is not None:
+        for (run, channel, _), recording in entries:
+            if recording.sd is not None and recording.coherence is not None:
                 continue
-            if one.n_avg is not None and (one.sd is None) == from_coherence:
-                counts[run, channel] = one.n_avg
+            if recording.n_avg is not None and (recording.sd is None) == from_coherence:
+                counts[run, channel] = recording.n_avg
         if np.any(np.isfinite(counts)):
             sd, steady_notices = steady_noise(sd, counts[:, :, None], body, from_coherence=from_coherence)
             notices += steady_notices

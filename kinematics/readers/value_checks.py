@@ -75,11 +75,11 @@ def number_faults(
 
 
 def _number_faults_of(
-    one: Recording, bad: NDArray[np.bool_], thing: str, expected: str, numbers: NDArray[np.generic]
+    recording: Recording, bad: NDArray[np.bool_], thing: str, expected: str, numbers: NDArray[np.generic]
 ) -> list[Fault]:
     if not np.any(bad):
         return []
     first = int(np.flatnonzero(bad)[0])
     more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
-    got = f"{numbers[first]} at {one.freq_hz[first]:.6g} Hz{more}"
-    return [Fault(f"{thing} of point {one.point}", expected, got, one.where, "Export it again")]
+    got = f"{numbers[first]} at {recording.freq_hz[first]:.6g} Hz{more}"
+    return [Fault(f"{thing} of point {recording.point}", expected, got, recording.where, "Export it again")]

@@ -42,47 +42,51 @@ def with_corrections(
     The covariance of the motion for given parameters and that of the parameters, both from the same data,
     add up to that of their joint least-squares estimate: var q = var(q | p) + dq/dp var(p) (dq/dp)^T.
     """
-    sized = [one for one in corrections if len(one.parameters)]
+    sized = [correction for correction in corrections if len(correction.parameters)]
     if not sized:
         return motion
     shape = (len(motion.runs), len(motion.bodies), *fits[0, 0].q.shape)
     old = motion.shared or SharedErrors((), np.zeros((0, 0)), np.zeros((0, *shape), dtype=complex))
     names, slopes = list(old.names), [old.derivatives]
-    count = len(names) + sum(len(one.parameters) for one in sized)
+    count = len(names) + sum(len(correction.parameters) for correction in sized)
     covariance = np.zeros((count, count))
     covariance[: len(names), : len(names)] = old.covariance
-    for one in sized:
-        own = slice(len(names), len(names) + len(one.parameters))
-        covariance[own, own] = one.covariance
-        points = "+".join(dict.fromkeys(placed.bodies[one.body].points[c] for c in one.channels))
-        place = f"{motion.bodies[one.body]}.{points}.{one.finding.kind}"
-        names += [f"correction.{place}.{k + 1}" for k in range(len(one.parameters))]
-        slopes.append(_derivatives(one, fits, shape))
+    for correction in sized:
+        own = slice(len(names), len(names) + len(correction.parameters))
+        covariance[own, own] = correction.covariance
+        points = "+".join(
+            dict.fromkeys(placed.bodies[correction.body].points[c] for c in correction.channels)
+        )
+        place = f"{motion.bodies[correction.body]}.{points}.{correction.finding.kind}"
+        names += [f"correction.{place}.{k + 1}" for k in range(len(correction.parameters))]
+        slopes.append(_derivatives(correction, fits, shape))
     return replace(motion, shared=SharedErrors(tuple(names), covariance, np.concatenate(slopes)))
 
 
-def _derivatives(one: Correction, fits: Mapping[Key, LineFit], shape: tuple[int, ...]) -> ComplexArray:
+def _derivatives(correction: Correction, fits: Mapping[Key, LineFit], shape: tuple[int, ...]) -> ComplexArray:
     """Return d q / d parameter, (p, run, body, freq, m)."""
-    derivatives = np.zeros((len(one.parameters), *shape), dtype=complex)
-    mine = np.zeros(len(fits[one.run, one.body].beams.rows), dtype=bool)
-    mine[one.channels] = True
-    if len(one.factor):
-        part = channel_part(fits[one.run, one.body], mine)
-        derivatives[:, one.run, one.body] = -part * one.factor[1:, :, None]
-    elif one.fault is not None:
+    derivatives = np.zeros((len(correction.parameters), *shape), dtype=complex)
+    mine = np.zeros(len(fits[correction.run, correction.body].beams.rows), dtype=bool)
+    mine[correction.channels] = True
+    if len(correction.factor):
+        part = channel_part(fits[correction.run, correction.body], mine)
+        derivatives[:, correction.run, correction.body] = -part * correction.factor[1:, :, None]
+    elif correction.fault is not None:
         for run in range(shape[0]):
-            fit = fits[run, one.body]
-            rows = _row_changes(one, one.fault, fit.beams.lever_m)[:, mine]
-            derivatives[:, run, one.body] = fit_derivatives(fit, rows[:, :, dof_indices(fit.beams.dof)], mine)
+            fit = fits[run, correction.body]
+            rows = _row_changes(correction, correction.fault, fit.beams.lever_m)[:, mine]
+            derivatives[:, run, correction.body] = fit_derivatives(
+                fit, rows[:, :, dof_indices(fit.beams.dof)], mine
+            )
     return derivatives
 
 
-def _row_changes(one: Correction, fault: Fault, lever_m: float) -> Array:
+def _row_changes(correction: Correction, fault: Fault, lever_m: float) -> Array:
     """Return the derivatives (p, channel, 6) of the observation rows at the estimate."""
 
     def rows(p: Array) -> Array:
-        return point_rows(*fault.geometry(one.arms_m, one.directions, p))
+        return point_rows(*fault.geometry(correction.arms_m, correction.directions, p))
 
     steps = np.diag(_STEP * fault.scale(lever_m))
-    p = one.parameters
+    p = correction.parameters
     return np.stack([(rows(p + step) - rows(p - step)) / (2.0 * np.sum(step)) for step in steps])

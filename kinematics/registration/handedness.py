@@ -116,10 +116,10 @@ def check_axes(
 def _changes() -> dict[str, Array]:
     """Return what may have happened to the positions: an axis turned round, or two axes exchanged."""
     changes = {axis: np.diag(signs) for axis, signs in MIRRORS.items()}
-    for one, two in combinations(range(3), 2):
+    for axis_a, two in combinations(range(3), 2):
         order = [0, 1, 2]
-        order[one], order[two] = two, one
-        changes[f"{'xyz'[one]} and {'xyz'[two]}"] = np.eye(3)[order]
+        order[axis_a], order[two] = two, axis_a
+        changes[f"{'xyz'[axis_a]} and {'xyz'[two]}"] = np.eye(3)[order]
     return changes
 
 

@@ -161,10 +161,10 @@ def _from_guess(cloud: Cloud, surface: TriangleSurface, guess: Guess, towards: A
     fits = [fit, *(refined(cloud, surface, start, guess) for start in starts)]
     middle = cloud.points_mm.mean(axis=0)
 
-    def misfit(one: Refined) -> float:
-        information, toward = pull(guess, one.pose.rotation, one.pose.shift, middle)
+    def misfit(fit: Refined) -> float:
+        information, toward = pull(guess, fit.pose.rotation, fit.pose.shift, middle)
         pulled = float(toward @ np.linalg.solve(information, toward))
-        return one.energy / (1.0 if cloud.sd_mm is not None else max(fits[-1].scale, 1e-6) ** 2) + pulled
+        return fit.energy / (1.0 if cloud.sd_mm is not None else max(fits[-1].scale, 1e-6) ** 2) + pulled
 
     return min(fits, key=misfit)
 

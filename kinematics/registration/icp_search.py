@@ -110,9 +110,9 @@ def candidates(
     return kept
 
 
-def separation(one: Candidate, other: Candidate, points_mm: Array) -> float:
+def separation(pose: Candidate, other: Candidate, points_mm: Array) -> float:
     """Return how far the farthest point lies apart under two poses, mm."""
-    return float(np.max(np.linalg.norm(one.points(points_mm) - other.points(points_mm), axis=1)))
+    return float(np.max(np.linalg.norm(pose.points(points_mm) - other.points(points_mm), axis=1)))
 
 
 def _starts(local: Array, samples: Array, normals: Array, towards: Array | None) -> tuple[Array, Array]:

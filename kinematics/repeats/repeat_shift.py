@@ -87,9 +87,9 @@ def _moved(
     weight = (np.abs(common[:, [reference]]) / scale)[inner] ** 2
     energy, moved = 0.0, np.zeros(data.shape[1])
     for take in range(data.shape[1]):
-        one = data[inner, take]
+        values = data[inner, take]
         with np.errstate(divide="ignore", invalid="ignore"):
-            change = one[:, others] / one[:, [reference]] * scale[inner] - ratio[inner]
+            change = values[:, others] / values[:, [reference]] * scale[inner] - ratio[inner]
         change = np.where(np.isfinite(change), change, 0.0)
         moved[take] = float(np.sum(weight * (slope.conj() * change).real))
         energy += float(np.sum(weight * np.abs(change) ** 2))

@@ -148,19 +148,19 @@ def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualM
     name = result.motion.runs[run]
     wrong = any(v.verdict != "ok" and v.run == name for v in result.channels)
     wide = _WIDTH - _LEFT - (_RIGHT if wrong else _BARE)
-    for number, (body, one, height) in enumerate(zip(bodies, maps, heights, strict=True)):
+    for number, (body, residuals, height) in enumerate(zip(bodies, maps, heights, strict=True)):
         top -= height
         box = (_LEFT / _WIDTH, top / total, wide / _WIDTH, height / total)
         view = figure.add_axes(box)
-        picture = _draw_map(view, one, highest, result.motion.freq_hz)
+        picture = _draw_map(view, residuals, highest, result.motion.freq_hz)
         view.set_title(shortened(plain(body.body), 60), loc="left", fontsize=10, color=colour(number))
         verdicts = _verdicts(result, run, number)
         _row_names(view, body, height, verdicts)
         side = figure.add_axes(((_LEFT + wide + 0.08) / _WIDTH, box[1], _BAR / _WIDTH, box[3]))
-        _draw_rms(side, one, verdicts, number, last=number == len(bodies) - 1)
+        _draw_rms(side, residuals, verdicts, number, last=number == len(bodies) - 1)
         _margin(side, verdicts, height)
         frequency_axis(view, result.motion.freq_hz)
-        view.set_xlim(one.edges_hz[0] / 1e3, one.edges_hz[-1] / 1e3)
+        view.set_xlim(residuals.edges_hz[0] / 1e3, residuals.edges_hz[-1] / 1e3)
         if number < len(bodies) - 1:
             view.set_xlabel("")
             view.tick_params(labelbottom=False)
@@ -174,20 +174,20 @@ def residual_figure(result: Points2Dof, run: int = 0) -> tuple[Figure, ResidualM
     return figure, maps[0]
 
 
-def _draw_map(view: Axes, one: ResidualMap, highest: float, freq_hz: Array) -> ScalarMappable:
+def _draw_map(view: Axes, residuals: ResidualMap, highest: float, freq_hz: Array) -> ScalarMappable:
     import matplotlib
     from matplotlib.colors import PowerNorm
 
     # noise stays pale, what stands out of it turns dark
     norm = PowerNorm(1.8, vmin=0.0, vmax=highest)
     shades = matplotlib.colormaps["magma_r"].with_extremes(bad="#dfe5ec")
-    across, down = one.edges_hz / 1e3, np.arange(len(one.size) + 1)
-    values = np.ma.masked_invalid(one.size)
+    across, down = residuals.edges_hz / 1e3, np.arange(len(residuals.size) + 1)
+    values = np.ma.masked_invalid(residuals.size)
     if log_spaced(freq_hz):
         drawn: ScalarMappable = view.pcolormesh(across, down, values, cmap=shades, norm=norm, rasterized=True)
     else:
         drawn = view.pcolorfast(across, down, values, cmap=shades, norm=norm)
-    view.set_ylim(len(one.size), 0)
+    view.set_ylim(len(residuals.size), 0)
     view.set_xlim(across[0], across[-1])
     view.tick_params(labelsize=8)
     return drawn
@@ -224,10 +224,12 @@ def _row_names(view: Axes, body: BodyChannels, height: float, verdicts: list[Cha
             tick.set_fontweight("bold")
 
 
-def _draw_rms(view: Axes, one: ResidualMap, verdicts: list[ChannelVerdict], number: int, last: bool) -> None:
+def _draw_rms(
+    view: Axes, residuals: ResidualMap, verdicts: list[ChannelVerdict], number: int, last: bool
+) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    rows, width = np.arange(len(one.rms)) + 0.5, np.nan_to_num(one.rms)
+    rows, width = np.arange(len(residuals.rms)) + 0.5, np.nan_to_num(residuals.rms)
     wrong = np.array([v.verdict != "ok" for v in verdicts], dtype=bool)
     wrong = wrong if len(wrong) else np.zeros(len(rows), dtype=bool)
     if len(rows) <= 120:
@@ -240,7 +242,7 @@ def _draw_rms(view: Axes, one: ResidualMap, verdicts: list[ChannelVerdict], numb
     view.barh(rows[wrong], width[wrong], height=0.8 if len(rows) <= 120 else 1.0, color=FAULT, lw=0)
     view.axvline(1.0, color=INK, lw=0.7)
     view.set_ylim(len(rows), 0)
-    most = float(np.nanmax(np.append(one.rms, 1.0)))
+    most = float(np.nanmax(np.append(residuals.rms, 1.0)))
     view.set_xlim(0.0, 1.08 * max(1.4, most))
     view.set_yticks([])
     steps = [step for step in MaxNLocator(2).tick_values(0.0, 1.05 * most) if 1.5 < step <= 1.05 * most]

@@ -224,16 +224,19 @@ def residual_section(result: Points2Dof) -> Section:
     section = Section("Residuals of the rigid fit", key="rigid_residuals")
     runs = _worst_runs(result)
     for run in runs:
-        drawing, one = residual_figure(result, run)
+        drawing, residuals = residual_figure(result, run)
         several = len(result.motion.runs) > 1
-        shared = f" Each column is the largest of up to {one.lines} lines." if one.lines > 1 else ""
+        shared = (
+            f" Each column is the largest of up to {residuals.lines} lines." if residuals.lines > 1 else ""
+        )
         where = f", run {result.motion.runs[run]}" if several else ""
         section.add(
             page.figure(
                 drawing,
                 f"|residual| of every channel over frequency in units of its sd{where}.{shared} Noise "
-                f"alone gives about {one.noise:.2g}. Grey: not used. Bars: root mean square over frequency "
-                "in units of sd, corrected for leverage: 1 for noise. Red: channels with a verdict.",
+                f"alone gives about {residuals.noise:.2g}. Grey: not used. Bars: root mean square over "
+                "frequency in units of sd, corrected for leverage: 1 for noise. Red: channels with a "
+                "verdict.",
                 f"Residual map{where}: {_map_words(result, run)}",
                 dpi=110,
                 vector=False,

@@ -61,16 +61,16 @@ def repeats_section(result: Points2Dof) -> Section:
     return section
 
 
-def _takes(one: RunRepeats) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def _takes(repeats: RunRepeats) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return header and rows of the table of all repeats."""
     header: tuple[str, ...] = ("repeat", "relative amplitude", "relative phase (°)")
     rows: list[tuple[str, ...]] = [
         (take.name, f"{gain:.5g}", f"{turn:.3g}")
-        for take, gain, turn in zip(one.takes, one.gain, one.phase_deg, strict=True)
+        for take, gain, turn in zip(repeats.takes, repeats.gain, repeats.phase_deg, strict=True)
     ]
-    if len(one.shift) == len(rows):
+    if len(repeats.shift) == len(rows):
         header = (*header, "shift of frequencies (%)")
-        moved = ["-" if np.isnan(value) else f"{100.0 * value:+.2g}" for value in one.shift]
+        moved = ["-" if np.isnan(value) else f"{100.0 * value:+.2g}" for value in repeats.shift]
         rows = [(*row, value) for row, value in zip(rows, moved, strict=True)]
     return header, rows[:_MOST_ROWS]
 
@@ -89,22 +89,22 @@ def _size(name: str, size: float) -> str:
     return f"{100.0 * size:+.2g} %"
 
 
-def repeats_figure(one: RunRepeats) -> Figure:
+def repeats_figure(repeats: RunRepeats) -> Figure:
     """Draw relative amplitude and phase of every repeat in the order of the file; outliers found are red."""
     figure = page.new_figure(11.0, 2.5)
     amplitude, phase = figure.subplots(1, 2)
-    place = np.arange(len(one.takes))
-    odd = {test.take for test in one.found if test.take >= 0}
+    place = np.arange(len(repeats.takes))
+    odd = {test.take for test in repeats.found if test.take >= 0}
     tints = [FAULT if k in odd else COLOURS[0] for k in place]
     for view, value, middle, label in (
-        (amplitude, 100.0 * (one.gain - 1.0), 0.0, "amplitude − mean (%)"),
-        (phase, one.phase_deg, 0.0, "phase − mean (°)"),
+        (amplitude, 100.0 * (repeats.gain - 1.0), 0.0, "amplitude − mean (%)"),
+        (phase, repeats.phase_deg, 0.0, "phase − mean (°)"),
     ):
         view.axhline(middle, color=INK, lw=0.8)
         view.vlines(place, middle, value, color=tints, lw=1.2)
         view.scatter(place, value, s=22, color=tints, zorder=3)
         step = max(1, len(place) // 10)
-        names = [shortened(plain(one.takes[k].name), 14) for k in place[::step]]
+        names = [shortened(plain(repeats.takes[k].name), 14) for k in place[::step]]
         view.set_xticks(place[::step], names, fontsize=7.5, rotation=20 if len(names) > 5 else 0)
         view.set_ylabel(label, fontsize=9)
         view.grid(True, axis="y", color=GRID, lw=0.6)

@@ -147,17 +147,18 @@ def grid_faults(
     measured = [number for number in range(len(names)) if np.any(present[number])]
     for number in measured[1:]:
         first = measured[0]
-        one, two = np.flatnonzero(present[first]), np.flatnonzero(present[number])
-        low, high = max(one[0], two[0]), min(one[-1], two[-1])
-        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (one, two))
+        grid_a, grid_b = np.flatnonzero(present[first]), np.flatnonzero(present[number])
+        low, high = max(grid_a[0], grid_b[0]), min(grid_a[-1], grid_b[-1])
+        within = min(int(np.sum((rows >= low) & (rows <= high))) for rows in (grid_a, grid_b))
         common = int(np.sum(present[first] & present[number]))
         if common and common >= _SHARE * within:
             continue
+        both = " and ".join(_described(freq_hz[rows]) for rows in (grid_a, grid_b))
         faults.append(
             Fault(
                 f"the frequencies of bodies {names[first]} and {names[number]}",
                 "the same within 1 % of their spacing and 1e-4, as far as both bodies were measured",
-                f"{_described(freq_hz[one])} and {_described(freq_hz[two])}, {common} of them in common",
+                f"{both}, {common} of them in common",
                 where,
                 "Measure both bodies on one grid, or resample one of them",
             )

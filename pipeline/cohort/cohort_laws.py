@@ -125,10 +125,10 @@ class CohortLaws:
                 names = self.table.full_name(response), self.table.full_name(predictor)
             except KeyError:
                 names = (response, predictor)
-            for one in self.laws:
-                if (one.response, one.predictor) == names:
-                    return one
-        known = ", ".join(sorted({f"{one.response} ~ {one.predictor}" for one in self.laws})) or "none"
+            for law in self.laws:
+                if (law.response, law.predictor) == names:
+                    return law
+        known = ", ".join(sorted({f"{law.response} ~ {law.predictor}" for law in self.laws})) or "none"
         raise PipelineError(Fault("the law", f"one of {known}", f"{response} ~ {predictor}"))
 
     def predict(

@@ -113,7 +113,7 @@ class Quantity:
 def read_ear(folder: Path, name: str) -> Ear:
     """Read the results of one study, called ``name``, from its output folder."""
     mass, kd = (
-        json.loads((Path(folder) / one).read_text(encoding="utf-8")) for one in ("mass.json", "kd.json")
+        json.loads((Path(folder) / file).read_text(encoding="utf-8")) for file in ("mass.json", "kd.json")
     )
     return Ear(name, Path(folder).name, mass["frames"].get("side") or "", mass, kd)
 
@@ -181,7 +181,7 @@ def source_id(ear: Ear, source: str) -> str:
 
 def _common_sources(ears: Sequence[Ear]) -> tuple[str, ...]:
     """Return the sources of the mass's errors that all ears share."""
-    return tuple(one for one in SHARED_SOURCES if len({source_id(ear, one) for ear in ears}) == 1)
+    return tuple(source for source in SHARED_SOURCES if len({source_id(ear, source) for ear in ears}) == 1)
 
 
 def _mass_shared(mass: Mapping[str, Any], common: Sequence[str]) -> float:

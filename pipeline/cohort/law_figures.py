@@ -47,8 +47,8 @@ def laws_figure(cohort: CohortLaws) -> Any:
     return drawing
 
 
-def _draw_law(panel: Any, one: CohortLaw, pairs: LogPairs, predictor: Predictor) -> None:
-    factor = SHOWN.get(one.predictor, ("", 1.0))[1]
+def _draw_law(panel: Any, law: CohortLaw, pairs: LogPairs, predictor: Predictor) -> None:
+    factor = SHOWN.get(law.predictor, ("", 1.0))[1]
     angle = np.linspace(0.0, 2.0 * np.pi, 41)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     few = pairs.n <= _MOST_ELLIPSES
@@ -60,9 +60,9 @@ def _draw_law(panel: Any, one: CohortLaw, pairs: LogPairs, predictor: Predictor)
     x = np.linspace(pairs.x.min() - margin, pairs.x.max() + margin, 25)
     ends = np.array([predictor.predict(float(at)).interval for at in x])
     panel.fill_between(np.exp(x) * factor, np.exp(ends[:, 0]), np.exp(ends[:, 1]), color=_BAND, lw=0)
-    panel.plot(np.exp(x) * factor, np.exp(one.law.intercept + one.law.exponent * x), color=_BLUE, lw=1.5)
+    panel.plot(np.exp(x) * factor, np.exp(law.law.intercept + law.law.exponent * x), color=_BLUE, lw=1.5)
     panel.plot(np.exp(pairs.x) * factor, np.exp(pairs.y), "o", color=_BLUE, ms=4 if few else 2)
-    panel.set(xlabel=label(one.predictor), ylabel=f"{one.response} (SI)")
+    panel.set(xlabel=label(law.predictor), ylabel=f"{law.response} (SI)")
 
 
 def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
@@ -73,13 +73,13 @@ def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
     finite = ends[np.isfinite(ends)]
     exponents = [cohort_law.law.exponent for cohort_law in laws]
     limits = (min([*exponents, *finite]) - 1.0, max([*exponents, *finite]) + 1.0)
-    for place, one in enumerate(laws):
-        low, high = np.clip(np.nan_to_num(one.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
+    for place, law in enumerate(laws):
+        low, high = np.clip(np.nan_to_num(law.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
         panel.plot([low, high], [place, place], color=_BLUE, lw=1.5)
-        for end, open_end, marker in zip((low, high), ~np.isfinite(one.law.interval), "<>", strict=True):
+        for end, open_end, marker in zip((low, high), ~np.isfinite(law.law.interval), "<>", strict=True):
             if open_end:
                 panel.plot(end, place, marker, color=_BLUE, ms=6)
-        panel.plot(one.law.exponent, place, "o", color=_BLUE, ms=5)
+        panel.plot(law.law.exponent, place, "o", color=_BLUE, ms=5)
     panel.axvline(0.0, color=_GREY, lw=1)
     panel.set(
         xlim=limits,
@@ -95,16 +95,16 @@ def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
 def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Any:
     """Draw the residuals of ears left out, one panel for each law."""
     drawing, panels = _panels(len(laws), 2.4)
-    for panel, one in zip(panels, laws, strict=True):
+    for panel, law in zip(panels, laws, strict=True):
         if cohort.table is None:
             continue
-        factor = SHOWN.get(one.predictor, ("", 1.0))[1]
-        pairs = cohort.table.pairs(one.response, one.predictor)[0]
-        panel.axhspan(-2.0 * one.law.sigma, 2.0 * one.law.sigma, color=_BAND, lw=0)
+        factor = SHOWN.get(law.predictor, ("", 1.0))[1]
+        pairs = cohort.table.pairs(law.response, law.predictor)[0]
+        panel.axhspan(-2.0 * law.law.sigma, 2.0 * law.law.sigma, color=_BAND, lw=0)
         panel.axhline(0.0, color=_GREY, lw=1)
         few = pairs.n <= _MOST_ELLIPSES
-        panel.plot(np.exp(pairs.x) * factor, one.left_out.errors, "o", color=_BLUE, ms=4 if few else 2)
-        panel.set(xlabel=label(one.predictor), ylabel=f"residual of ln {one.response}")
+        panel.plot(np.exp(pairs.x) * factor, law.left_out.errors, "o", color=_BLUE, ms=4 if few else 2)
+        panel.set(xlabel=label(law.predictor), ylabel=f"residual of ln {law.response}")
     return drawing
 
 

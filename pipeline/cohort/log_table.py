@@ -93,7 +93,9 @@ class LogTable:
             There is none, or more than one, of that name.
         """
         names = (*self.predictors, *self.responses)
-        close = [one for one in names if one == name] or [one for one in names if one.startswith(f"{name}_")]
+        close = [known for known in names if known == name] or [
+            known for known in names if known.startswith(f"{name}_")
+        ]
         if len(close) != 1:
             raise KeyError(name)
         return close[0]
@@ -234,7 +236,9 @@ def _length_logs(mass: Mapping[str, Any]) -> tuple[Array, Array, tuple[Notice, .
         value = lengths.get(key)
         values.append(np.log(float(value) * factor) if value is not None and float(value) > 0.0 else np.nan)
         size = float(np.sqrt(value)) if name.endswith("area_m2") and value else float(value or np.inf)
-        variances.append((length_sd_mm / size * _VOXEL_POWERS[name]) ** 2)
+        stated = lengths.get(f"{key.removesuffix('_mm')}_sd_mm")
+        sd_mm = length_sd_mm if stated is None else float(stated)
+        variances.append((sd_mm / size * _VOXEL_POWERS[name]) ** 2)
     assumed = (
         "that of two ends rounded to voxels was taken"
         if voxels is not None

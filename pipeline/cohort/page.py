@@ -73,9 +73,9 @@ def _side_by_side(ears: Sequence[Ear], rows: Sequence[Quantity]) -> list[Any]:
     return blocks
 
 
-def _on_diagonal(one: Quantity) -> bool:
-    letter, *dof = one.name.split("_")
-    return (letter in "KD" and dof[0] == dof[1]) or one.name.endswith("frequency")
+def _on_diagonal(quantity: Quantity) -> bool:
+    letter, *dof = quantity.name.split("_")
+    return (letter in "KD" and dof[0] == dof[1]) or quantity.name.endswith("frequency")
 
 
 def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
@@ -84,23 +84,23 @@ def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
     lines = -(-len(shown) // columns)
     drawing = page.new_figure(10.5, 1.9 * lines + 0.3)
     panels = drawing.subplots(lines, columns, squeeze=False).ravel()
-    for panel, one in zip(panels, shown, strict=False):
+    for panel, quantity in zip(panels, shown, strict=False):
         places = np.arange(len(ears))
         panel.errorbar(
             places,
-            one.values,
-            2.0 * np.nan_to_num(one.deviations),
+            quantity.values,
+            2.0 * np.nan_to_num(quantity.deviations),
             fmt="o",
             ms=4 if len(ears) <= MOST_AS_PATHS else 2,
             color="#0b6e99",
             capsize=3 if len(ears) <= MOST_AS_PATHS else 0,
         )
-        panel.axhline(one.mean, color="#9aa5b1", lw=1, zorder=0)
-        panel.set_title(_headed(one), fontsize=9, loc="right")
+        panel.axhline(quantity.mean, color="#9aa5b1", lw=1, zorder=0)
+        panel.set_title(_headed(quantity), fontsize=9, loc="right")
         step = -(-len(ears) // _SOME)
         panel.set(xlim=(-0.6, len(ears) - 0.4), xticks=places[::step])
         few = len(ears) <= _FEW
-        ticks = [_narrow(one) if few else str(k + 1) for k, one in enumerate(named)]
+        ticks = [_narrow(quantity) if few else str(k + 1) for k, quantity in enumerate(named)]
         panel.set_xticklabels(ticks[::step], fontsize=8)
         panel.tick_params(axis="y", labelsize=8)
         panel.grid(True, axis="y", color="#eef1f4")
@@ -123,20 +123,20 @@ def _groups(rows: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
     ]
 
 
-def _title(one: Quantity) -> str:
-    letter, *dof = one.name.split("_")
+def _title(quantity: Quantity) -> str:
+    letter, *dof = quantity.name.split("_")
     if letter in "KD":
         return f"{letter}({', '.join(dof)})"
-    return one.name.replace("_", " ").replace("mode", "mode ")
+    return quantity.name.replace("_", " ").replace("mode", "mode ")
 
 
-def _headed(one: Quantity) -> str:
+def _headed(quantity: Quantity) -> str:
     """Return the name of a quantity with its unit."""
-    return f"{_title(one)} ({one.unit})" if one.unit else _title(one)
+    return f"{_title(quantity)} ({quantity.unit})" if quantity.unit else _title(quantity)
 
 
-def _cell(one: Quantity, place: int) -> str:
-    value, sd = one.values[place], one.deviations[place]
+def _cell(quantity: Quantity, place: int) -> str:
+    value, sd = quantity.values[place], quantity.deviations[place]
     if not np.isfinite(value):
         return "–"
     return plus_minus(float(value), float(sd)) if np.isfinite(sd) else f"{value:.4g}"

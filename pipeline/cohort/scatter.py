@@ -51,7 +51,7 @@ class _ScatterProfile:
         _, place, count = np.unique(pairs.subject, return_inverse=True, return_counts=True)
         self._groups = []
         for m in np.unique(count):
-            ears = np.array([np.flatnonzero(place == one) for one in np.flatnonzero(count == m)])
+            ears = np.array([np.flatnonzero(place == subject) for subject in np.flatnonzero(count == m)])
             alike = np.eye(m) + rho * (1.0 - np.eye(m))
             self._groups.append((ears, alike))
 

@@ -40,7 +40,10 @@ def best_order(a: Array, b: Array, weights: Array) -> tuple[Order, float]:
             energies[order] = _energy(a, b, weights, order)
     lowest = min(energies.values())
     alike = [order for order, energy in energies.items() if energy < lowest + _ALIKE]
-    order = min(alike, key=lambda one: (sum(k != place for place, k in enumerate(one)), energies[one]))
+    order = min(
+        alike,
+        key=lambda candidate: (sum(k != place for place, k in enumerate(candidate)), energies[candidate]),
+    )
     return order, energies[order]
 
 
@@ -68,7 +71,7 @@ def _candidates(a: Array, b: Array, weights: Array) -> list[Order]:
         return []
     from scipy.optimize import linear_sum_assignment
 
-    corners = max(combinations(range(count), 3), key=lambda one: _area(a[list(one)]))
+    corners = max(combinations(range(count), 3), key=lambda triple: _area(a[list(triple)]))
     triples = np.array(list(permutations(range(count), 3)))
     rough = _energies(a[list(corners)], b, weights[list(corners)], triples)
     candidates = []

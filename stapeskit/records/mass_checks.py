@@ -227,9 +227,9 @@ def _frames(checked: Checked) -> None:
             checked.transforms[name] = RigidTransform(matrix, to, source)
     given = {name for name in ("scan_from_plate", "plate_from_footplate") if _given(checked, name)}
     if len(given) == 1:
-        one = given.pop()
-        other = "plate_from_footplate" if one == "scan_from_plate" else "scan_from_plate"
-        checked.fault(f"frames.{other}", f"given beside {one}", "none")
+        present = given.pop()
+        other = "plate_from_footplate" if present == "scan_from_plate" else "scan_from_plate"
+        checked.fault(f"frames.{other}", f"given beside {present}", "none")
     if len(checked.transforms) == 3:
         wanted = (
             checked.transforms["scan_from_plate"].inverse() @ checked.transforms["scan_from_footplate"]

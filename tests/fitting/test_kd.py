@@ -357,4 +357,4 @@ def test_parameter_vector_round_trip_and_names() -> None:
     stiffness, damping = split(join(K, D), 3)
     assert np.array_equal(stiffness, K)
     assert np.array_equal(damping, D)
-    assert entry_units(("y", "alpha")) == [["N/m", "N"], ["N", "N m"]]
+    assert entry_units(("y", "alpha")) == [["N/m", "N"], ["N", "N m/rad"]]

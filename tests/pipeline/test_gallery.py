@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import runpy
@@ -9,12 +10,19 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import yaml
+from scipy.io import loadmat
 
 from ct_inertia.options import MassOptions
+from fitting.export_formats import exported
+from fitting.kd import fit_kd
+from fitting.options import KDOptions
 from stapeskit.options import declared
+from stapeskit.records.mass_record import read_mass_record
+from stapeskit.records.motion_files import read_motion
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
@@ -47,11 +55,20 @@ def test_the_octave_script_reads_names_that_exist(results):
     text = (EXAMPLES / "octave" / "redraw_responses.m").read_text(encoding="utf-8")
     kd = json.loads((results / "kd.json").read_text(encoding="utf-8"))
     mass = json.loads((results / "mass.json").read_text(encoding="utf-8"))
-    assert set(re.findall(r"\bkd\.(\w+)", text)) - {"json"} <= set(kd)
+    assert set(re.findall(r"\bkd\.(\w+)", text)) - {"json", "mat"} <= set(kd)
     for path in set(re.findall(r"\bmass\.(?!json)([\w.]+)", text)):
         value = mass
         for key in path.split("."):
             value = value[key]
+    matrix = read_mass_record(results / "mass.json").mass_matrix
+    fit = fit_kd(read_motion(results / "dof.h5"), matrix, KDOptions(bands=0))
+    assert set(re.findall(r"\bfit\.(\w+)", text)) == {"K", "D", "M", "dof"} & set(
+        loadmat(io.BytesIO(exported(fit, "mat")))
+    )
+    with h5py.File(results / "dof.h5") as file:
+        assert set(re.findall(r"h5read\(file, '/(\w+)'\)", text)) <= set(file)
+        members = file["q"].id.get_type()
+        assert [members.get_member_name(k) for k in range(2)] == [b"r", b"i"]
     header = (results / "dof.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert {"freq_hz", "body", "y_re_m", "y_im_m", "alpha_re_rad"} <= set(header)
 

@@ -153,11 +153,11 @@ def _one_quantity(lines: list[_Line], name: str) -> tuple[list[_Line], list[Noti
 def _twice(lines: Sequence[_Line]) -> list[Fault]:
     """List the frequencies that two files hold."""
     faults = []
-    for one, two in pairwise(lines):
-        if two.freq_hz - one.freq_hz <= 1e-9 * two.freq_hz:
+    for before, after in pairwise(lines):
+        if after.freq_hz - before.freq_hz <= 1e-9 * after.freq_hz:
             step = "Put every excitation into a separate folder, and give all folders"
-            thing = f"the frequency {two.freq_hz:g} Hz"
-            faults.append(Fault(thing, "there once", f"{one.block.file} and {two.block.file}", "", step))
+            thing = f"the frequency {after.freq_hz:g} Hz"
+            faults.append(Fault(thing, "there once", f"{before.block.file} and {after.block.file}", "", step))
     return faults
 
 

@@ -67,8 +67,8 @@ def read(path: Path, mapping: Path | None = None) -> Recordings:
     stated = {document.get("amplitude", "")} if document else set()
     for beam in beams:
         with collecting(faults):
-            one, amplitude = _recording(sheet, beam, freq, document, path.stem)
-            recordings.append(one)
+            recording, amplitude = _recording(sheet, beam, freq, document, path.stem)
+            recordings.append(recording)
             stated.add(document.get("amplitude", "") or amplitude)
     raise_all(KinematicsError, list(dict.fromkeys(faults)))
     notices: tuple[Notice, ...] = ()

@@ -33,8 +33,8 @@ def write(folder: Path, cohort: CohortLaws, content: Mapping[str, Any]) -> None:
         file.create_dataset("ear/side", data=[ear.side for ear in ears], dtype=texts)
         file.create_dataset("ear/about", data=[json.dumps(dict(ear.about)) for ear in ears], dtype=texts)
         inertia = [ear.mass["inertial_parameters"] for ear in ears]
-        _stack(file, "inertia/parameters", [one["values_si"] for one in inertia])
-        _stack(file, "inertia/covariance", [one.get("covariance_si") for one in inertia])
+        _stack(file, "inertia/parameters", [parameters["values_si"] for parameters in inertia])
+        _stack(file, "inertia/covariance", [parameters.get("covariance_si") for parameters in inertia])
         if len({tuple(ear.kd["dof"]) for ear in ears}) == 1:
             file.create_dataset("kd/dof", data=list(ears[0].kd["dof"]), dtype=texts)
             file.create_dataset("kd/parameters", data=list(ears[0].kd["parameters"]), dtype=texts)

@@ -23,9 +23,9 @@
   const harmless = (text) => (/^[=+\-@]/.test(text) && !/^[+-]?[\d.]/.test(text) ? "'" : "") + text;
   const quoted = (cell) => '"' + harmless(words(cell)).replace(/"/g, '""') + '"';
   const SIGNS = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$",
-    "×": "$\\times$", "°": "$^\\circ$", "µ": "$\\mu$", "μ": "$\\mu$", "√": "$\\surd$", "²": "$^2$", "³": "$^3$", "−": "$-$",
+    "×": "$\\times$", "°": "$^\\circ$", "µ": "$\\mu$", "μ": "$\\mu$", "√": "$\\surd$", "φ": "$\\varphi$", "²": "$^2$", "³": "$^3$", "−": "$-$",
     "α": "$\\alpha$", "β": "$\\beta$", "γ": "$\\gamma$", "ω": "$\\omega$", "ζ": "$\\zeta$", "σ": "$\\sigma$", "χ": "$\\chi$" };
-  const latex = (cell) => words(cell).replace(/[&%$#_{}\\~^±×°µμ√²³−αβγωζσχ]/g, (sign) => SIGNS[sign] || "\\" + sign);
+  const latex = (cell) => words(cell).replace(/[&%$#_{}\\~^±×°µμ√²³−αβγωζσχφ]/g, (sign) => SIGNS[sign] || "\\" + sign);
   function tabular(table) {
     const rows = Array.from(table.rows), width = Math.max(...rows.map((row) => row.cells.length));
     const lines = rows.map((row, place) => Array.from(row.cells, latex).join(" & ") + " \\\\" + (place === 0 ? "\n\\midrule" : ""));

@@ -53,6 +53,27 @@ def test_the_state_of_the_density_changes_no_exponent(ears, studied):
     assert other.exponent == pytest.approx(studied.law("K11", "mass").law.exponent, abs=1e-5)
 
 
+def test_a_law_on_the_gap_comes_back_with_the_gap_s_own_deviation():
+    """K and D as 1 / gap, measured with 3 % of error; the scan states the gap with its deviation."""
+    rng = np.random.default_rng(4)
+    ears = []
+    for number in range(16):
+        gap = 0.1 * float(np.exp(0.25 * rng.standard_normal()))
+        case = ear(number, rng, exponent=0.0)
+        seen = {"gap_mm": gap * (1.0 + 0.03 * rng.standard_normal()), "gap_sd_mm": 0.03 * gap}
+        kd = {
+            **case.kd,
+            **{key: (np.array(case.kd[key]) * 0.1 / gap).tolist() for key in ("stiffness_si", "damping_si")},
+        }
+        ears.append(replace(case, kd=kd, mass={**case.mass, "found": {**case.mass["found"], **seen}}))
+    table = log_table(ears)
+    column = table.column("gap")
+    assert np.sqrt(table.own[:, column, column]) == pytest.approx(0.03, rel=0.15)
+    law = cohort_laws(ears).law("K11", "gap")
+    assert law.law.interval[0] <= -1.0 <= law.law.interval[1] < 0.0
+    assert law.family == "primary"
+
+
 def test_the_record_has_the_keys_of_the_contract(studied, tmp_path, ears):
     content = json.loads(json.dumps(studied.as_json({"date": "today"}), allow_nan=False))
     assert content["schema"] == "stapeskit.cohort/1"

@@ -1,0 +1,152 @@
+"""The figures of a page as files and its tables as CSV and LaTeX: ``stapeskit figures PAGE.html DIR``.
+
+The files are those that the buttons of the page save (stapeskit/page/parts/page.js).
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+from stapeskit.faults import Fault, StapeskitError
+from stapeskit.own_files import OutputSet
+from stapeskit.tables.text_cells import as_text_cell
+
+_PICTURE = re.compile(r"data:image/(\w+)(?:\+xml)?;base64,(.*)", re.DOTALL)
+_LEAST_ROWS = 3  # a header and two rows
+_NUMBER = re.compile(r"[+-]?[\d.]")
+_SIGNS = {
+    **{"α": "alpha", "β": "beta", "γ": "gamma", "ω": "omega", "ζ": "zeta", "σ": "sigma", "χ": "chi"},
+    **{"φ": "varphi", "µ": "mu", "μ": "mu", "±": "pm", "×": "times", "√": "surd"},
+}
+_LATEX = {sign: f"$\\{name}$" for sign, name in _SIGNS.items()} | {
+    **{"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "°": "$^\\circ$"},
+    **{"²": "$^2$", "³": "$^3$", "−": "$-$"},
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+}
+
+
+@dataclass
+class _Parts(HTMLParser):
+    """What a page holds: figures (name, kind, bytes) and tables (name, rows of cells)."""
+
+    figures: list[tuple[str, str, bytes]] = field(default_factory=list)
+    tables: list[tuple[str, list[list[str]]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self._heading = ""
+        self._titles: dict[str, list[str]] = {"h2": [], "title": []}
+        self._reading = ""
+        self._rows: list[list[str]] | None = None
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Begin a heading, table, row or cell, or keep a picture."""
+        values = dict(attrs)
+        if tag in self._titles:
+            self._reading, self._titles[tag] = tag, []
+        elif tag == "table":
+            self._rows = []
+        elif tag == "tr" and self._rows is not None:
+            self._rows.append([])
+        elif tag in ("td", "th") and self._rows:
+            self._rows[-1].append("")
+        elif tag == "br" and self._rows and self._rows[-1]:
+            self._rows[-1][-1] += " "
+        elif tag == "img" and (found := _PICTURE.fullmatch(values.get("src") or "")):
+            content = base64.b64decode(found[2])
+            self.figures.append((self._numbered(self.figures), found[1], content))
+
+    def handle_endtag(self, tag: str) -> None:
+        """End a heading or a table."""
+        if tag in self._titles:
+            self._reading = ""
+        if tag == "table" and self._rows is not None:
+            rows = [[" ".join(cell.split()) for cell in row] for row in self._rows if row]
+            if len(rows) >= _LEAST_ROWS:
+                self.tables.append((self._numbered(self.tables), rows))
+            self._rows = None
+
+    def handle_data(self, data: str) -> None:
+        """Add text to the heading or cell that it stands in."""
+        if self._reading:
+            self._titles[self._reading].append(data)
+        elif self._rows and self._rows[-1]:
+            self._rows[-1][-1] += data
+
+    def _numbered(self, others: Sequence[tuple[Any, ...]]) -> str:
+        """Return the heading of the section as a name, with a number that counts within it."""
+        words = "".join(self._titles["h2"] or self._titles["title"]).lower()
+        name = re.sub(r"[^a-z0-9]+", "_", words).strip("_") or "page"
+        return f"{name}_{1 + sum(str(other[0]).rpartition('_')[0] == name for other in others)}"
+
+
+def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Path, ...]:
+    """Write every figure of a page (SVG, or PNG where it holds pixels) and every table (CSV, LaTeX).
+
+    Parameters
+    ----------
+    page : Path
+        report.html, dof.html, kd.html or another page of these commands.
+    folder : Path
+        Made when missing.
+    force : bool
+        Replace files of the same names that this function did not write.
+
+    Raises
+    ------
+    StapeskitError
+        There is no such page, it holds neither figure nor table, or files of another origin stand in the way.
+    """
+    try:
+        text = page.read_text(encoding="utf-8")
+    except (OSError, ValueError) as fault:
+        step = "Give report.html, dof.html or kd.html"
+        raise StapeskitError(Fault("the page", "a page that a command wrote", page, "", step)) from fault
+    parts = _Parts()
+    parts.feed(text)
+    files = {f"{name}.{kind}": content for name, kind, content in parts.figures}
+    for name, rows in parts.tables:
+        files[f"table_{name}.csv"] = _csv(rows)
+        files[f"table_{name}.tex"] = _latex(rows)
+    if not files:
+        step = "Give report.html, dof.html or kd.html"
+        raise StapeskitError(Fault("the page", "one with figures or tables", "none", page.name, step))
+    outputs = OutputSet("stapeskit figures", folder, tuple(files), (page,), force)
+    outputs.check()
+    with outputs.staged() as stage:
+        for name, content in files.items():
+            (stage / name).write_bytes(content)
+    return tuple(outputs.folder / name for name in files)
+
+
+def _csv(rows: Sequence[Sequence[str]]) -> bytes:
+    stream = io.StringIO(newline="")
+    csv.writer(stream).writerows(
+        [[cell if _NUMBER.match(cell) else as_text_cell(cell) for cell in row] for row in rows]
+    )
+    return ("\ufeff" + stream.getvalue()).encode()
+
+
+def _latex(rows: Sequence[Sequence[str]]) -> bytes:
+    """Return a tabular environment, for the package booktabs."""
+    lines = [" & ".join("".join(_LATEX.get(sign, sign) for sign in cell) for cell in row) for row in rows]
+    width = max(map(len, rows))
+    text = [
+        "% needs \\usepackage{booktabs}",
+        f"\\begin{{tabular}}{{l{'r' * (width - 1)}}}",
+        "\\toprule",
+        f"{lines[0]} \\\\",
+        "\\midrule",
+        *(f"{line} \\\\" for line in lines[1:]),
+        "\\bottomrule",
+        "\\end{tabular}",
+    ]
+    return ("\n".join(text) + "\n").encode()
