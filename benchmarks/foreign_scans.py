@@ -104,20 +104,25 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
     return truth
 
 
+def fine_grid(h: float) -> tuple[_Grid, Array]:
+    """Return a grid around a body in its own axes, and the transform (4, 4) from its index."""
+    corners = np.array([[-1.9, -0.5, -1.1], [1.9, 4.1, 1.1]]) * 1.1
+    start = np.eye(4)
+    start[:3, 3] = -corners[0]
+    shape = tuple(int(v) for v in np.ceil((corners[1] - corners[0]) / h)[::-1])
+    index_to_body = np.diag([h, h, h, 1.0])
+    index_to_body[:3, 3] = corners[0]
+    return _Grid(start, shape, h), index_to_body
+
+
 @cache
 def _frame(anatomy: _Hashed) -> Array:
     from ct_inertia.frames.anatomy import AnatomyHints
     from ct_inertia.frames.footplate import footplate_frame
     from ct_inertia.surface.isosurface import iso_surface
 
-    h = 0.022
-    corners = np.array([[-1.9, -0.5, -1.1], [1.9, 4.1, 1.1]]) * 1.1
-    start = np.eye(4)
-    start[:3, 3] = -corners[0]
-    shape = tuple(int(v) for v in np.ceil((corners[1] - corners[0]) / h)[::-1])
-    signed = _Grid(start, shape, h).signed(lambda p: shapes.body(anatomy.it, p))
-    index_to_body = np.diag([h, h, h, 1.0])
-    index_to_body[:3, 3] = corners[0]
+    grid, index_to_body = fine_grid(0.022)
+    signed = grid.signed(lambda p: shapes.body(anatomy.it, p))
     surface = iso_surface(-signed, 0.0, index_to_body)
     hints = AnatomyHints(np.array([1.0, 0.0, 0.0]), {}, None)
     return np.asarray(footplate_frame(surface, hints).scan_from_footplate.matrix)

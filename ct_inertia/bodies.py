@@ -167,6 +167,31 @@ class PlateFace:
 
 
 @dataclass(frozen=True)
+class Wall:
+    """The surface of bone that is not the stapes, as seen.
+
+    Attributes
+    ----------
+    points_mm : ndarray, (n, 3)
+        Scan coordinates; where the blurred image has half of that bone's contrast.
+    faces : ndarray of int, (m, 3)
+        Outward; open where the box around the stapes ends.
+    blur_mm : float
+        Standard deviation of the blur with which it is seen.
+    level_sd : float
+        Standard deviation of the half level, as a share of the contrast.
+    tail : float
+        Standard deviation of what is not known of the tails of close bodies, as a share of them.
+    """
+
+    points_mm: Array
+    faces: NDArray[np.int64]
+    blur_mm: float
+    level_sd: float
+    tail_sd: float
+
+
+@dataclass(frozen=True)
 class Bodies:
     """Everything found in a scan.
 
@@ -185,6 +210,8 @@ class Bodies:
         Spectral density of its height noise at long waves, as far as neighbouring voxels share noise.
     frame_doubt : Surface or None
         The same surface, less of what is soft around the stapes taken off by a standard deviation.
+    wall : Wall or None
+        Surface of other bone near the stapes.
     plate : Surface or None
     moments : Moments
         Partial-volume moments of the stapes with their covariance by source: the numbers to use.
@@ -213,6 +240,7 @@ class Bodies:
     frame_blur_mm: float = 0.0
     frame_noise_mm4: float = 0.0
     frame_doubt: Surface | None = None
+    wall: Wall | None = None
     plate_face: PlateFace | None = None
     evidence: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[Notice, ...] = ()

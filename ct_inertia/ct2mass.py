@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from ct_inertia.bodies import Bodies
     from ct_inertia.frames.plate_fiducials import PlateFiducials
     from ct_inertia.frames.plate_frame import PlateFrame
+    from ct_inertia.frames.window_gap import WindowGap
     from ct_inertia.mass.calibration import Calibration
 
 __all__ = ["MassMeasurement", "MassOptions", "ct2mass"]
@@ -77,6 +78,8 @@ class MassMeasurement:
         The mass matrix by every way to a mass that was given; the leading one, which is ``matrix``, first.
     inputs : InputStates or None
         The input files as they were when they were read.
+    gap : WindowGap or None
+        Between the footplate's rim and the bone around it, where the scan shows it.
     """
 
     options: MassOptions
@@ -94,6 +97,7 @@ class MassMeasurement:
     notices: tuple[Notice, ...] = field(default=())
     ways: tuple[MassByWay, ...] = ()
     inputs: InputStates | None = None
+    gap: WindowGap | None = None
 
 
 @dataclass(frozen=True)
@@ -232,6 +236,7 @@ def _result(
     moments = mesh_moments if bodies is None else bodies.moments
     later = Later(_plate_frame, known, bodies, stapes, plate)
     footplate, doubts = _footplate(options, known, frame_surface, bodies, moments, notices)
+    gap = Later(_gap, bodies, footplate)
     added = point_masses(options.add_mass)
     found_by = masses_by_way(options, known.calibration, bodies, moments)
     scale = None if bodies is None else voxel_scale(options, bodies.volume)
@@ -272,7 +277,16 @@ def _result(
         bodies,
         unique(found),
         ways,
+        gap=gap.result(),
     )
+
+
+def _gap(bodies: Bodies | None, footplate: FootplateFrame) -> WindowGap | None:
+    if bodies is None or bodies.wall is None:
+        return None
+    from ct_inertia.frames.window_gap import window_gap
+
+    return window_gap(footplate, bodies.frame_surface, bodies.frame_blur_mm, bodies.wall)
 
 
 def _footplate(

@@ -81,7 +81,11 @@ def footplate_outline(record: MassRecord | None) -> Array | None:
 
 
 def window_gap(record: MassRecord | None) -> WithSd | None:
-    """Return the width of the gap around the footplate, mm, when mass.json holds one."""
+    """Return the width of the gap around the footplate, mm, when mass.json holds one.
+
+    The harmonic mean where there is one: over an uneven gap a ligament is as stiff as with that width.
+    """
     findings = {} if record is None else record.raw.get("found") or {}
-    value, sd = (float(findings.get(key) or 0.0) for key in ("gap_mm", "gap_sd_mm"))
+    value = float(findings.get("gap_harmonic_mm") or findings.get("gap_mm") or 0.0)
+    sd = float(findings.get("gap_sd_mm") or 0.0)
     return WithSd((value, sd or None)) if 0.0 < value < np.inf and sd >= 0.0 else None

@@ -29,6 +29,7 @@ from stapeskit.spatial import DOF_NAMES, PARAMETER_NAMES, dof_indices
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
+    from ct_inertia.frames.window_gap import WindowGap
     from ct_inertia.options import MassOptions
 
 Array = NDArray[np.float64]
@@ -204,6 +205,7 @@ def _found(result: MassMeasurement) -> dict[str, Any]:
         "footplate_width_mm": footplate.width_mm,
         "footplate_area_mm2": footplate.face_area_mm2,
         "footplate_flatness_rms_mm": footplate.face_rms_mm,
+        **_gap(result.gap),
         "surface_area_mm2": result.stapes.area_mm2,
         "holes": _holes(result.stapes),
         "footplate_outline_in_footplate_mm": np.round(outline[::step], 5).tolist(),
@@ -212,6 +214,17 @@ def _found(result: MassMeasurement) -> dict[str, Any]:
             {"position_mm": mass.position_mm.tolist(), "mass_kg": mass.mass_kg, "sd_kg": mass.sd_kg}
             for mass in point_masses(result.options.add_mass)
         ],
+    }
+
+
+def _gap(gap: WindowGap | None) -> dict[str, float | None]:
+    """Return the gap around the footplate; null where the scan does not show it."""
+    return {
+        "gap_mm": None if gap is None else gap.median_mm,
+        "gap_sd_mm": None if gap is None else gap.sd_mm,
+        "gap_harmonic_mm": None if gap is None else gap.harmonic_mm,
+        "gap_spread_mm": None if gap is None else gap.spread_mm,
+        "gap_rim_share": None if gap is None else gap.rim_share,
     }
 
 

@@ -139,7 +139,13 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
 
 
 def without_blur(diffusion: Diffusion, blur_mm: float) -> Array:
-    """Return the vertices (n, 3) moved along the normals to where the surface stands without the blur.
+    """Return the vertices (n, 3) moved along the normals to where the surface stands without the blur."""
+    normals = unit(diffusion.normals())
+    return np.asarray(diffusion.mesh.points + sunk_by_blur(diffusion, blur_mm, normals)[:, None] * normals)
+
+
+def sunk_by_blur(diffusion: Diffusion, blur_mm: float, normals: Array) -> Array:
+    """Return how far blur has moved each vertex (n,) inward, mm, along unit normals (n, 3).
 
     Notes
     -----
@@ -148,8 +154,7 @@ def without_blur(diffusion: Diffusion, blur_mm: float) -> Array:
     """
     points = diffusion.mesh.points
     lift = 2.0 * (blur_mm / diffusion.sigma_mm) ** 2 * (points - diffusion.step(points))
-    normals = unit(diffusion.normals())
-    return np.asarray(points + np.einsum("ij,ij->i", lift, normals)[:, None] * normals)
+    return np.asarray(np.einsum("ij,ij->i", lift, normals))
 
 
 def _cone(region: Region, y_axis: Array, cosine: float, normals: Array) -> _Cone:

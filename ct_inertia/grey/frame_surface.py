@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.normal import normal_quantile
-
-if TYPE_CHECKING:
-    from ct_inertia.grey.measure import Measured
 
 Array = NDArray[np.float64]
 
@@ -63,6 +60,16 @@ def frame_surface(share: NDArray[np.float32], scan_from_index: Array, sigma_mm: 
     spacing h (found on balls of every size; linear interpolation between points errs by h^2 / 12 times the
     curvature on average). That is counted as blur.
     """
+    part, transform, variance = coarse_share(share, scan_from_index)
+    surface = iso_surface(straightened(part), 0.0, transform)
+    shift = thin_wall_shift(surface, part, transform, float(np.sqrt(sigma_mm**2 + variance)))
+    return FrameSurface(_lifted(surface, shift), blur_on_grid(sigma_mm, transform, variance), shift)
+
+
+def coarse_share(
+    share: NDArray[np.float32], scan_from_index: Array
+) -> tuple[NDArray[np.float32], Array, float]:
+    """Return a share of bone on blocks or smoothed, its grid's transform (4, 4), and the variance added."""
     spacing = np.linalg.norm(scan_from_index[:3, :3], axis=0)
     block = _blocks(spacing)
     first, part = _around(share, block)
@@ -72,18 +79,25 @@ def frame_surface(share: NDArray[np.float32], scan_from_index: Array, sigma_mm: 
     else:
         part = gaussian(part, _SMOOTH_VOXELS, truncate=3.0)
         variance = (_SMOOTH_VOXELS * spacing) ** 2
+    transform = np.array(scan_from_index, dtype=float)
+    transform[:3, :3] = scan_from_index[:3, :3] * block
+    transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))
+    return part, transform, float(variance.mean())
+
+
+def straightened(part: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the quantiles of a share: straight lines across its edges, 0 at the half level."""
     edge = (part > _LEAST_SHARE) & (part < 1.0 - _LEAST_SHARE)
     limit = float(normal_quantile(_LEAST_SHARE))
     steep = np.where(part > 0.5, np.float32(-limit), np.float32(limit))
     steep[edge] = normal_quantile(part[edge])
-    transform = np.array(scan_from_index, dtype=float)
-    transform[:3, :3] = scan_from_index[:3, :3] * block
-    transform[:3, 3] = scan_from_index[:3, 3] + scan_from_index[:3, :3] @ (first + 0.5 * (block - 1.0))
-    surface = iso_surface(steep, 0.0, transform)
-    shift = thin_wall_shift(surface, part, transform, float(np.sqrt(sigma_mm**2 + variance.mean())))
-    surface = _lifted(surface, shift)
-    variance = variance + _CHORDS * (spacing * block) ** 2
-    return FrameSurface(surface, float(np.sqrt(sigma_mm**2 + variance.mean())), shift)
+    return steep
+
+
+def blur_on_grid(sigma_mm: float, transform: Array, variance_mm2: float) -> float:
+    """Return the blur of a surface on a grid: of the scan, of blocks or smoothing, of chords of curves."""
+    chords = _CHORDS * float(np.mean(np.sum(transform[:3, :3] ** 2, axis=0)))
+    return float(np.sqrt(sigma_mm**2 + variance_mm2 + chords))
 
 
 def _lifted(surface: Surface, shift_mm: Array) -> Surface:
@@ -129,13 +143,20 @@ def _blocks(spacing_mm: Array) -> NDArray[np.int64]:
     return np.maximum(np.floor(_GRID_MM / spacing_mm + 1e-6), 1.0).astype(np.int64)
 
 
-def doubted_surface(measured: Measured, scan_from_index: Array, known: FrameSurface) -> Surface | None:
+def doubted_surface(
+    share: NDArray[np.float32],
+    doubt: NDArray[np.float32] | None,
+    scan_from_index: Array,
+    sigma_mm: float,
+    known: FrameSurface,
+) -> Surface | None:
     """Return the surface a standard deviation away: of what is soft around it, and of the shift at walls.
 
-    None where nothing soft was subtracted and no wall is thin.
+    ``doubt`` is by how much the share may be wrong. None where nothing soft was subtracted and no wall is
+    thin.
     """
-    if measured.doubt is not None:
-        known = frame_surface(measured.share + measured.doubt, scan_from_index, measured.sigma_mm)
+    if doubt is not None:
+        known = frame_surface(share + doubt, scan_from_index, sigma_mm)
     elif float(np.mean(known.wall_shift_mm)) < _THIN_WALLS_MM:
         return None
     return _lifted(known.surface, _WALL_SD * known.wall_shift_mm)

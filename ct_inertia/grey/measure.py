@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ct_inertia.bodies import Levels, PlateFace
+from ct_inertia.bodies import Levels, PlateFace, Wall
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.bare_bone import Blur, bare_bone
 from ct_inertia.grey.bone_level import Bone, as_levels, measure_bone
-from ct_inertia.grey.coat import (
-    Coat,
-)
+from ct_inertia.grey.coat import Coat
 from ct_inertia.grey.cupping import cupping_notice
 from ct_inertia.grey.level_fit import BodyFit, fit_bodies, spread
 from ct_inertia.grey.levels import Air, Guess, Surroundings
@@ -22,6 +20,7 @@ from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensit
 from ct_inertia.grey.preparation import Prepared, blur_of, prepare
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.grey.thin_bone import thin_bone
+from ct_inertia.grey.wall import wall_of
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
@@ -64,6 +63,8 @@ class Measured:
         By how much the share may be wrong at once, where something soft or the plate was taken off.
     coat_share : float or None
         Volume of the subtracted coat's image over that of the stapes.
+    wall : Wall or None
+        Surface of other bone in the box.
     """
 
     moments: Moments
@@ -78,6 +79,7 @@ class Measured:
     notices: tuple[Notice, ...] = ()
     doubt: NDArray[np.float32] | None = None
     coat_share: float | None = None
+    wall: Wall | None = None
 
 
 def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) -> Measured:
@@ -130,6 +132,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         ),
         bare.doubt(parted.own, volume, bone.level - air.level),
         bare.coat_share(parted.own, volume, moments),
+        wall_of(cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD),
     )
 
 

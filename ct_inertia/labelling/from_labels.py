@@ -327,7 +327,10 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         stapes=surface,
         frame_surface=coarse.surface,
         frame_blur_mm=coarse.blur_mm,
-        frame_doubt=doubted_surface(measured, cut.scan_from_box(volume), coarse),
+        frame_doubt=doubted_surface(
+            measured.share, measured.doubt, cut.scan_from_box(volume), measured.sigma_mm, coarse
+        ),
+        wall=measured.wall,
         plate=plate_mesh,
         moments=moments,
         mesh_moments=surface.moments(),

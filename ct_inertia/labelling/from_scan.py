@@ -145,7 +145,10 @@ def _assembled(
             cut.scan_from_box(grid),
             coarse.blur_mm,
         ),
-        frame_doubt=doubted_surface(measured, cut.scan_from_box(grid), coarse),
+        frame_doubt=doubted_surface(
+            measured.share, measured.doubt, cut.scan_from_box(grid), measured.sigma_mm, coarse
+        ),
+        wall=measured.wall,
         plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,
         mesh_moments=stapes.moments(),

@@ -50,6 +50,7 @@ def found_section(content: Mapping[str, Any]) -> page.Section:
             f"{stapes['footplate_area_mm2']:.3f} mm², "
             f"{stapes['footplate_flatness_rms_mm'] * 1e3:.0f} µm off its plane (rms)",
         ),
+        ("gap around the footplate", gap_words(stapes)),
         ("holes through the body (a stapes has 1)", str(stapes["holes"])),
     ]
     for mass in stapes["added_masses"]:
@@ -65,6 +66,17 @@ def found_section(content: Mapping[str, Any]) -> page.Section:
             page.table(("", "found", "published", "z", "reference"), [_compared(row) for row in compared]),
         ]
     return page.Section("What was found", blocks, "literature")
+
+
+def gap_words(found: Mapping[str, Any]) -> str:
+    """Return the gap between the footplate's rim and the bone around it, or that there is none."""
+    if found.get("gap_mm") is None:
+        return "not measured: no other bone along half of the rim, or too near for the blur"
+    gap, sd, spread = (1e3 * found[key] for key in ("gap_mm", "gap_sd_mm", "gap_spread_mm"))
+    return (
+        f"{gap:.0f} ± {sd:.1f} µm (median along the {100.0 * found['gap_rim_share']:.0f} % of the rim with "
+        f"bone opposite; sd along it {spread:.0f} µm)"
+    )
 
 
 def _compared(row: Mapping[str, Any]) -> tuple[str, ...]:

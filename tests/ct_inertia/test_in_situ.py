@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.window_gap import window_gap
 from ct_inertia.labelling.from_scan import find_bodies
 from ct_inertia.segment.sight import SearchOptions
 from ct_inertia.volume.volume import Volume
@@ -40,6 +42,13 @@ def test_the_stapes_is_parted_from_what_it_touches(settings, limit):
     assert "cut_through_bone" in codes
     assert ("separation_weak" in codes) == ("incus_gap_mm" in settings)
     assert bodies.evidence["stapes"]["holes"] == 1
+    gap = window_gap(
+        footplate_frame(bodies.frame_surface), bodies.frame_surface, bodies.frame_blur_mm, bodies.wall
+    )
+    assert (gap is not None) == ("gap_mm" in settings)
+    if gap is not None:
+        assert abs(gap.median_mm - settings["gap_mm"]) < 2.0 * gap.sd_mm + 0.004
+        assert gap.rim_share < 1.0 if "bridges" in settings else gap.rim_share == 1.0
 
 
 def test_seed_box_and_labels_serve_where_bone_touches():
