@@ -3,13 +3,15 @@
     python benchmarks/cohort_cluster.py [--ears 64] [--brief 64]
 
 Runs brief studies without work, for the overhead per ear, and simulated ears (sample_volumes.make_cohort),
-here and on 1 and 2 dask workers, and compares all result files but for dates.
+here and on 1 and 2 dask workers, and compares all result files but for dates; then the stages of one ear as
+tasks of their own, from folder to folder.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import tempfile
 import time
@@ -20,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.runners import Where, cluster, local
 from pipeline.runners.process import Task
+from pipeline.stages import STAGES, run_stage
 from sample_volumes.make_cohort import Population, make_cohort
 from tests.pipeline.runners.test_cluster import processes
 
@@ -47,6 +50,21 @@ def timed(run, tasks, out: Path) -> float:
     run(placed, out, lambda *_: None, lambda name, end: faults.update({name: end.fault} if end.code else {}))
     assert not faults, faults
     return time.perf_counter() - begun
+
+
+def stages_one_by_one(study: Path, folder: Path, address: str) -> dict[str, object]:
+    """Run each stage of a study as a task of its own, from folder to folder; return the numbers of all."""
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        done = folder / "done" / study.parent.name
+        done.mkdir(parents=True)
+        for stage in STAGES:
+            fresh = folder / stage.name
+            fresh.mkdir()
+            client.submit(run_stage, stage.name, study, done, fresh, pure=False).result()
+            shutil.copytree(fresh, done, dirs_exist_ok=True)
+    return numbers(folder / "done")
 
 
 def main() -> None:
@@ -88,7 +106,12 @@ def main() -> None:
                     flush=True,
                 )
             if kind == "ears":
-                print("results equal:", all(one == results[0] and one for one in results))
+                print("results equal:", all(found == results[0] and found for found in results))
+                (folder / "stages").mkdir()
+                with processes(folder / "stages", 2) as (address, _):
+                    found = stages_one_by_one(studies[0], folder / "stages", address)
+                alone = {name: results[0][name] for name in found}
+                print(f"stages of one ear as tasks of their own, {len(found)} files equal:", found == alone)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
 """Do the intervals of K and D hold, and are errors named? On simulated ears that share no code with fitting.
 
-    python benchmarks/model_errors.py [EARS] [--table intervals|causes|laws|all] [--noise 0.5,1,3] [--height
-    0,0.1,0.3]
+    python benchmarks/model_errors.py [EARS] [--table intervals|causes|laws|branches|all] [--noise 0.5,1,3]
+                                      [--height 0,0.1,0.3]
 
 intervals: every cell draws EARS ears (benchmarks/ring_ears.py) with all shared errors, without and with
 fluid, and prints how many entries lie outside their 95 % interval, K33's median bias, false alarms and the
 time of a fit. causes: one error of known size an ear, 1 % noise: how often there is a warning, how often it
 is named first or among the look-alikes, and the errors of K and D in their own sd before and after it is
-corrected. laws: how often ``compare`` finds the law at 3 % noise, and coverage under it.
+corrected. laws: how often ``compare`` finds the law at 3 % noise, and coverage under it. branches: what
+``compare`` makes of a ligament with two relaxation times, which no law has.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from fitting.options import CORRECT, KDOptions
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.ring_ears import ERRORS, LAWS, PISTON, EarSettings, SimulatedEar, ear
+from benchmarks.ring_ears import BRANCHES, ERRORS, LAWS, PISTON, EarSettings, SimulatedEar, ear
 
 BLOCK = np.ix_(PISTON, PISTON)
 PLAIN = KDOptions(bands=0)
@@ -45,7 +46,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("ears", type=int, nargs="?", default=20)
-    parser.add_argument("--table", choices=["intervals", "causes", "laws", "all"], default="all")
+    parser.add_argument("--table", choices=["intervals", "causes", "laws", "branches", "all"], default="all")
     parser.add_argument("--noise", default="0.5,1,3")
     parser.add_argument("--height", default="0,0.1,0.3")
     chosen = parser.parse_args()
@@ -55,6 +56,8 @@ def main() -> None:
         causes(chosen.ears)
     if chosen.table in ("laws", "all"):
         laws(chosen.ears)
+    if chosen.table in ("branches", "all"):
+        branches(chosen.ears, [float(value) / 100.0 for value in chosen.noise.split(",")])
 
 
 def fitted(case: SimulatedEar, options: KDOptions = PLAIN) -> KDFit | None:
@@ -244,6 +247,34 @@ def laws(ears: int) -> None:
             f"{np.median(np.array(off)[:, 5]):+.2f}",
             f"{1e3 * spent / ears:.0f}",
         )
+
+
+def branches(ears: int, levels: list[float]) -> None:
+    """Print what is chosen for ligaments with two relaxation times, whether it is told, and errors of K."""
+    table("ligament", "noise (%)", "chosen", "warned", "K11, K22, K33 off (%)", "outside 95 % of K")
+    for place, name in enumerate(BRANCHES):
+        for noise in levels:
+            chosen, warned, errors, outside = [], 0, [], []
+            for number in range(ears):
+                case = ear(EarSettings(0.1, noise, law=name), np.random.default_rng([57, place, number]))
+                fit = fitted(case, replace(PLAIN, damping="compare"))
+                if fit is None:
+                    continue
+                chosen.append(fit.law.name)
+                warned += bool({notice.code for notice in fit.notices} & ALARMS)
+                errors.append(np.diag(fit.stiffness) / np.diag(case.stiffness[BLOCK]) - 1.0)
+                off = join(fit.stiffness, fit.damping) - truth(case)
+                outside.append(np.abs(off[:6]) > 1.96 * np.sqrt(np.diag(fit.covariance)[:6]))
+            counts = ", ".join(f"{law} {chosen.count(law)}" for law in dict.fromkeys(chosen))
+            middle = " ".join(f"{100 * value:+.1f}" for value in np.median(errors, axis=0))
+            row(
+                name,
+                f"{100 * noise:g}",
+                counts,
+                f"{warned} of {ears}",
+                middle,
+                f"{100 * np.mean(outside):.0f} %",
+            )
 
 
 def table(*heads: str) -> None:

@@ -130,7 +130,7 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
     loss = rng.uniform(0.9e-5, 2.0e-5)
     damping = loss * ring(*(level * shape * np.array([1.1, 0.9, 1.0])), tilt, centre)
     base = drive(freq, rng)
-    lossy, unit = LAWS[settings.law](omega)
+    lossy, unit = (LAWS | BRANCHES)[settings.law](omega)
     damping = damping * unit
     dynamic = stiffness + lossy[:, None, None] * damping
     size, time = settings.size, np.linspace(-0.5, 0.5, len(freq))[:, None, None]
@@ -177,9 +177,9 @@ def shifted_parameters(parameters: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return made
 
 
-def relaxing(omega: np.ndarray) -> np.ndarray:
-    """Return i w / (1 + i w T) with T = 30 us."""
-    return 1j * omega / (1.0 + 30e-6j * omega)
+def relaxing(omega: np.ndarray, *times_us: float) -> np.ndarray:
+    """Return the mean of i w / (1 + i w T) over relaxation times T."""
+    return np.mean([1j * omega / (1.0 + 1e-6j * time * omega) for time in times_us], axis=0)
 
 
 MIDDLE = 2.0 * np.pi * 2200.0
@@ -187,9 +187,17 @@ LAWS = {
     "viscous": lambda omega: (1j * omega, 1.0),
     "hysteretic": lambda omega: (np.full(len(omega), 1j), MIDDLE),
     "fractional": lambda omega: ((1j * omega) ** 0.5, MIDDLE**0.5),
-    "relaxation": lambda omega: (relaxing(omega), 1.0),
+    "relaxation": lambda omega: (relaxing(omega, 30.0), 1.0),
 }
 """s(w), and what makes D damp alike at 2.2 kHz."""
+BRANCHES = {
+    f"two branches, {first:g} and {second:g} us": lambda omega, a=first, b=second: (
+        relaxing(omega, a, b),
+        1.0,
+    )
+    for first, second in ((10.0, 30.0), (10.0, 100.0), (30.0, 300.0))
+}
+"""Ligaments that relax with two times, which no law of the fit has."""
 ERRORS = {
     "delay": 1.0,
     "phase": 0.5,
