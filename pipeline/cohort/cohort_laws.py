@@ -255,9 +255,11 @@ def cohort_laws(
     names = dict(zip((ear.folder for ear in ears), labels(ears), strict=True))
     excluded = (*(failed or {}).items(), *((names[folder], why) for folder, why in reasons.items()))
     used = [ear for ear in ears if ear.folder not in reasons]
-    notices = [
-        Notice("ear_without_sd", f"{names[folder]} enters no law: {why}.") for folder, why in reasons.items()
-    ]
+    notices = []
+    for why in dict.fromkeys(reasons.values()):
+        alike = [names[folder] for folder, reason in reasons.items() if reason == why]
+        verb = "enters" if len(alike) == 1 else "enter"
+        notices.append(Notice("ear_without_sd", f"{', '.join(alike)} {verb} no law: {why}."))
     if len(used) < LEAST_EARS:
         text = f"Laws need at least {LEAST_EARS} ears; there are {len(used)}. The ears are only listed."
         notices.append(Notice("cohort_too_small", text))

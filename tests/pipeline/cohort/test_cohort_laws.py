@@ -153,6 +153,9 @@ def test_an_ear_without_standard_deviations_enters_no_law(ears):
     assert [notice.code for notice in few.notices] == ["ear_without_sd", "cohort_too_small"]
     assert [name for name, _ in few.excluded] == ["ear 0"]
     assert len(few.ears) == 5
+    both = cohort_laws([none, replace(ears[2], kd={**ears[2].kd, "covariance_si": None}), *ears[3:6]])
+    assert [notice.code for notice in both.notices] == ["ear_without_sd", "cohort_too_small"]
+    assert both.notices[0].text.startswith("ear 1, ear 2 enter no law")
 
 
 @pytest.mark.parametrize(
