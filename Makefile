@@ -5,7 +5,7 @@ READY := .venv/.ready
 TOOLS := .venv/.tools
 SITE := .venv/.site
 
-.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench golden golden-record fuzz fuzz-few faults sanitize lock audit sample paper docs site pictures clean
+.PHONY: help setup demo cohort test test-shared lint types imports kernels format check bench evidence golden golden-record fuzz fuzz-few faults sanitize lock audit sample paper docs site pictures clean
 
 help:
 	@echo "make demo         set up and run the whole chain on the sample study, into demo/"
@@ -14,6 +14,7 @@ help:
 	@echo "make test-shared  also the tests on data that may not be copied into the repository"
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
+	@echo "make evidence     tables of docs/ by the commands above them: ARGS=fitting_beam"
 	@echo "make golden       every number of the commands on many scenes against what was recorded"
 	@echo "make faults       kills, full disks, limits, unreadable and changing inputs, two runs at once"
 	@echo "make sanitize     the kernels under the address, undefined behaviour and thread sanitizers"
@@ -101,6 +102,9 @@ paper: $(READY)
 
 bench: $(TOOLS)
 	@for script in benchmarks/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
+
+evidence: $(TOOLS)
+	$(BIN)/python tools/evidence.py $(ARGS)
 
 # ARGS="--room ct", ARGS="--only kd_", ARGS="-j 2": tests/golden/__main__.py says more
 golden: $(TOOLS)

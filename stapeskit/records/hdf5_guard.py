@@ -8,6 +8,7 @@ import pickle
 import select
 import signal
 import struct
+import sys
 import traceback
 import warnings
 from collections.abc import Callable
@@ -38,7 +39,7 @@ def read_apart(
 ) -> Result:
     """Return what ``read`` returns in a forked process with limits on processor time and memory.
 
-    Where processes cannot be forked (Windows), ``read`` is called directly and nothing is limited.
+    Where processes cannot be forked (Windows, a browser), ``read`` is called directly and nothing is limited.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def read_apart(
     StapeskitError
         The reading does not end in time or crashes; also every error that ``read`` raises.
     """
-    if not hasattr(os, "fork"):
+    if not hasattr(os, "fork") or sys.platform == "emscripten":
         return read()
     import h5py  # noqa: F401  (once, not in every child)
 
