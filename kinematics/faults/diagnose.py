@@ -72,6 +72,8 @@ class Diagnosis:
     kept : float
         Share of the misfit beyond noise that the first finding leaves by itself, 0 to 1; 1 without a finding,
         when that concerns all beams, and when the body is not rigid; 0 for two faults that hid each other.
+    course : ndarray, (freq,), or None
+        Of noise that is not stated, where it has one; see ``noise_course``.
     """
 
     findings: tuple[Finding, ...]
@@ -82,6 +84,7 @@ class Diagnosis:
     lines: NDArray[np.int64]
     offsets_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
     kept: float = 1.0
+    course: Array | None = None
 
     @property
     def bends(self) -> bool:
@@ -372,6 +375,7 @@ def _made(findings: tuple[Finding, ...], first: Search, last: Search, kept: floa
         np.round(first.columns).astype(np.int64),
         (first if whole else last).offsets_m,
         1.0 if whole else kept,
+        first.data.source.course,
     )
 
 

@@ -67,6 +67,8 @@ class Source:
         By what factor noise that neighbouring lines have in common widens slowly varying mixtures.
     middle_hz : float
         Mean frequency.
+    course : ndarray, (freq,), or None
+        Of noise that is not stated, where it has one; see ``noise_course``.
     """
 
     beams: BeamSet
@@ -80,11 +82,13 @@ class Source:
     ratio: Array
     spread: float = 1.0
     middle_hz: float = 1.0
+    course: Array | None = None
 
     @classmethod
     def of(cls, fit: LineFit, body: BodyChannels, freq_hz: Array, known: bool, spread: float = 1.0) -> Source:
         """Take the readings of a fit; of noise that is not known, its proportions and course are used."""
-        noise = fit.noise if known else LineNoise(fit.noise.stated, noise_course(fit, freq_hz))
+        course = None if known else noise_course(fit, freq_hz)
+        noise = fit.noise if known else LineNoise(fit.noise.stated, course)
         lines = np.flatnonzero(fit.solution.good)
         used = fit.solution.used
         live = used > 0
@@ -105,7 +109,9 @@ class Source:
             some = np.isfinite(sd)
             size = np.sqrt(np.sum(np.where(some, sd, 0.0) ** 2, axis=0) / np.maximum(np.sum(some, axis=0), 1))
             share, line = live.astype(float), size
-        return cls(fit.beams, body.points, fit.value, lines, share, line, sd, tau, ratio, spread, middle)
+        return cls(
+            fit.beams, body.points, fit.value, lines, share, line, sd, tau, ratio, spread, middle, course
+        )
 
 
 @dataclass(frozen=True)

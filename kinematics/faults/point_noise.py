@@ -77,7 +77,7 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
     for channels in own:
         wanted[np.ix_(channels, channels)] = True
     wanted[data.live, data.live] = True
-    measured = np.where(wanted, np.real(flat @ flat.conj().T) / samples, 0.0)
+    measured = np.where(wanted, _products(flat) / samples, 0.0)
     found = measured.copy()
     if len(flat) <= _MOST_CORRECTED:
         span = np.real(state.span[0])
@@ -124,7 +124,7 @@ def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
     """
     from scipy.special import chdtrc
 
-    measured = np.real(residual @ residual.conj().T) / samples
+    measured = _products(residual) / samples
     expected = np.diag(np.diag(measured))
     if len(measured) <= _MOST_CORRECTED:
         span = np.real(state.span[0])
@@ -142,6 +142,12 @@ def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:
     shown, number = np.array(value), np.array(size)
     least = np.argsort(shown / number, kind="stable")[: (len(shown) + 1) // 2]
     return bool(chdtrc(np.sum(number[least]), np.sum(shown[least])) > _LIKELY)
+
+
+def _products(values: ComplexArray) -> Array:
+    """Return the real part (n, n) of the products of complex rows (n, k)."""
+    parts = np.ascontiguousarray(values).view(float)
+    return np.asarray(parts @ parts.T)
 
 
 def _points(data: Packed) -> list[NDArray[np.intp]]:

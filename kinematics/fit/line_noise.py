@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,13 @@ def blocks(channels: int, lines: int, values: int = _BLOCK) -> Iterator[slice]:
     width = int(np.clip(values // max(channels, 1), 16, 4096)) & ~15
     for start in range(0, lines, width):
         yield slice(start, min(start + width, lines))
+
+
+def part_of(values: NDArray[Any], lines: Lines, channels: slice | NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the part (channel, n) of values (channel, freq): views are taken before copies."""
+    if isinstance(lines, slice):
+        return values[:, lines][channels]
+    return values[channels][:, lines]
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ class LineNoise:
 
     def at(self, lines: Lines, channels: slice | NDArray[np.bool_] = slice(None)) -> Array:
         """Return the standard deviations (channel, n) of some lines."""
-        sd = self.stated[channels][:, lines]
+        sd = part_of(self.stated, lines, channels)
         if self.factor is not None:
             sd = sd * self.factor[lines]
         return sd if self.floor is None else np.maximum(sd, self.floor[lines])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kinematics.fit import symmetric_batches
 from kinematics.fit.beams import BeamSet
-from kinematics.fit.line_noise import LineNoise, Lines, blocks
+from kinematics.fit.line_noise import LineNoise, Lines, blocks, part_of
 from kinematics.fit.line_solver import solve
 from kinematics.fit.line_sums import Solution
 from kinematics.fit.robust_fit import robust_solve, robust_weight
@@ -87,7 +87,7 @@ class LineFit:
         ``residual`` is zero and ``sd`` infinite where missing; the weights are 1 / (2 sd^2), times the
         robust weight.
         """
-        value, sd = self.value[channels][:, lines], self.noise.at(lines, channels)
+        value, sd = part_of(self.value, lines, channels), self.noise.at(lines, channels)
         used = np.isfinite(value) & np.isfinite(sd)
         residual = np.where(used, value - self.beams.basis[channels] @ self.solution.z[:, lines], 0.0)
         sd = np.where(used, sd, np.inf)

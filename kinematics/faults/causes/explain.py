@@ -62,7 +62,7 @@ def explained(
         # Errors of positions within their stated sd are no outliers.
         body = replace(body, positions_mm=body.positions_mm + 1e3 * found.offsets_m)
     suspect = Suspect(placed, run, body, fit.beams, known)
-    if not bends and not likely_outliers(suspect.plain, suspect.course):
+    if not bends and not likely_outliers(suspect.plain, found.course):
         return None
     p_value = min((finding.p_value for finding in found.findings), default=_CERTAIN)
     for cause in CAUSES if bends else (outliers,):

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from kinematics.fit.beams import BeamSet
 from kinematics.fit.body_noise import with_noise
 from kinematics.fit.neglected_motion import extended_beams
-from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 
@@ -59,11 +58,6 @@ class Suspect:
     def plain(self) -> LineFit:
         """The least-squares fit of all observed degrees of freedom."""
         return self._fit("none")
-
-    @cached_property
-    def course(self) -> Array | None:
-        """Course (freq,) of noise that is not stated; None when it is, or has none."""
-        return None if self.known else noise_course(self.plain, self.freq_hz)
 
     @cached_property
     def robust(self) -> LineFit:
