@@ -85,7 +85,7 @@ def write_report(
     report.summary.append(si_table(mass, kd))
     report.section("The stapes in three dimensions", viewer(work.mass, kd)).key = "stapes_3d"
     report.section("Accept or correct the cut", *_correction(study_file, study, work))
-    report.section("Warnings", page.notices(notices))
+    report.section("Warnings", page.notices(notices)).key = "warnings"
     report.section("Methods in words", page.text(methods(mass, kd, work.motion)))
     for section in report.sections:
         section.group = _FIRST

@@ -24,8 +24,9 @@ _SENTENCES = {
 _TEMPLATE = """<div class="verdict {{ css }}" id="verdict">
 <strong>{{ level }}</strong> <span>{{ sentence }}</span>
 {% if reasons %}<ul>{% for one in reasons %}
-<li>{{ one.text }}{% if one.code %} <code>{{ one.code }}</code>{% endif %}</li>{% endfor %}
-</ul>{% endif %}</div>
+<li>{% if one.code %}<code>{{ one.code }}</code> {% endif %}
+<span class="short">{{ one.text }}</span></li>{% endfor %}
+</ul><a class="more" href="#warnings">the whole texts</a>{% endif %}</div>
 <div class="cards" id="summary">{% for title, rows in cards %}<div><h3>{{ title }}</h3><table>
 {% for row in rows %}<tr>{% for cell in row %}<td>
 {%- for words in cell.split(", ") %}<span class="n">{{ words }}

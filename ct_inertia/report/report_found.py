@@ -58,12 +58,14 @@ def found_section(content: Mapping[str, Any]) -> page.Section:
         sd = f" ± {MASS.of(mass['sd_kg']):g}" if mass["sd_kg"] else ""
         value = f"{MASS.of(mass['mass_kg']):g}{sd} {MASS.symbol}"
         rows.append(("added mass", f"{value} at {place} (scan, mm)"))
-    blocks = [page.table(("", "found"), rows)]
+    blocks = [page.table(("", "found"), rows, words=True)]
     compared = content.get("published") or []
     if compared:
         blocks += [
             page.subheading("Next to published human stapedes"),
-            page.table(("", "found", "published", "z", "reference"), [_compared(row) for row in compared]),
+            page.table(
+                ("", "found", "published", "z", "reference"), [_compared(row) for row in compared], words=True
+            ),
         ]
     return page.Section("What was found", blocks, "literature")
 
