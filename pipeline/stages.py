@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.records import StageReport
-from pipeline.study import Study, read_study
+from pipeline.study import Study, read_study, words
 from pipeline.workspace import Workspace
+from stapeskit.faults import worded
 
 if TYPE_CHECKING:
     from kinematics.measure_motion import MeasurementInputs
@@ -68,7 +69,8 @@ def run_stage(name: str, study_file: Path, folder_in: Path, folder_out: Path) ->
         The study, or a file that it names, is at fault.
     """
     stage = next(stage for stage in STAGES if stage.name == name)
-    names, _ = stage.run(read_study(study_file), Workspace(Path(folder_in), Path(folder_out)))
+    with worded(words(stage.table)):
+        names, _ = stage.run(read_study(study_file), Workspace(Path(folder_in), Path(folder_out)))
     return names
 
 

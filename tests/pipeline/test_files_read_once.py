@@ -1,5 +1,6 @@
 """Every file of a study is parsed once and hashed once in a run, counted where Python opens files."""
 
+import json
 import os
 import sys
 from collections import Counter
@@ -91,3 +92,5 @@ def test_stages_run_from_a_folder_into_a_folder(finished, tmp_path):
         before = after
     for name in ("dof.csv", "stapes.ply"):
         assert content_hash(before / name) == content_hash(out / name)
+    alone, whole = (json.loads((place / "mass.json").read_text()) for place in (before, out))
+    assert {**alone, "provenance": 0} == {**whole, "provenance": 0}
