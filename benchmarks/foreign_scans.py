@@ -53,12 +53,18 @@ class Scene:
 
 @dataclass(frozen=True)
 class Truth:
-    """Volume, mm3; centroid (3,), second moments (3, 3), mm5; footplate frame (4, 4); in scan coordinates."""
+    """Volume, mm3, centroid (3,), second moments (3, 3), mm5, in scan axes; the body and its pose (4, 4)."""
 
     volume_mm3: float
     centroid_mm: Array
     second_mm5: Array
-    scan_from_footplate: Array
+    anatomy: shapes.Anatomy
+    scan_from_body: Array
+
+    @property
+    def scan_from_footplate(self) -> Array:
+        """Return the footplate frame (4, 4), which takes as long to find as a scan to make."""
+        return np.asarray(self.scan_from_body @ frame_in_body(self.anatomy))
 
 
 def draw_scene(rng: np.random.Generator, **asked: Any) -> Scene:
@@ -80,7 +86,7 @@ def make(anatomy: shapes.Anatomy, scene: Scene, rng: np.random.Generator, file: 
     scan_from_body, shape = _pose(anatomy, h, scene, rng)
     grid = _Grid(scan_from_body, shape, h)
     own = grid.share(lambda p: shapes.body(anatomy, p))
-    truth = _truth(own, h, scan_from_body @ frame_in_body(anatomy))
+    truth = _truth(own, h, anatomy, scan_from_body)
     grey = gaussian_filter(_filled(anatomy, scene, grid, own), scene.blur, truncate=5.0)
     if scene.motion:
         grey = gaussian_filter(grey, (0.0, 0.0, scene.motion))
@@ -208,7 +214,7 @@ def _pose(
     return start, tuple(int(v) for v in np.ceil((high - low) / h)[::-1])
 
 
-def _truth(own: Grey, h: float, frame: Array) -> Truth:
+def _truth(own: Grey, h: float, anatomy: shapes.Anatomy, scan_from_body: Array) -> Truth:
     index = np.argwhere(own > 0)
     weight = own[tuple(index.T)].astype(float) * h**3
     points = index[:, ::-1] * h
@@ -216,7 +222,7 @@ def _truth(own: Grey, h: float, frame: Array) -> Truth:
     centre = weight @ points / volume
     away = points - centre
     second = (away * weight[:, None]).T @ away - np.eye(3) * volume * h * h / 12.0
-    return Truth(volume, centre, second, frame)
+    return Truth(volume, centre, second, anatomy, scan_from_body)
 
 
 def _filled(anatomy: shapes.Anatomy, scene: Scene, grid: _Grid, own: Grey) -> Grey:

@@ -152,8 +152,11 @@ def row_named(name: str) -> Row:
     return next(row for row in ROWS if row.name == name)
 
 
-def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
-    """Make one scan of a row, some of it fixed, and compare what ct2mass says of it with the truth."""
+def score(row: Row, number: int, folder: Path, frames: bool = True, **fixed: Any) -> Score:
+    """Make one scan of a row, some of it fixed, and compare what ct2mass says of it with the truth.
+
+    Without ``frames`` neither pose nor mass matrix, which needs the true frame, are compared.
+    """
     from dataclasses import replace
 
     from ct_inertia.ct2mass import MassOptions, ct2mass
@@ -168,16 +171,15 @@ def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
     scene = scans.draw_scene(rng, **row.ask(rng), **fixed)
     file = folder / "scan.tif"
     truth = scans.make(anatomy, scene, rng, file)
-    frame = truth.scan_from_footplate
     density = 1900.0
     seed = truth.centroid_mm + 0.0
     if row.seeded:
-        seed = (frame @ np.array([0.0, 0.1, 0.0, 1.0]))[:3]
+        seed = (truth.scan_from_footplate @ np.array([0.0, 0.1, 0.0, 1.0]))[:3]
     options = MassOptions(
         file,
         density=(density, None),
         spacing_mm=(scene.voxel_um * 1e-3,),
-        anterior=tuple(float(v) for v in frame[:3, 0]),
+        anterior=tuple(float(v) for v in truth.scan_from_body[:3, 0]),
         seed_mm=tuple(float(v) for v in seed) if row.seeded else None,
         **row.options,
     )
@@ -194,18 +196,18 @@ def score(row: Row, number: int, folder: Path, **fixed: Any) -> Score:
     error = moments.volume_mm3 / truth.volume_mm3 - 1.0
     codes = [n.code for n in result.notices if n.code not in _USUAL]
     named = bool(set(codes) & {*row.codes, *_ANY})
+    where = np.linalg.norm(moments.centroid_mm - truth.centroid_mm) * 1e3
+    text = f"{about}: V {100 * error:+.3f} +- {100 * volume_sd:.3f} %, centre {where:.1f} um"
+    if not frames:
+        return Score(text, error, volume_sd, named, tuple(codes), seconds=seconds)
     true = _mass_matrix(truth, density)
     stated = result.matrix.standard_deviation
     upper = np.triu_indices(6)
     off, stated = (result.matrix.matrix - true)[upper], stated[upper]
     matrix = np.divide(off, stated, out=np.full(off.shape, np.nan), where=stated > 0.0)
-    pose = _pose_scores(result.footplate, frame)
+    pose = _pose_scores(result.footplate, truth.scan_from_footplate)
     pose_sd = np.sqrt(np.diag(result.footplate.covariance))
-    where = np.linalg.norm(moments.centroid_mm - truth.centroid_mm) * 1e3
-    text = (
-        f"{about}: V {100 * error:+.3f} +- {100 * volume_sd:.3f} %, centre {where:.1f} um, "
-        f"pose z {' '.join(f'{v:+.1f}' for v in pose)}, {', '.join(codes)}"
-    )
+    text += f", pose z {' '.join(f'{v:+.1f}' for v in pose)}, {', '.join(codes)}"
     return Score(text, error, volume_sd, named, tuple(codes), matrix, pose, pose_sd, seconds)
 
 

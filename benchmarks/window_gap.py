@@ -56,7 +56,7 @@ def scan_gap(number: int, folder: Path) -> None:
     gap_mm = float(rng.uniform(0.03, 0.15))
     scene = scans.draw_scene(rng, gap_mm=gap_mm)
     file = folder / "scan.tif"
-    anterior = scans.make(anatomy, scene, rng, file).scan_from_footplate[:3, 0]
+    anterior = scans.make(anatomy, scene, rng, file).scan_from_body[:3, 0]
     head = f"| {number} {anatomy.family} | {scene.voxel_um:.0f} | {scene.noise:.3f} |"
     options = MassOptions(
         file, density=(1900.0, None), spacing_mm=(scene.voxel_um * 1e-3,), anterior=tuple(anterior.tolist())

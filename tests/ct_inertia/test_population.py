@@ -12,7 +12,10 @@ SEEDS = (20, 21, 22)
 
 
 def scores(name, folder, seeds=SEEDS, **fixed):
-    return [score(row_named(name), seed, folder, **{"voxel_um": VOXEL_UM, **fixed}) for seed in seeds]
+    return [
+        score(row_named(name), seed, folder, frames=False, **{"voxel_um": VOXEL_UM, **fixed})
+        for seed in seeds
+    ]
 
 
 def errors(found):
