@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.measurement import mirror_sign
 from kinematics.tidy.points_csv import finite_faults, require, sd_faults
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
 Array = NDArray[np.float64]
@@ -84,12 +84,21 @@ def read_fiducials(path: Path) -> Fiducials:
     faults = [*table.faults, *finite_faults(table, (*_SEEN, *_KNOWN))]
     names, frames = _words(table, faults)
     spread = _spread(table, faults)
-    raise_all(KinematicsError, faults)
+    raise_all(KinematicsError, [_by_name(fault, table, names) for fault in faults])
     seen, known = (np.column_stack([table.numbers[name] for name in part]) for part in (_SEEN, _KNOWN))
     sd = spread.get("sd_mm")
     if _SD_AXES[0] in spread:
         sd = np.column_stack([spread[name] for name in _SD_AXES])
     return Fiducials(names, seen, known, frames, sd, Path(path), spread.get("sd_ref_mm"))
+
+
+def _by_name(fault: Fault, table: Table, names: Sequence[str]) -> Fault:
+    """Return a fault with the name of the one fiducial whose line is at fault."""
+    if not isinstance(fault.where, Place) or len(fault.where.numbers) != 1:
+        return fault
+    found = [name for name, line in zip(names, table.lines, strict=True) if line == fault.where.numbers[0]]
+    detail = ", ".join(part for part in (fault.where.detail, *(f"fiducial {n}" for n in found if n)) if part)
+    return replace(fault, where=replace(fault.where, detail=detail))
 
 
 def _spread(table: Table, faults: list[Fault]) -> dict[str, Array]:
