@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
-from ct_inertia.frames.footplate import FootplateFrame, footplate_frame
+from ct_inertia.frames.footplate import FootplateFrame, footplate_frame, footplate_pose
 from ct_inertia.mass.mass_properties import (
     MassProperties,
     footplate_mass_matrix,
@@ -318,7 +318,7 @@ def _with_doubt(footplate: FootplateFrame, hints: AnatomyHints, bodies: Bodies |
     """Add what is not known of soft things around the stapes to the covariance of its frame."""
     if bodies is None or bodies.frame_doubt is None:
         return footplate
-    other = footplate_frame(bodies.frame_doubt, hints, bodies.frame_blur_mm).scan_from_footplate
+    other = footplate_pose(bodies.frame_doubt, hints, bodies.frame_blur_mm)
     moved = footplate.scan_from_footplate.inverse() @ other
     step = np.concatenate([moved.translation_mm * 1e-3, vector_from_rotation(moved.rotation)])
     return replace(footplate, contributions={**footplate.contributions, "surroundings": np.outer(step, step)})

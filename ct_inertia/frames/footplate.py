@@ -115,19 +115,11 @@ def footplate_frame(
     CtInertiaError
         No near-planar face at an extremity, hints that contradict each other or the surface.
     """
-    hints = hints or AnatomyHints()
-    check_head(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces), hints)
-    mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
-    extent = _extent(mesh)
-    candidates = face_candidates(mesh, extent)
-    solved, notices = _chosen(lambda face: solve_at(mesh, face, extent, blur_mm), candidates, hints)
-    oriented = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
-    solved = solved.turned(oriented.sign)
-    frame = RigidTransform.from_parts(solved.axes, solved.origin, "scan", "footplate")
+    mesh, solved, anterior_from, notices = _solved(surface, hints or AnatomyHints(), blur_mm)
+    frame = _frame_of(solved)
     outline = frame.inverse().points(outer_loop(solved.face.patch))
     body = frame.inverse().points(mesh.points)
     length, width = (float(np.ptp(outline[:, k])) for k in (0, 2))
-    notices += [*oriented.notices, *_shape_notices(solved)]
     return FootplateFrame(
         scan_from_footplate=frame,
         contributions=contributions_of(solved, noise_mm4),
@@ -137,9 +129,32 @@ def footplate_frame(
         width_mm=width,
         height_mm=float(np.ptp(body[:, 1])),
         face_rms_mm=solved.face.rms(solved.axes[:, 1]),
-        anterior_from=oriented.evidence,
+        anterior_from=anterior_from,
         notices=tuple(notices),
     )
+
+
+def footplate_pose(surface: SurfaceLike, hints: AnatomyHints, blur_mm: float) -> RigidTransform:
+    """Return scan_from_footplate alone, as `footplate_frame` finds it."""
+    return _frame_of(_solved(surface, hints, blur_mm)[1])
+
+
+def _frame_of(solved: Solved) -> RigidTransform:
+    return RigidTransform.from_parts(solved.axes, solved.origin, "scan", "footplate")
+
+
+def _solved(
+    surface: SurfaceLike, hints: AnatomyHints, blur_mm: float
+) -> tuple[Mesh, Solved, str, list[Notice]]:
+    """Return the surface, the solution with the sign of x, what decided that, and what to say."""
+    check_head(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces), hints)
+    mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
+    extent = _extent(mesh)
+    candidates = face_candidates(mesh, extent)
+    solved, notices = _chosen(lambda face: solve_at(mesh, face, extent, blur_mm), candidates, hints)
+    oriented = orient_long_axis(hints, solved.origin, solved.axes[:, 0], solved.axes[:, 1])
+    solved = solved.turned(oriented.sign)
+    return mesh, solved, oriented.evidence, [*notices, *oriented.notices, *_shape_notices(solved)]
 
 
 def _extent(mesh: Mesh) -> float:

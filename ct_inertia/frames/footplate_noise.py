@@ -43,9 +43,9 @@ def _kept(wave_number: Array, grain_mm: float) -> Array:
 
 
 def height_covariance(
-    frame: tuple[Array, Array], centres: Array, areas: Array, weight: Callable[[Array], Array], density: float
+    frame: tuple[Array, Array], centres: Array, areas: Array, weight: Callable[[Array], Array]
 ) -> Array:
-    """Return what height noise inside the face adds: origin along y, tilts alpha and gamma, (6, 6), SI.
+    """Return what height noise of density 1 mm4 inside the face adds: y, alpha and gamma, (6, 6), SI.
 
     Parameters
     ----------
@@ -55,15 +55,13 @@ def height_covariance(
         Pieces of the face, mm and mm2.
     weight : callable
         Weights of the robust plane as a function of the distance in mm.
-    density : float
-        Spectral density of the noise, mm4.
     """
     origin, axes = frame
     local = (centres - origin) @ axes
     influence = np.zeros((len(local), 6))
     influence[:, 1] = 1.0 / areas.sum()
     influence[:, [3, 5]] = _tilts(local, areas, weight)
-    covariance = density * (influence * areas[:, None]).T @ influence
+    covariance = (influence * areas[:, None]).T @ influence
     return np.asarray(covariance * np.outer(_SI, _SI))
 
 
@@ -150,7 +148,8 @@ def edge_covariance(
     Blur b moves an edge of radius R inward by b^2 / 2R + b^4 / 8R^3, of which the first term was restored.
     Chords of length h lie up to h^2 / 8R within it, h^2 / 27R in the standard deviation over places; edges of
     triangles are 0.7 grid spacings long. Both are taken as standard deviations common to an eighth of
-    the rim: shape of the edge and place on the grid change along it.
+    the rim: shape of the edge and place on the grid change along it. The eighths are those of a circle that
+    the face is stretched to: by angles on the face itself two of them would be its whole ends.
     """
     influence, length = rim_influence(frame, patch, areas, centres, angle_deg, weight)
     curvature = np.minimum(rim_curvature(patch, angle_deg), 1.0 / blur_mm)
@@ -158,7 +157,9 @@ def edge_covariance(
     steps = influence * (shift * length)[:, None]
     origin, axes = frame
     middle = (patch.segments.mean(axis=1) - origin) @ axes
-    octant = np.floor(np.arctan2(middle[:, 2], middle[:, 0]) / (0.25 * np.pi)).astype(int) % 8
+    length_mm, width_mm = np.ptp(middle[:, [0, 2]], axis=0)
+    angle = np.arctan2(middle[:, 2] / width_mm, middle[:, 0] / length_mm)
+    octant = np.floor(angle / (0.25 * np.pi)).astype(int) % 8
     parts = np.array([steps[octant == k].sum(axis=0) for k in range(8)])
     return np.asarray(parts.T @ parts * np.outer(_SI, _SI))
 

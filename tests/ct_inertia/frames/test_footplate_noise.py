@@ -54,7 +54,7 @@ def test_noise_of_a_disc_moves_its_plane_as_least_squares_says():
     centres = np.column_stack([places * np.cos(angle), np.zeros(cells), places * np.sin(angle)])
     areas = np.full(cells, np.pi / cells)
     density = 1e-6
-    covariance = height_covariance((np.zeros(3), np.eye(3)), centres, areas, even, density)
+    covariance = density * height_covariance((np.zeros(3), np.eye(3)), centres, areas, even)
     heights = rng.standard_normal((4_000, cells)) * np.sqrt(density / areas)
     design = np.column_stack([np.ones(cells), centres[:, 0], centres[:, 2]])
     fitted = heights @ np.linalg.pinv(design).T
