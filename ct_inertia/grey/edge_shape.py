@@ -103,6 +103,7 @@ def edge_shape(
     levels: tuple[float, float],
     spacing_mm: Array,
     noise: float = 0.0,
+    shared_sd: float = 0.0,
 ) -> EdgeShape | None:
     """Measure the covariance of the point spread, and whether edges overshoot; None with too few edges.
 
@@ -117,6 +118,9 @@ def edge_shape(
     spacing_mm : ndarray, (3,)
     noise : float
         Standard deviation of a voxel, as a share of bone minus air.
+    shared_sd : float
+        Standard deviation of an error of the grey values that all edges share, as a share of bone minus air:
+        what coarse steps leave between two of them.
 
     Notes
     -----
@@ -174,7 +178,7 @@ def edge_shape(
     cells = _cells(foot[clean], _CELL_WIDTHS * float(np.median(width)))
     offsets = (_PLACES[:, None] * sigma)[..., None] * edges.inward[clean]
     values = np.stack([share_at(foot[clean] + step) for step in offsets], axis=1)
-    strength, overshoot, softened = _departure(values, cells)
+    strength, overshoot, softened = _departure(values, cells, shared_sd)
     return EdgeShape(
         np.ascontiguousarray(covariance[::-1, ::-1]),
         _facing(edges.inward[clean]) >= _LEAST_FACING and fitted.uneven(edges.smoothing_mm),
@@ -279,7 +283,7 @@ def _fit_edge(profile: Array, strength: float) -> tuple[Array, Array, float]:
     return np.array([shift, width]), now, float(np.sum((profile - now) ** 2))
 
 
-def _departure(values: Array, cells: NDArray[np.int64]) -> tuple[float, float, bool]:
+def _departure(values: Array, cells: NDArray[np.int64], shared_sd: float = 0.0) -> tuple[float, float, bool]:
     """Return f over the apparent variance, 0 where not significant, overshoot, and whether tails are long.
 
     ``values`` (n, places) are shares across each edge.
@@ -292,7 +296,8 @@ def _departure(values: Array, cells: NDArray[np.int64]) -> tuple[float, float, b
     inverse = np.linalg.inv(design.T @ design) @ design.T
     cumulant = float(inverse[2] @ (profile - smooth))
     scores = _sums((values - profile) @ inverse.T, cells)[:, 2] / len(values)
-    sd = float(np.hypot(np.sqrt(np.sum(scores**2)), _SHAPE_MODEL_SD))
+    shared = shared_sd**2 * float(np.sum(inverse[2] ** 2))
+    sd = float(np.sqrt(np.sum(scores**2) + _SHAPE_MODEL_SD**2 + shared))
     overshoot = float(np.max(-profile[_PLACES < -0.5]))
     if cumulant > -_SIGNIFICANT * sd or overshoot <= 0.0:
         return 0.0, 0.0, cumulant > _SIGNIFICANT * sd

@@ -53,7 +53,7 @@ def _frequencies(shape: tuple[int, ...], spacing: Array) -> list[Array]:
         np.fft.rfftfreq(shape[2], spacing[2]),
     ]
     shaped = [[-1, 1, 1], [1, -1, 1], [1, 1, -1]]
-    return [2.0 * np.pi * f.reshape(one) for f, one in zip(along, shaped, strict=True)]
+    return [2.0 * np.pi * f.reshape(shape) for f, shape in zip(along, shaped, strict=True)]
 
 
 def retrieve_phase(grey: Grey, sharpening_mm2: float, spacing_mm: Array) -> Grey:

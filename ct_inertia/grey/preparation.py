@@ -93,10 +93,11 @@ def prepare(cut: Cut, guess: Guess, spacing_mm: Array) -> Prepared:
     around = replace(first.around, grey=cut.grey)
     foreign = cut.others | cut.plate
     noise = air.noise / (bone - air.level)
+    shared = 0.0 if stored is None else stored.within_step / (bone - air.level)
     shapes, grey = [], cut.grey
     # In fluid there is no air to compare with.
     for _ in range(0 if cut.immersed else _RETRIEVALS):
-        shape = edge_shape(grey, rim, foreign, (air.level, bone), spacing_mm, noise)
+        shape = edge_shape(grey, rim, foreign, (air.level, bone), spacing_mm, noise, shared)
         if shape is None:
             break
         shapes.append(shape)

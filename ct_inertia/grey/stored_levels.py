@@ -52,6 +52,11 @@ class Stored:
     coarse: bool
     moved: tuple[float, float]
 
+    @property
+    def within_step(self) -> float:
+        """Standard deviation of a grey value between two coarse steps; 0 where steps are fine."""
+        return calibrated("store.within_step") * self.store.step if self.coarse else 0.0
+
     def air_known(self, air: Air) -> Air:
         """Return the air with its level and noise from before storing."""
         model = calibrated("store.model_sd") * abs(self.moved[0])

@@ -48,7 +48,7 @@ def rasterise(
     picture = np.ones((pixels * pixels, 3))
     depth = np.full(pixels * pixels, -np.inf)
     # Opaque bodies first; what shines through them is blended over what lies behind.
-    for body in sorted(bodies, key=lambda one: one.opacity < 1.0):
+    for body in sorted(bodies, key=lambda body: body.opacity < 1.0):
         points = body.vertices_mm @ picture_from_scan[:3, :3].T + picture_from_scan[:3, 3]
         faces = np.asarray(body.faces)
         a, b, c = (points[faces[:, k]] for k in range(3))

@@ -199,7 +199,9 @@ def read_surface(path: Path | str) -> Surface:
             )
         return Surface(vertices, faces, tuple(notices))
     except CtInertiaError as fault:
-        raise CtInertiaError(*(replace(one, where=one.where or path.name) for one in fault.faults)) from None
+        raise CtInertiaError(
+            *(replace(part, where=part.where or path.name) for part in fault.faults)
+        ) from None
 
 
 def write_surface(path: Path | str, surface: Surface) -> None:
