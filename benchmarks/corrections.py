@@ -1,11 +1,14 @@
 """Is the motion after ``points2dof --correct`` right within its stated uncertainty?
 
     python benchmarks/corrections.py --scenes 20
+    python benchmarks/corrections.py --stiffness --scenes 4
 
 Bodies and faults are those of ``fault_bodies``. For each fault: how often its channels were corrected, left
 out, or not acted on; the error of the motion against the truth, as a share of the motion, before and after;
 and how often it lies within 1.96 stated standard deviations (0.95 is right), over all degrees of freedom, for
 single lines and for the mean over the lines in proportion to the motion, to which shared errors matter most.
+``--stiffness``: the same faults of a stapes on a moving base; how often the entries of K and D, fitted to the
+motion as measured and as corrected, lie within 1.96 stated standard deviations of the truth.
 """
 
 from __future__ import annotations
@@ -22,11 +25,20 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, possible
-from benchmarks.faults_gate import judged
+from benchmarks.fault_bodies import BODIES, FAULTS, Reading, draw, frequencies, possible
+from benchmarks.faults_gate import channels, judged
+from benchmarks.fitting_estimators import six_dof
+from fitting.examples.experiment import driven_base, simulated_motion
+from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_STIFFNESS
+from fitting.kd import fit_kd
+from fitting.model.inertia import inertia_of
+from fitting.model.symmetric import join
 from kinematics.fit_options import Options
-from kinematics.points2dof import Points2Dof
+from kinematics.measurement import Measurement
+from kinematics.points2dof import Points2Dof, points2dof
 from kinematics.registration.lasers import LaserPriors
+from stapeskit.records.mass_record import MassMatrix
+from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -62,6 +74,59 @@ def errors(result: Points2Dof, truth: ComplexArray) -> tuple[Array, Array, Array
     return size, np.concatenate([parts[0], parts[2]]), np.concatenate([parts[1], parts[3]])
 
 
+def ear(seed: int, body: str, fault: str, lines: int) -> tuple[Measurement, MassMatrix, Array]:
+    """Draw a stapes with a fault on a base without; return also its mass, and the entries of K and D."""
+    mass, stiffness, damping = six_dof()
+    freq = frequencies(lines)
+    base = driven_base(freq, DOF_NAMES)
+    inertia = inertia_of(mass, DOF_NAMES).rows(DOF_NAMES, ())
+    moved = simulated_motion(inertia, stiffness, damping, DOF_NAMES, freq, base, 0.0, None).q[0]
+    made = draw(seed, body, fault, lines=lines, motion=moved[0].T)
+    still = draw(seed + 50_000, "shell, 12 points, 3 heads", lines=lines, motion=moved[1].T)
+    bodies = (channels(made, True, 0.0, "stapes"), channels(still, True, 0.0, "base"))
+    return (
+        Measurement("footplate", ("1",), freq, bodies, 1),
+        mass,
+        join(PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED),
+    )
+
+
+def stiffness(arguments: argparse.Namespace) -> None:
+    """Print how often the entries of K and D hold the truth, by fault."""
+    print("| body | fault | acted on | as measured | corrected | worst entry | error over sd, rms |")
+    print("|-|-|-|-|-|-|-|")
+    every = []
+    for body in BODIES:
+        for kind, fault in enumerate(("", *FAULTS) if arguments.body in body and BODIES[body][1] > 1 else ()):
+            if arguments.fault not in fault:
+                continue
+            off: tuple[list[Array], list[Array]] = ([], [])
+            acted = 0
+            for number in range(arguments.scenes):
+                seed = 1000 * arguments.seed + 40 * number + kind
+                data, mass, truth = ear(seed, body, fault, arguments.lines)
+                for correct, kept in enumerate(off):
+                    result = points2dof(data, options=Options(lasers=EXACT, correct=bool(correct)))
+                    fit = fit_kd(result.motion, mass)
+                    error = join(fit.stiffness, fit.damping) - truth
+                    kept.append(error / np.sqrt(np.diag(fit.covariance)))
+                    acted += bool(result.corrections)
+            plain, right = (np.abs(np.array(kept)) for kept in off)
+            held = np.mean(right < 1.96, axis=0)
+            every.append((fault, right))
+            share = f"{acted / arguments.scenes:.2f} | {np.mean(plain < 1.96):.3f}"
+            print(
+                f"| {body} | {fault or 'none'} | {share} | {np.mean(held):.3f} | {np.min(held):.2f} "
+                f"| {np.sqrt(np.mean(right**2)):.2f} |",
+                flush=True,
+            )
+    for name, some in (("with a fault", True), ("without", False)):
+        chosen = [right for fault, right in every if bool(fault) is some and fault != "bends 6 %"]
+        if chosen:
+            whole = np.concatenate(chosen)
+            print(f"{len(whole)} files {name}: {np.mean(whole < 1.96):.3f} of the entries held.")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -74,7 +139,11 @@ def main() -> None:
     parser.add_argument("--body", default="", help="only bodies whose name holds this")
     parser.add_argument("--fault", default="", help="only faults whose name holds this")
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--stiffness", action="store_true", help="of K and D")
     arguments = parser.parse_args()
+    if arguments.stiffness:
+        stiffness(arguments)
+        return
     print(
         "| body | fault | corrected | left out | error before, % | after, % | lines covered | mean covered |"
     )

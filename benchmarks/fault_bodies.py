@@ -113,6 +113,11 @@ def _shell(rng: np.random.Generator, count: int, axes: tuple[float, float, float
     return np.array(made) + rng.normal(size=3) * 0.3
 
 
+def frequencies(lines: int) -> Array:
+    """Return the frequencies of a drawn reading, Hz."""
+    return np.geomspace(300.0, 8000.0, lines)
+
+
 def draw(
     seed: int,
     body: str,
@@ -122,6 +127,7 @@ def draw(
     noise: float = 0.01,
     position_sd_mm: float = 0.0,
     gaps: float = 0.0,
+    motion: ComplexArray | None = None,
 ) -> Reading:
     """Draw one body with readings, noise, and a fault by its name in FAULTS.
 
@@ -140,10 +146,12 @@ def draw(
         True errors of the positions.
     gaps : float
         Share of values that are missing.
+    motion : ndarray, (6, lines), complex, optional
+        The twist, m and rad, instead of a drawn one.
     """
     rng = np.random.default_rng([seed, 977])
     count, heads, cone, axes = BODIES[body]
-    freq = np.geomspace(300.0, 8000.0, lines)
+    freq = frequencies(lines)
     places = _shell(rng, count, axes)
     turn = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(heads) / heads
     tilt = np.radians(rng.uniform(*cone, heads))
@@ -161,6 +169,8 @@ def draw(
     twist = forced_response(rng, freq, float(np.max(axes)))
     if heads == 1:
         twist[[0, 2, 4]] *= 0.02
+    if motion is not None:
+        twist = motion
     off = position_sd_mm * rng.normal(size=places.shape)
     shape = (len(pairs), lines)
     world = _World(

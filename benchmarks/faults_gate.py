@@ -31,12 +31,10 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Points2Dof, points2dof
 
 
-def judged(
-    made: Reading, stated: bool = True, position_sd_mm: float = 0.0, options: Options | None = None
-) -> Points2Dof:
-    """Run the diagnosis on a reading; one head sees three degrees of freedom."""
-    body = BodyChannels(
-        "incus",
+def channels(made: Reading, stated: bool, position_sd_mm: float, name: str = "incus") -> BodyChannels:
+    """Return a reading as a body of a measurement."""
+    return BodyChannels(
+        name,
         tuple(made.points),
         made.positions_mm,
         made.directions,
@@ -45,6 +43,13 @@ def judged(
         not stated,
         np.full(len(made.points), position_sd_mm or np.nan),
     )
+
+
+def judged(
+    made: Reading, stated: bool = True, position_sd_mm: float = 0.0, options: Options | None = None
+) -> Points2Dof:
+    """Run the diagnosis on a reading; one head sees three degrees of freedom."""
+    body = channels(made, stated, position_sd_mm)
     data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
     options = options or Options()
     if made.head.max() == 0:

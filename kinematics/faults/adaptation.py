@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinematics.faults.catalogue import Fault
+from kinematics.faults.catalogue import KINDS, Fault
 from kinematics.faults.describe import channel_list, describe
 from kinematics.faults.diagnose import Diagnosis
 from kinematics.faults.findings import Finding
@@ -154,7 +154,7 @@ def corrections_of(
     channels are left out, where the others still determine the motion. Of the same change of geometry
     found in several runs the mean is used, weighted by the information.
     """
-    seen = {(one.body, channel) for one in before for channel in one.channels}
+    seen = {(earlier.body, channel) for earlier in before for channel in earlier.channels}
     made: list[Correction] = []
     for (run, number), diagnosis in sorted(diagnoses.items()):
         fit = fits[run, number]
@@ -163,12 +163,26 @@ def corrections_of(
             correction = _correction(placed, fit, (run, number), found, again)
             if correction is None:
                 continue
-            other = next((k for k, one in enumerate(made) if _same_geometry(one, correction)), None)
+            other = next((k for k, kept in enumerate(made) if _same_geometry(kept, correction)), None)
             if other is not None:
                 made[other] = _pooled(made[other], correction)
-            elif not any(_overlap(one, correction) for one in made):
+            elif not any(_overlap(kept, correction) for kept in made):
                 made.append(correction)
     return made
+
+
+def _general(found: Finding) -> Finding | None:
+    """Return, of kinds of fault at one place that contain each other, the one that contains all."""
+    suspects = [suspect for suspect in (found, *found.rivals) if suspect.kind in KINDS and suspect.fit]
+    if not found.rivals or len(suspects) <= len(found.rivals):
+        return None
+    if any(suspect.channels != found.channels for suspect in suspects):
+        return None
+    every = {tangent for suspect in suspects for tangent in KINDS[suspect.kind].tangents}
+    return next(
+        (replace(suspect, rivals=()) for suspect in suspects if every <= {*KINDS[suspect.kind].tangents}),
+        None,
+    )
 
 
 def _overlap(one: Correction, two: Correction) -> bool:
@@ -209,8 +223,11 @@ def _correction(
     if found.kind == "noise" and not again:
         return replace(first, action=RAISED)
     if found.fit is None or found.rivals or again or not _determined(found, fit.beams.lever_m):
-        out = sorted({c for one in (found, *found.rivals) for c in one.channels})
-        return replace(first, action=LEFT_OUT, channels=out) if _spares(body, fit, out) else None
+        out = sorted({c for suspect in (found, *found.rivals) for c in suspect.channels})
+        if _spares(body, fit, out):
+            return replace(first, action=LEFT_OUT, channels=out)
+        general = None if again else _general(found)
+        return None if general is None else _correction(placed, fit, key, general, again)
     fault, p = found.fit.fault, found.fit.parameters
     covariance = found.fit.covariance
     stated = np.nan_to_num(body.position_sd_mm[found.channels[0]]) * 1e-3
@@ -249,11 +266,13 @@ def _spares(body: BodyChannels, fit: LineFit, out: list[int]) -> bool:
 def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) -> dict[Key, Diagnosis]:
     """Return diagnoses that name what was corrected, too, as it was found."""
     made = dict(diagnoses)
-    for one in corrections:
-        key = (one.run, one.body)
-        words = f"{one.estimate}; {one.action}"
-        step = f"Correct the file: this run went on with it {one.action}"
-        finding = replace(one.finding, kind=one.verdict, fit=None, rivals=(), text=words, step=step)
+    for correction in corrections:
+        key = (correction.run, correction.body)
+        words = f"{correction.estimate}; {correction.action}"
+        step = f"Correct the file: this run went on with it {correction.action}"
+        finding = replace(
+            correction.finding, kind=correction.verdict, fit=None, rivals=(), text=words, step=step
+        )
         made[key] = replace(made[key], findings=(finding, *made[key].findings))
     return made
 
@@ -261,10 +280,15 @@ def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) ->
 def correction_notices(placed: Measurement, corrections: Iterable[Correction]) -> list[Notice]:
     """Return one warning for each correction."""
     made = []
-    for one in corrections:
-        body = placed.bodies[one.body]
-        where = f" in run {placed.runs[one.run]}" if len(placed.runs) > 1 else ""
-        whole = len(one.channels) == len(body.points)
-        names = f"body {body.body}" if whole else channel_list(one.channels, body)
-        made.append(Notice("corrected", f"{names}{where}: {one.verdict}, {one.estimate}; {one.action}."))
+    for correction in corrections:
+        body = placed.bodies[correction.body]
+        where = f" in run {placed.runs[correction.run]}" if len(placed.runs) > 1 else ""
+        whole = len(correction.channels) == len(body.points)
+        names = f"body {body.body}" if whole else channel_list(correction.channels, body)
+        made.append(
+            Notice(
+                "corrected",
+                f"{names}{where}: {correction.verdict}, {correction.estimate}; {correction.action}.",
+            )
+        )
     return made

@@ -178,8 +178,9 @@ class Search:
         """Return the least corrected probability of all tests."""
         return min(
             (
-                float(np.min(self.chance(one.statistic, one.freedom, one.groups))) * self._number(one.owner)
-                for one in self.tested
+                float(np.min(self.chance(test.statistic, test.freedom, test.groups)))
+                * self._number(test.owner)
+                for test in self.tested
             ),
             default=1.0,
         )
@@ -273,7 +274,7 @@ class Search:
 
     def _number(self, owner: str) -> float:
         """Return what p-values of one sort of culprit are multiplied with: Bonferroni, unequal shares."""
-        count = sum(len(one.statistic) for one in self.tested if one.owner == owner)
+        count = sum(len(test.statistic) for test in self.tested if test.owner == owner)
         return max(count, 1) / _ALARM_SHARE[owner]
 
     def _lasers(self) -> list[list[int]]:
@@ -319,12 +320,12 @@ class Search:
         """Fit every kind of fault where it is most significant, and where leaving out helps most."""
         faults = []
         for owner in _TESTED:
-            tested = [one for one in self.suspected if one.owner == owner]
-            sets = list(dict.fromkeys(own for one in tested for own in one.sets))
+            tested = [test for test in self.suspected if test.owner == owner]
+            sets = list(dict.fromkeys(own for test in tested for own in test.sets))
             chosen = dict.fromkeys(sorted(sets, key=self._blame(sets).__getitem__)[: _BLAMED[owner]])
-            for one in tested:
-                best = np.argsort(-one.statistic, kind="stable")[: _TESTED[owner]]
-                chosen |= dict.fromkeys(one.sets[k] for k in best)
+            for test in tested:
+                best = np.argsort(-test.statistic, kind="stable")[: _TESTED[owner]]
+                chosen |= dict.fromkeys(test.sets[k] for k in best)
             places = {"channel": len(self.live), "point": len(self.points), "laser": 3}.get(owner, 1)
             untested = [
                 name
@@ -332,7 +333,7 @@ class Search:
                 if kind.varies and owner in kind.owners and self.refit.coarse
             ]
             for number, own in enumerate(chosen):
-                names = [one.kind for one in tested if own in set(one.sets)]
+                names = [test.kind for test in tested if own in set(test.sets)]
                 for name in dict.fromkeys([*names, *untested]):
                     if number < _VARIED[owner] or not KINDS[name].varies:
                         faults.append(Fault(name, owner, list(own), places=places))
@@ -369,9 +370,9 @@ class Search:
     def _exchanges(self) -> list[Fault]:
         """Return the exchanges of names and coordinates that are most likely at first sight."""
         stand = dict.fromkeys(self.points, 0.0)
-        for one in self.tested:
-            if one.owner in ("channel", "point"):
-                for own, value in zip(one.groups[:, 0], one.statistic, strict=True):
+        for test in self.tested:
+            if test.owner in ("channel", "point"):
+                for own, value in zip(test.groups[:, 0], test.statistic, strict=True):
                     name = self.data.points[own]
                     stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]

@@ -115,9 +115,9 @@ def channel_verdicts(
 def left_out_verdicts(runs: Sequence[str], left_out: Sequence[LeftOut]) -> list[ChannelVerdict]:
     """Return ``unused`` for every channel that the user left out, in every run."""
     return [
-        ChannelVerdict(run, one.body, one.point, one.direction, np.nan, 0.0, "unused", "left out", np.nan)
+        ChannelVerdict(run, beam.body, beam.point, beam.direction, np.nan, 0.0, "unused", "left out", np.nan)
         for run in runs
-        for one in left_out
+        for beam in left_out
     ]
 
 

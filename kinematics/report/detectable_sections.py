@@ -13,6 +13,7 @@ from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
 from kinematics.report.draw_motion import full_motion
 from stapeskit.page import page
 from stapeskit.page.drawings import shortened
+from stapeskit.vocabulary import named
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -112,6 +113,9 @@ def _never(result: Points2Dof) -> list[Markup]:
         if np.any(np.isfinite(errors.tilt)):
             what = f"the one beam direction tilted by {TURN_DEG:g}°, as much motion across as along"
             rows.append((body.body, what, *_shares(errors.tilt)))
+    if len(result.measurement.bodies) > 1:
+        rms = [f"{100.0 * (1.0 - np.sqrt(0.5)):.2g} %"] * len(dof)
+        rows.append(("one of them", "readings of that body alone in rms instead of peak values", *rms))
     if not rows:
         return []
     single = any("tilted" in row[1] for row in rows)
@@ -120,9 +124,11 @@ def _never(result: Points2Dof) -> list[Markup]:
         page.subheading("What never shows"),
         page.table(("body", "error", *dof), rows, words=True),
         page.text(
-            "Such errors move beams and points alike and leave residuals of exactly zero: only markers and "
-            "the alignment of the vibrometer guard against them. Change (rms over frequency) of each degree "
-            f"of freedom relative to itself, about the worst axis; proportional to the error.{tilt}"
+            "Such errors move beams and points alike, or scale a whole body, and leave residuals of exactly "
+            "zero: only markers and the alignment of the vibrometer guard against them, and against a wrong "
+            f"scale of one body {named('mass')}, with which a ligament must join the two. Change (rms over "
+            "frequency) of each degree of freedom relative to itself, about the worst axis; proportional to "
+            f"the error.{tilt}"
         ),
     ]
 
