@@ -19,7 +19,8 @@ from stapeskit.faults import Fault, Place, collecting, raise_all
 Array = NDArray[np.float64]
 T = TypeVar("T")
 _SUFFIXES = (".txt", ".asc", ".csv", ".dat")
-_FIELD = re.compile(r"^\s*([^\t:]{2,40}?)\s*:\s*(.*)$")
+# Characters of the name in a line ``Name: value``.
+_NAME = range(2, 41)
 _UNIT = re.compile(r"\[([^\]]*)\]")
 # Text exports are read whole; 1 GB of text holds 10^7 readings.
 _MAX_FILE = 1 << 30
@@ -64,13 +65,22 @@ def decoded(content: bytes) -> str:
         return content.decode("latin-1")
 
 
+def _field(line: str) -> tuple[str, str] | None:
+    """Return name, in lower case, and value of a line ``Name: value``; None for another line."""
+    before, colon, value = line.partition(":")
+    name = before.strip()
+    if not colon or len(name) not in _NAME or "\t" in name:
+        return None
+    return name.lower(), value.strip()
+
+
 def fields_of(text: str) -> dict[str, str]:
     """Return the ``Name: value`` lines at the top of a text, names in lower case."""
     fields = {}
     for line in lines_of(text)[:40]:
-        match = _FIELD.match(line)
-        if match is not None:
-            fields[match[1].lower()] = match[2].strip()
+        field = _field(line)
+        if field is not None:
+            fields[field[0]] = field[1]
         elif _is_numbers(line):
             break
     return fields
@@ -146,7 +156,7 @@ def _first_row(lines: list[str], start: int) -> int | None:
 
 
 def _is_row(line: str) -> bool:
-    if not line.strip() or _FIELD.match(line) is not None:
+    if not line.strip() or _field(line) is not None:
         return False
     cells = _cells(line)
     return 2 * sum(bool(cell) and value_of(cell) is not None for cell in cells) >= max(len(cells), 1)
@@ -155,7 +165,7 @@ def _is_row(line: str) -> bool:
 def _after_rows(lines: list[str], first: int) -> int:
     """Return where a table ends: at an empty line or at the header of the next one."""
     last = first
-    while last < len(lines) and lines[last].strip() and _FIELD.match(lines[last]) is None:
+    while last < len(lines) and lines[last].strip() and _field(lines[last]) is None:
         last += 1
     return last
 
@@ -166,9 +176,9 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
     fields, names, units, named = {}, "", "", start
     for number in range(start, first):
         line = lines[number]
-        match = _FIELD.match(line)
-        if match is not None and "\t" not in match[1]:
-            fields[match[1].lower()] = match[2].strip()
+        field = _field(line)
+        if field is not None:
+            fields[field[0]] = field[1]
         elif line.strip():
             if names and _only_units(line):
                 units = line

@@ -10,6 +10,7 @@ import pytest
 from kinematics.readers.formats import format_of, read_recordings
 from kinematics.readers.psv import fastscan as psv_fastscan
 from kinematics.readers.psv import per_point as psv_points
+from kinematics.readers.psv.blocks import fields_of
 from stapeskit.faults import StapeskitError
 from tests.kinematics.written_psv import fastscan, point
 
@@ -296,3 +297,8 @@ def test_folders_and_files_of_no_known_kind(tmp_path):
         format_of(tmp_path / "a.xyz")
     with pytest.raises(StapeskitError, match="an existing file"):
         format_of(tmp_path / "none.uff")
+
+
+def test_fields_of_a_head_and_a_line_of_blanks_is_soon_read():
+    text = "Signal: Vib X\n\t Band No. \t: 3\nA\tB: 1\nx: 2\n" + " " * 10**6
+    assert fields_of(text) == {"signal": "Vib X", "band no.": "3"}
