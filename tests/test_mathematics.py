@@ -30,7 +30,7 @@ def block(rows):
 
 def test_every_formula_has_a_check():
     text = PAGE.read_text(encoding="utf-8")
-    assert [int(number) for number in re.findall(r"^\*\*(\d+)\.", text, re.MULTILINE)] == list(range(1, 11))
+    assert [int(number) for number in re.findall(r"^\*\*(\d+)\.", text, re.MULTILINE)] == list(range(1, 13))
 
 
 def test_1_a_beam_is_one_row():
@@ -161,6 +161,41 @@ def test_10_errors_of_the_predictor_shrink_a_law():
     size = rng.standard_normal(100_000)
     seen = size + 0.7 * rng.standard_normal(size.size)
     assert np.polyfit(seen, 2.0 * size, 1)[0] == pytest.approx(2.0 / (1.0 + 0.49), rel=0.02)
+
+
+def test_11_second_derivative_by_the_root_and_its_sign_at_zero():
+    def symmetric(name):
+        a, b, c = sp.symbols(f"{name}1:4", real=True)
+        return sp.Matrix([[a, b], [b, c]])
+
+    root, step, wanted, weight = (symmetric(name) for name in ("s", "d", "k", "w"))
+    e = sp.Symbol("e", real=True)
+    moved = (root + e * step) ** 2
+    objective = sum(weight[n] * (moved[n] - wanted[n]) ** 2 for n in range(4)) / 2
+    change, gradient = root * step + step * root, weight.multiply_elementwise(root**2 - wanted)
+    by_stiffness = sum(weight[n] * change[n] ** 2 for n in range(4))
+    page = by_stiffness + (gradient * (step * step + step * step)).trace()
+    second = sp.diff(objective, e, 2).subs(e, 0)
+    assert sp.expand(second - page) == 0
+    size = sp.Symbol("q", positive=True)  # F would rather have K = -q
+    at_zero = second.subs(dict.fromkeys(root, 0)).subs(zip(wanted, -size * sp.eye(2), strict=True))
+    isotropic = at_zero.subs(dict.fromkeys(weight, 1))
+    assert sp.expand(isotropic - 2 * size * sum(entry**2 for entry in step)) == 0
+
+
+def test_12_a_strip_around_a_rim_is_an_annulus_up_to_second_order():
+    x, angle, width = sp.symbols("x theta g", positive=True)  # x = g / a of a circular rim of radius a
+    annulus = 2 * sp.pi / sp.log(1 + x)  # K(y) / (G t), from the logarithm that solves Laplace's equation
+    strip = (2 * sp.pi + sp.pi * x) / x
+    assert sp.limit((annulus - strip) / strip, x, 0) == 0
+    assert sp.limit((annulus - strip) / strip / x, x, 0) == 0
+    assert sp.limit((annulus - strip) / strip / x**2, x, 0) == sp.Rational(-1, 12)
+    support = 2 + sp.cos(2 * angle) / 5  # of a convex curve, whose length is its integral
+
+    def length(h):
+        return sp.integrate(h, (angle, 0, 2 * sp.pi))
+
+    assert sp.simplify(length(support + width / 2) - length(support) - sp.pi * width) == 0
 
 
 def test_the_mass_matrix_of_the_library_is_that_of_the_page():
