@@ -53,7 +53,7 @@ def timed(run, tasks, out: Path) -> float:
 
 
 def stages_one_by_one(study: Path, folder: Path, address: str) -> dict[str, object]:
-    """Run each stage of a study as a task of its own, from folder to folder; return the numbers of all."""
+    """Run each stage of a study as a task from folder to folder; return the results of all."""
     from distributed import Client
 
     with Client(address, set_as_default=False) as client:

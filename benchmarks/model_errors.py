@@ -250,7 +250,7 @@ def laws(ears: int) -> None:
 
 
 def branches(ears: int, levels: list[float]) -> None:
-    """Print what is chosen for ligaments with two relaxation times, whether it is told, and errors of K."""
+    """Print laws chosen for ligaments with two relaxation times, whether a warning came, and errors of K."""
     table("ligament", "noise (%)", "chosen", "warned", "K11, K22, K33 off (%)", "outside 95 % of K")
     for place, name in enumerate(BRANCHES):
         for noise in levels:

@@ -23,6 +23,7 @@ from benchmarks import foreign_scans as scans
 from benchmarks import foreign_shapes as shapes
 
 FAMILIES = ("base", "asymmetric", "thick", "curved", "mirrored", "gutter", "focus", "thin", "flat thin")
+# Voxel of the exact shapes, mm: as foreign_scans draws them.
 _FINE_MM = 0.022
 
 

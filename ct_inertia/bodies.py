@@ -180,7 +180,7 @@ class Wall:
         Standard deviation of the blur with which it is seen.
     level_sd : float
         Standard deviation of the half level, as a share of the contrast.
-    tail : float
+    tail_sd : float
         Standard deviation of what is not known of the tails of close bodies, as a share of them.
     """
 

@@ -75,7 +75,7 @@ class _Parts(HTMLParser):
             self._rows = None
 
     def handle_data(self, data: str) -> None:
-        """Add text to the heading or cell that it stands in."""
+        """Add text to the open heading or cell."""
         if self._reading:
             self._titles[self._reading].append(data)
         elif self._rows and self._rows[-1]:

@@ -21,8 +21,8 @@ NORMAL_SCALE_MM = 0.05
 PLANE_SCALE_MM = 0.03
 # Longest edges of triangles after refinement, mm: below the scale of the normals on a mesh; on a surface of
 # grey values, which the blur has smoothed, twice as long for a quarter of the triangles.
-_EDGE_MM = 0.04
-_SEEN_EDGE_MM = 0.08
+EDGE_MM = 0.04
+SEEN_EDGE_MM = 0.08
 # Depth of the region around a footplate; deeper, by this factor, where the face reaches the region's end.
 _DEPTH_MM, _DEEPER = 0.6, 1.5
 _GRAIN_OF_BLUR = calibrated("footplate_face.grain_of_blur")
@@ -126,7 +126,7 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
     part = mesh.part(height > height.max() - depth_mm)
     corners = part.points[part.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
-    part = refined(part, max(_EDGE_MM if blur_mm == 0.0 else _SEEN_EDGE_MM, 0.008 * extent_mm))
+    part = refined(part, max(EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM, 0.008 * extent_mm))
     diffusion = Diffusion(part, NORMAL_SCALE_MM)
     points = part.points if blur_mm == 0.0 else without_blur(diffusion, blur_mm)
     normals = diffusion.normals(points)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import Wall
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate import FootplateFrame, SurfaceLike
-from ct_inertia.frames.footplate_face import sunk_by_blur
+from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, sunk_by_blur
 from ct_inertia.surface.surface_field import Diffusion, Mesh, refined, unit
 from ct_inertia.volume.normal import normal_cdf
 
@@ -29,20 +29,21 @@ _STEP_MM = 0.06
 _FARTHEST_MM = 0.25
 # Heights of rim and wall above the lowest point of the outline and below it, mm: the window's depth.
 _HEIGHT_MM, _BELOW_MM = 0.45, 0.3
-# Longest edges of triangles of exact surfaces and of blurred ones, mm, and the scale on which the blur is
-# taken back (footplate_face).
-_EDGE_MM, _SEEN_EDGE_MM, _SCALE_MM = 0.04, 0.08, 0.05
-# Cosine against the outward direction of the rim above which a surface looks at the wall.
+# A surface looks at the wall within 60 degrees of the outward direction of the rim, half open like the cone
+# in which the medial face is cut.
 _FACING = 0.5
-# Share of the points of the rim at a place, the nearest to the wall, whose mean distance is the gap there.
+# Share of the points of the rim at a place, the nearest to the wall, whose mean distance is the gap there:
+# the least distance alone would be too small by the noise of the surfaces.
 _NEAREST = 0.1
 _REST_SD = calibrated("window_gap.rest_sd")
 _LEAST_SD_MM = calibrated("window_gap.least_sd_mm")
-# Share of the rim with a wall opposite below which the gap is not stated.
+# Share of the rim with a wall opposite below which the gap is not stated: the median is of the rim measured,
+# and of less than half of it, it says nothing about the rest.
 _LEAST_SHARE = 0.5
-# Standard deviation of the gap, as a share of it, above which it is not stated.
+# Standard deviation of the gap, as a share of it, above which it is not stated: zero is within two of them.
 _MOST_SD = 0.5
-# Gap in widths of the blur below which bone bridges it or blur hides it.
+# Gap in widths of the blur below which blur hides it: between the half levels of two edges that close, grey
+# values do not fall below half of the bone's, and the surfaces merge.
 _LEAST_SIGMAS = 0.5
 
 
@@ -169,7 +170,7 @@ def _body(
     """Return the part of a surface near the rim, where it stands without the blur."""
     from scipy.spatial import cKDTree
 
-    margin = 2.0 * _SCALE_MM
+    margin = 2.0 * NORMAL_SCALE_MM
     high = (points[:, 1] > low - _BELOW_MM - margin) & (points[:, 1] < low + _HEIGHT_MM + margin)
     reach = cKDTree(places).query(points[high][:, [0, 2]], distance_upper_bound=_FARTHEST_MM + margin)[0]
     near = np.zeros(len(points), dtype=bool)
@@ -177,8 +178,8 @@ def _body(
     part = Mesh(points, np.asarray(faces)).part(near)
     if len(part.faces) == 0:
         return None
-    part = refined(part, _EDGE_MM if blur_mm == 0.0 else _SEEN_EDGE_MM)
-    diffusion = Diffusion(part, _SCALE_MM)
+    part = refined(part, EDGE_MM if blur_mm == 0.0 else SEEN_EDGE_MM)
+    diffusion = Diffusion(part, NORMAL_SCALE_MM)
     normals = unit(diffusion.normals())
     sunk = np.zeros(len(normals)) if blur_mm == 0.0 else sunk_by_blur(diffusion, blur_mm, normals)
     return _Body(part.points + sunk[:, None] * normals, normals, np.abs(sunk))
@@ -198,7 +199,7 @@ def _distances(rim: _Body, wall: _Body, outline: tuple[Array, Array], least_mm: 
     length = np.linalg.norm(step, axis=1)
     beside = np.sqrt(np.maximum(length**2 - across**2, 0.0))
     # Within a triangle of the nearest vertex the wall is plane; farther, an edge of the wall is nearest.
-    distance = np.hypot(across, np.maximum(beside - _EDGE_MM, 0.0))
+    distance = np.hypot(across, np.maximum(beside - EDGE_MM, 0.0))
     ahead = np.sum(step[:, [0, 2]] * outward[owner], axis=1) > _FACING * length
     opposite = np.sum(against * normals, axis=1) < -_FACING
     seen = np.flatnonzero(ahead & opposite & (across > 0.0) & (distance < _FARTHEST_MM))

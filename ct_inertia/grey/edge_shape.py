@@ -31,7 +31,8 @@ _PLACES = np.arange(-4.4, 1.41, 0.4)
 _SIGNIFICANT = 4.0
 # Probability with which an even point spread is called uneven; its deviation from even has five freedoms.
 _FALSE_ALARMS, _UNEVEN_FREEDOMS = 1e-3, 5
-# What Scheffe's limit comes to with infinitely many cells, sqrt(chi2): below it nothing is uneven.
+# Scheffe's limit with infinitely many cells, the root of chi2's quantile with the numbers above: below it
+# nothing is uneven, and scipy.stats, slow to import, is not asked.
 _LEAST_UNEVEN = 4.529
 _WIDTH_MODEL_SD = calibrated("edges.width_model_sd")
 _SHAPE_MODEL_SD = calibrated("edges.shape_model_sd")

@@ -19,7 +19,7 @@ from ct_inertia.readers.mapping import read_at
 from ct_inertia.readers.skyscan import log_spacing
 from ct_inertia.readers.tiff_directories import check_directories, packing_of
 from ct_inertia.readers.tiff_log import listening
-from ct_inertia.readers.tiff_pages import turned_notice, white_is_zero
+from ct_inertia.readers.tiff_pages import check_offsets, check_pieces, turned_notice, white_is_zero
 from ct_inertia.volume.blocks import BlockArray, turned
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
@@ -203,7 +203,11 @@ def _tiff_look(path: Path) -> _Look | None:
     check_directories(path)
     with listening(path, "slice image"), tifffile.TiffFile(path) as tif:
         page: Any = tif.pages[0]
+        check_pieces(page, path)
+        check_offsets(page, path, path.stat().st_size)
         if len(tif.pages) != 1 or page.ndim != 2 or page.dtype is None or page.dtype.kind == "b":
+            dtype, stored = page.dtype or np.dtype(bool), path.stat().st_size
+            check_size(page.shape, dtype, stored, path.name, packing=packing_of(page), held=True)
             return None
         dtype = np.dtype(tif.byteorder + page.dtype.char)
         whole = page.is_contiguous and page.bitspersample >= 8
@@ -221,6 +225,8 @@ def _picture_look(path: Path) -> _Look | None:
     packing = "deflate" if path.suffix.lower() == ".png" else "any"
     with Image.open(path) as image:
         if image.mode not in known:
+            shape = (image.height, image.width, len(image.getbands()))
+            check_size(shape, np.dtype(np.uint8), path.stat().st_size, path.name, packing=packing, held=True)
             return None
         return _Look((image.height, image.width), np.dtype(known[image.mode]), packing)
 

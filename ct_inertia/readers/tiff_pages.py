@@ -199,26 +199,45 @@ def _check_kind(series: Any, page: Any, path: Path) -> None:
 
 def _check_pages(series: Any, files: list[Path], path: Path) -> None:
     sizes = {file: file.stat().st_size for file in set(files)}
-    key = series.keyframe
-    for size in (key.tilewidth, key.tilelength) if key.is_tiled else (key.rowsperstrip,):
-        if not isinstance(size, int) or size < 1:
-            raise header_fault(path, "TIFF", f"strips or tiles of {size} voxels")
+    check_pieces(series.keyframe, path)
     for page, file in zip(series.pages, files, strict=True):
         if page is None:
             raise CtInertiaError(
                 Fault("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
             )
-        numbers = (*page.dataoffsets, *page.databytecounts)
-        if not all(isinstance(number, int) and number >= 0 for number in numbers):
-            raise header_fault(path, "TIFF", "a page without usable offsets")
-        ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
-        if ends and max(ends) > sizes[file]:
-            raise CtInertiaError(
-                Fault(
-                    "the TIFF",
-                    f"as long as its pages say ({max(ends)} bytes)",
-                    f"{sizes[file]} bytes",
-                    file.name,
-                    "The file is truncated: copy or export it again",
-                )
+        check_offsets(page, file, sizes[file])
+
+
+def check_pieces(page: Any, path: Path) -> None:
+    """Refuse strips or tiles of no size.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    for size in (page.tilewidth, page.tilelength) if page.is_tiled else (page.rowsperstrip,):
+        if not isinstance(size, int) or size < 1:
+            raise header_fault(path, "TIFF", f"strips or tiles of {size} voxels")
+
+
+def check_offsets(page: Any, file: Path, file_bytes: int) -> None:
+    """Refuse a page whose strips or tiles end behind the file, which a reader would make room for.
+
+    Raises
+    ------
+    CtInertiaError
+    """
+    numbers = (*page.dataoffsets, *page.databytecounts)
+    if not all(isinstance(number, int) and number >= 0 for number in numbers):
+        raise header_fault(file, "TIFF", "a page without usable offsets")
+    ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
+    if ends and max(ends) > file_bytes:
+        raise CtInertiaError(
+            Fault(
+                "the TIFF",
+                f"as long as its pages say ({max(ends)} bytes)",
+                f"{file_bytes} bytes",
+                file.name,
+                "The file is truncated: copy or export it again",
             )
+        )

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
-from stapeskit.documents import parse_toml
+from kinematics.readers.mapping_file import mapping_document, unknown_keys
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import axis_vector
 
@@ -121,12 +121,7 @@ def read_mapping(path: Path) -> Layout:
         No TOML, an unknown key, a value of the wrong kind, or no frequency or signal.
     """
     path = Path(path)
-    if not path.is_file():
-        raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
-    try:
-        document = parse_toml(path.read_bytes().decode("utf-8-sig"))
-    except ValueError as fault:
-        raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
+    document = mapping_document(path)
     faults: list[Fault] = []
     signals = document.pop("signal", [])
     if not isinstance(signals, list) or not all(isinstance(signal, dict) for signal in signals):
@@ -154,18 +149,13 @@ def read_mapping(path: Path) -> Layout:
 
 
 def _checked(kind: Any, entries: Mapping[str, Any], where: str, faults: list[Fault]) -> Any:
-    import difflib
-
     known = {entry.name for entry in fields(kind)} - {"signal"}
+    faults += unknown_keys(entries, known, where)
     good = {}
     for key, value in entries.items():
-        if key not in known:
-            near = difflib.get_close_matches(key, sorted(known), 1)
-            step = f"Did you mean {near[0]}?" if near else "Remove it"
-            faults.append(Fault("a key", f"one of {', '.join(sorted(known))}", key, where, step))
-        elif key not in ("direction", "n_avg") and not isinstance(value, str):
+        if key in known - {"direction", "n_avg"} and not isinstance(value, str):
             faults.append(Fault(key, "a text in quotes", value, where))
-        else:
+        elif key in known:
             good[key] = value
     return kind(**good)
 

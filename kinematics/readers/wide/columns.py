@@ -1,4 +1,4 @@
-"""What the columns of a wide table hold, told from their names: ``P3 Vx Mag``, ``Point 3 - Vib Z - Real``."""
+"""The meaning of the columns of a wide table by their names: ``P3 Vx Mag``, ``Point 3 - Vib Z - Real``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ PARTS = {
     "phase": ("ph", "phase", "arg", "angle", "winkel"),
     "coherence": ("coh", "coherence", "gamma2", "kohärenz"),
 }
+HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
 _FREQUENCY = ("frequency", "freq", "frequenz", "fréquence", "f")
 # Words that name neither point nor axis nor part.
 _FILLERS = (
@@ -58,7 +59,12 @@ class Beam:
 def is_frequency(name: str) -> bool:
     """Tell whether a column holds the frequencies."""
     words = [word.lower() for word in _WORD.findall(name)]
-    return bool(words) and words[0] in _FREQUENCY and set(words[1:]) <= {"hz", "khz", "axis"}
+    return bool(words) and words[0] in _FREQUENCY and set(words[1:]) <= {*HERTZ, "axis"}
+
+
+def frequency_unit(name: str) -> str:
+    """Return the unit that stands as a word in the name of a column, as in ``freq_khz``; else nothing."""
+    return next((word for word in _WORD.findall(name) if word.lower() in HERTZ), "")
 
 
 def meaning(name: str) -> tuple[str, str, str] | None:

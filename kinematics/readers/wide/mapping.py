@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from kinematics.errors import KinematicsError
+from kinematics.readers.mapping_file import mapping_document, unknown_keys
 from kinematics.readers.wide.columns import Beam
-from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, raise_all
 
 _PARTS = {
@@ -41,7 +41,7 @@ _PARTS = {
 _TEXTS = ("unit", "phase_unit", "point", "body", "run")
 _FILE = {
     "frequency": (),
-    "frequency_unit": ("Hz", "kHz"),
+    "frequency_unit": ("Hz", "kHz", "MHz"),
     "amplitude": ("peak", "rms"),
     "convention": ("+", "-"),
 }
@@ -55,23 +55,18 @@ def read_mapping(path: Path) -> dict[str, Any]:
     KinematicsError
         No TOML, an unknown key, or a value of the wrong kind; all faults together.
     """
-    if not path.is_file():
-        raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
-    try:
-        document = parse_toml(path.read_bytes().decode("utf-8-sig"))
-    except ValueError as fault:
-        raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
+    document = mapping_document(path)
     signals = document.get("signal")
     if not isinstance(signals, list) or not signals or not all(isinstance(entry, dict) for entry in signals):
         raise KinematicsError(Fault("a mapping", "of one [[signal]] at least", "none", path.name))
-    faults = _key_faults(document, {*_FILE, "signal"}, path.name)
+    faults = unknown_keys(document, {*_FILE, "signal"}, path.name)
     for key, values in _FILE.items():
         value = document.get(key, values[0] if values else "")
         if not isinstance(value, str) or (values and value not in values):
             faults.append(Fault(key, " or ".join(values) or "the name of a column", value, path.name))
     for number, entry in enumerate(signals, 1):
         where = f"{path.name}, signal {number}"
-        faults += _key_faults(entry, {*_PARTS, *_TEXTS, "direction", "n_avg"}, where)
+        faults += unknown_keys(entry, {*_PARTS, *_TEXTS, "direction", "n_avg"}, where)
         faults += [
             Fault(key, "a text in quotes", entry[key], where)
             for key in (*_PARTS, *_TEXTS)
@@ -87,23 +82,13 @@ def read_mapping(path: Path) -> dict[str, Any]:
     return dict(document)
 
 
-def _key_faults(entries: Mapping[str, Any], known: set[str], where: str) -> list[Fault]:
-    faults = []
-    for key in entries:
-        if key not in known:
-            near = get_close_matches(key, sorted(known), 1)
-            step = f"Did you mean {near[0]}?" if near else "Remove it"
-            faults.append(Fault("a key", f"one of {', '.join(sorted(known))}", key, where, step))
-    return faults
-
-
 def mapped_beams(signals: Sequence[Mapping[str, Any]], names: Sequence[str], file: str) -> list[Beam]:
     """Return the beams that a mapping names.
 
     Raises
     ------
     KinematicsError
-        A column is not in the table; the nearest is named.
+        A column is not in the table (the nearest is named), or is there twice.
     """
     beams: list[Beam] = []
     faults: list[Fault] = []
@@ -117,8 +102,12 @@ def mapped_beams(signals: Sequence[Mapping[str, Any]], names: Sequence[str], fil
             columns = {}
             for part, pattern in wanted.items():
                 name = plain_name(pattern.replace("{point}", label))
-                if name in names:
-                    columns[part] = list(names).index(name)
+                places = [place for place, other in enumerate(names) if other == name]
+                if len(places) == 1:
+                    columns[part] = places[0]
+                elif places:
+                    got = f"{len(places)} times"
+                    faults.append(Fault(f"the column {name}", "in the table once", got, file))
                 else:
                     faults.append(_missing(name, names, file))
             texts = {key: entry[key] for key in ("unit", "phase_unit", "body", "run") if key in entry}
@@ -133,7 +122,7 @@ def plain_name(name: str) -> str:
 
 
 def _labels(pattern: str, names: Sequence[str]) -> list[str]:
-    """Return what {point} stands for in the names."""
+    """Return the names of points: the texts in place of ``{point}`` in the names that fit the pattern."""
     before, _, after = plain_name(pattern).partition("{point}")
     matches = (re.fullmatch(f"{re.escape(before)}(.+?){re.escape(after)}", name) for name in names)
     return list(dict.fromkeys(match[1].strip() for match in matches if match))

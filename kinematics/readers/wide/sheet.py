@@ -62,13 +62,14 @@ def header_of(text: str) -> tuple[int, list[str], list[str], str] | None:
         above = [n for n in range(first) if lines[n].strip()]
         if not above or mark not in lines[above[-1]]:
             continue
-        names, units, at = _cells(lines[above[-1]], mark), [""] * len(lines[above[-1]]), above[-1]
+        names, units, at = _cells(lines[above[-1]], mark), [], above[-1]
         if len(above) > 1 and all(_is_unit(cell) for cell in names):
             units = [cell.strip("[]() ") for cell in names]
             at = above[-2]
             names = _cells(lines[at], mark)
-        found = [_UNIT.search(name) for name in names]
-        stated = [match[1].strip() if match else unit for match, unit in zip(found, units, strict=False)]
+        units += [""] * (len(names) - len(units))
+        matches = [_UNIT.search(name) for name in names]
+        stated = [match[1].strip() if match else unit for match, unit in zip(matches, units, strict=False)]
         return at, [_UNIT.sub("", name).strip() for name in names], stated, mark
     return None
 

@@ -1,6 +1,6 @@
 """Read wide tables, as spreadsheets and scripts write them: ``Frequency [Hz], Vx Mag [m/s], ...``.
 
-The names say part, axis and point; where they do not, a mapping does (kinematics.readers.wide.mapping).
+The names give part, axis and point; where they do not, a mapping does (kinematics.readers.wide.mapping).
 """
 
 from __future__ import annotations
@@ -15,7 +15,14 @@ from kinematics.errors import KinematicsError
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
-from kinematics.readers.wide.columns import Beam, beams_of, is_frequency, looks_wide
+from kinematics.readers.wide.columns import (
+    HERTZ,
+    Beam,
+    beams_of,
+    frequency_unit,
+    is_frequency,
+    looks_wide,
+)
 from kinematics.readers.wide.mapping import mapped_beams, plain_name, read_mapping
 from kinematics.readers.wide.sheet import Sheet, header_of, read_sheet
 from stapeskit.faults import Fault, collecting, raise_all
@@ -30,7 +37,6 @@ _TURNS = {
     "degrees": np.pi / 180.0,
     "rad": 1.0,
 }
-_HERTZ = {"": 1.0, "hz": 1.0, "khz": 1e3}
 
 
 def is_wide(text: str) -> bool:
@@ -86,12 +92,13 @@ def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
         got = "none" if not columns else " and ".join(sheet.names[k] for k in columns)
         step = f'Name it in {sheet.file}.toml: frequency = "{sheet.names[0]}"'
         raise KinematicsError(Fault("the column of frequencies", "one", got, sheet.place(), step))
-    unit = document.get("frequency_unit", "") or sheet.units[columns[0]]
-    if unit.lower() not in _HERTZ:
+    in_header = sheet.units[columns[0]] or frequency_unit(sheet.names[columns[0]])
+    unit = document.get("frequency_unit", "") or in_header or "Hz"
+    if unit.lower() not in HERTZ:
         raise KinematicsError(
-            Fault("the unit of the frequencies", "Hz or kHz", shown(unit), sheet.place(columns[0]))
+            Fault("the unit of the frequencies", "Hz, kHz or MHz", shown(unit), sheet.place(columns[0]))
         )
-    freq = sheet.numbers[:, columns[0]] * _HERTZ[unit.lower()]
+    freq = sheet.numbers[:, columns[0]] * HERTZ[unit.lower()]
     with np.errstate(invalid="ignore"):
         bad = ~np.isfinite(freq) | (freq < 0.0) | (np.diff(freq, prepend=-np.inf) <= 0.0)
     if np.any(bad):

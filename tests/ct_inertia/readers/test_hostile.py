@@ -5,12 +5,14 @@ import json
 import os
 import resource
 import struct
+import zlib
 from pathlib import Path
 
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_labels, read_volume
@@ -132,6 +134,27 @@ def test_a_directory_that_leads_back_to_itself(tmp_path):
         struct.pack_into(form, data, first + struct.calcsize(count) + number * entry, first)
         path.write_bytes(bytes(data))
         assert "leads back to itself" in refused(path).got
+
+
+def test_a_slice_that_claims_more_than_its_file_holds(tmp_path):
+    """Each claim alone would ask for the memory before the file ends."""
+    for name in ("c_1.png", "c_2.png"):
+        Image.new("RGB", (8, 8)).save(tmp_path / name)
+    data = bytearray((tmp_path / "c_2.png").read_bytes())
+    struct.pack_into(">II", data, 16, 9_000, 9_000)
+    struct.pack_into(">I", data, 29, zlib.crc32(data[12:29]))
+    (tmp_path / "c_2.png").write_bytes(bytes(data))
+    assert refused(tmp_path).thing == "the volume"
+    for name in ("c_1.png", "c_2.png"):
+        (tmp_path / name).unlink()
+    for number in (1, 2):
+        path = w.plain(tmp_path / f"s_{number}.tif", picture()[:1], compression="zlib")
+    with tifffile.TiffFile(path) as tif:
+        entry = tif.pages[0].tags["StripByteCounts"].offset
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<HII", data, entry + 2, 4, 1, 1_345_388_594)  # one number of 32 bits
+    path.write_bytes(bytes(data))
+    assert refused(tmp_path).expected.startswith("as long as its pages say")
 
 
 def test_a_pipe_is_no_scan(tmp_path):

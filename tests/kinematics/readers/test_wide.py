@@ -47,6 +47,9 @@ def test_a_name_says_part_point_and_axis(name, told):
         "Frequency [Hz], Vx Mag [mm/s], Vx Phase [deg]\n100, 2, 30\n200, 2, 30\n",
         "f (kHz);Vx Amplitude (m/s);Vx Phase (rad)\n0,1;0,002;0,5235987756\n0,2;0,002;0,5235987756\n",
         "By a script\n\nFrequency\tVx Real\tVx Imag\nHz\tmm/s\tmm/s\n100\t1.7320508\t1\n200\t1.7320508\t1\n",
+        "freq_khz,Vx Mag (m/s),Vx Phase (rad)\n0.1,0.002,0.5235987756\n0.2,0.002,0.5235987756\n",
+        "Frequency kHz,Vx Mag (m/s),Vx Phase (rad)\n0.1,0.002,0.5235987756\n0.2,0.002,0.5235987756\n",
+        "f,Vx Re,Vx Im,remark\nkHz,mm/s,mm/s\n0.1,1.7320508,1,\n0.2,1.7320508,1,\n",
         '"Freq [Hz]","Re{Vx} [um/s]","Im{Vx} [um/s]"\r\n100,1732.0508,1000\r\n200,1732.0508,1000\r\n',
     ],
 )
@@ -96,6 +99,11 @@ def test_a_mapping_names_the_columns_of_every_point(tmp_path):
         ("f,x Mag [m],x Phase\n100,2,30\n200,2,abc\n", "", "a cell"),
         (GOOD, '[[signal]]\nmagnitude = "xMag"\nphase = "x Phase"', "the column xMag"),
         (GOOD, '[[signal]]\nmagnitude = "x Mag"', "the columns of a signal"),
+        (
+            "f,A,A,B\n100,2,3,30\n",
+            'frequency = "f"\n[[signal]]\nmagnitude = "A"\nphase = "B"\nunit = "m"',
+            "the column A",
+        ),
         (GOOD, '[[signal]]\nmagnitud = "x Mag"\nphase = "p"', "a key"),
         (GOOD, 'amplitude = "top"\n[[signal]]\nmagnitude = "x Mag"\nphase = "x Phase"', "amplitude"),
     ],

@@ -381,12 +381,9 @@ def test_channels_that_differ_between_repeats_have_the_noise_that_shows():
         made, truth = measured(seed, repeats(5))
         rng = np.random.default_rng([seed, 8])
         bodies = [
-            replace(
-                body,
-                displacement=body.displacement
-                * (1.0 + 0.1 * rng.normal(size=(*body.displacement.shape[:2], 2)) @ [1.0, 1j])[:, :, None],
-            )
+            replace(body, displacement=body.displacement * (1.0 + 0.1 * change[:, :, None]))
             for body in made.bodies
+            for change in [rng.normal(size=(*body.displacement.shape[:2], 2)) @ [1.0, 1j]]
         ]
         result = pooled(replace(made, bodies=tuple(bodies))).measurement
         value = np.concatenate([body.displacement[0] for body in result.bodies])
