@@ -49,7 +49,24 @@ COMMANDS = {
     "dof2kd": "fitting.cli",
     "scan2kd": "pipeline.cli",
 }
-_OWN = ("sample", "figures", "completion")
+_USAGE = {
+    "sample": """\
+usage: stapeskit sample DIR [--force]
+
+Copy a complete simulated study (scan, measurement, study file, truth) into DIR.
+""",
+    "figures": """\
+usage: stapeskit figures PAGE DIR [--force]
+
+Write the figures of a page (report.html, dof.html or kd.html) as SVG or PNG and
+its tables as CSV and LaTeX into DIR.
+""",
+    "completion": """\
+usage: stapeskit completion bash|zsh|fish
+
+Print what completes the commands in a shell:  eval "$(stapeskit completion bash)"
+""",
+}
 
 
 def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
@@ -72,14 +89,11 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
     if word in COMMANDS:
         done: tuple[Any, Outcome] | None = _work_of(COMMANDS[word])(rest)
         return done
-    if word == "sample":
-        _sample(rest)
+    if word in _USAGE and {"-h", "--help"} & {*rest}:
+        sys.stdout.write(_USAGE[word])
         return None
-    if word == "figures":
-        _figures(rest)
-        return None
-    if word == "completion":
-        _completion(rest)
+    if word in _USAGE:
+        {"sample": _sample, "figures": _figures, "completion": _completion}[word](rest)
         return None
     from stapeskit.faults import StapeskitError
 
@@ -98,9 +112,9 @@ def _unknown(word: str) -> Fault:
 
     from stapeskit.faults import Fault
 
-    close = difflib.get_close_matches(word, [*COMMANDS, *_OWN], 1)
+    close = difflib.get_close_matches(word, [*COMMANDS, *_USAGE], 1)
     hint = f"Did you mean {close[0]}?" if close else "Run stapeskit --help to see the commands"
-    return Fault("the command", f"one of {', '.join((*COMMANDS, *_OWN))}", word, "stapeskit", hint)
+    return Fault("the command", f"one of {', '.join((*COMMANDS, *_USAGE))}", word, "stapeskit", hint)
 
 
 def _sample(words: Sequence[str]) -> None:
@@ -159,7 +173,7 @@ def _completion(words: Sequence[str]) -> None:
         + common
         for command in COMMANDS
     }
-    sys.stdout.write(completion(words[0], {"stapeskit": [*COMMANDS, *_OWN], **flags}))
+    sys.stdout.write(completion(words[0], {"stapeskit": [*COMMANDS, *_USAGE], **flags}))
 
 
 def main() -> NoReturn:

@@ -146,8 +146,8 @@ class OutputSet:
 
     def _is_input(self, output: Path, given: Path) -> Fault:
         same = given if str(given) == str(output) else f"{given}, which is the same file"
-        step = "Choose another place with --out"
-        return Fault(f"the output {output}", "another file than the inputs", f"the input {same}", "", step)
+        expected = "another file than the inputs"
+        return Fault(f"the output {output}", expected, f"the input {same}", "", self._elsewhere)
 
     def _not_own(self, names: list[str], recorded: Mapping[str, Collection[str]]) -> Fault:
         edited = [name for name in names if name in recorded]
@@ -155,9 +155,15 @@ class OutputSet:
         got = [f"{_listed(edited)}, edited since"] if edited else []
         got += [f"{_listed(others)}, which it is not known to have written"] if others else []
         steps = [self.hints[name] for name in edited if name in self.hints]
-        steps.append("Choose another place with --out, or let --force replace what stands there")
+        steps.append(f"{self._elsewhere}, or let --force replace what stands there")
         thing = f"the files in {self.folder} at the names of outputs"
         return Fault(thing, f"as {self.command} left them", "; and ".join(got), "", ". ".join(steps))
+
+    @property
+    def _elsewhere(self) -> str:
+        """The next step; the words of stapeskit name their folder without an option."""
+        by_word = self.command.startswith("stapeskit")
+        return "Name another folder" if by_word else "Choose another place with --out"
 
     def _own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
         """Tell whether a file is as the command wrote it."""
