@@ -6,6 +6,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -223,12 +224,20 @@ def _picture_look(path: Path) -> _Look | None:
 
     known = {"L": "u1", "I;16": "<u2", "I;16B": "<u2", "I": "i4", "F": "f4"}
     packing = "deflate" if path.suffix.lower() == ".png" else "any"
-    with Image.open(path) as image:
+    with Image.open(_in_memory(path)) as image:
         if image.mode not in known:
             shape = (image.height, image.width, len(image.getbands()))
             check_size(shape, np.dtype(np.uint8), path.stat().st_size, path.name, packing=packing, held=True)
             return None
         return _Look((image.height, image.width), np.dtype(known[image.mode]), packing)
+
+
+def _in_memory(path: Path) -> BytesIO:
+    """Return the bytes of a picture: to read a length that it claims takes no more room than it has bytes.
+
+    Pillow reads what is left of a PNG's data in one piece of the length that its chunk claims, up to 4 GiB.
+    """
+    return BytesIO(path.read_bytes())
 
 
 def _slice(path: Path) -> NDArray[Any]:
@@ -241,7 +250,7 @@ def _slice(path: Path) -> NDArray[Any]:
         else:
             from imageio.v3 import imread
 
-            image = imread(path)
+            image = imread(_in_memory(path), extension=path.suffix.lower())
     except CtInertiaError:
         raise
     except Exception as fault:

@@ -143,7 +143,7 @@ def mutate_tree(rng: random.Random, value: Any) -> Any:
                 del holder[key]
             case 3 if isinstance(old, list) and old:
                 holder[key] = old[:-1] if rng.random() < 0.5 else [*old, old[0]]
-            case 4 if isinstance(old, (int, float)) and not isinstance(old, bool):
+            case 4 if isinstance(old, (int, float)) and not isinstance(old, bool) and abs(old) < 1e300:
                 holder[key] = old * rng.choice((-1, 0, 2, 1000, 1e-9, 1e9, 1.0001))
             case 5 if isinstance(holder, dict):
                 holder[rng.choice((key + "x", key.upper(), "", "__proto__"))] = holder.pop(key)

@@ -80,6 +80,8 @@ def work(start: Place, until: int, folder: Path, pipe: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")
     faulthandler.enable(log)
+    # a hang leaves its traceback after nearly all of its processor time, written by the thread that hangs
+    faulthandler.register(signal.SIGPROF, file=log, all_threads=False)
     gc.freeze()  # what was imported is not looked at again after each case
     limit = resource.getrlimit(resource.RLIMIT_AS)
     for number, case in start.cases():
@@ -88,7 +90,7 @@ def work(start: Place, until: int, folder: Path, pipe: int) -> None:
         _send(pipe, {"begin": number, "name": case.name})
         log.truncate(0)
         log.seek(0)
-        faulthandler.dump_traceback_later(LIMIT_S - 1, file=log)
+        signal.setitimer(signal.ITIMER_PROF, LIMIT_S - 1)
         resource.setrlimit(resource.RLIMIT_AS, (_address_space() + case.memory, limit[1]))
         try:
             found = run(case, folder / "case")
@@ -99,7 +101,7 @@ def work(start: Place, until: int, folder: Path, pipe: int) -> None:
             raise
         finally:
             resource.setrlimit(resource.RLIMIT_AS, limit)
-            faulthandler.cancel_dump_traceback_later()
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
         _send(pipe, {"end": number, **found})
         gc.collect()
     os._exit(0)
