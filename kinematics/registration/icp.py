@@ -25,7 +25,7 @@ from kinematics.registration.icp_refine import (
 )
 from kinematics.registration.icp_search import Candidate, candidates, separation
 from kinematics.registration.mesh_distance import TriangleSurface
-from stapeskit.alignment.fiducial_faults import inconsistent, unit_hint
+from stapeskit.alignment.fiducial_faults import inconsistent, undo_mirror, unit_hint
 from stapeskit.alignment.registration import Registration
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
@@ -388,6 +388,6 @@ def _check_mirror(fit: SurfaceFit, cloud: Cloud, surface: TriangleSurface, sourc
             "right-handed",
             f"{cloud.kind} points that fit only as a mirror image (mean distance {proper:.2g} mm as given, "
             f"{other:.2g} mm mirrored)",
-            next_step="Undo the mirrored axis with {mirror} x, y or z",
+            next_step=undo_mirror("scan", source),
         )
     )

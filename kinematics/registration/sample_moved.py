@@ -17,6 +17,7 @@ from kinematics.registration.mesh_distance import TriangleSurface
 from kinematics.registration.placement import Placement
 from kinematics.registration.scan_surfaces import ScanSurfaces
 from kinematics.registration.surface_check import SurfaceCheck, shift_words
+from stapeskit.alignment.fiducial_faults import undo_mirror
 from stapeskit.alignment.paired_points import pose_rows
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
@@ -157,7 +158,7 @@ def _check_mirror(
                 "right-handed",
                 f"points that lie {proper:.2g} mm off the surfaces of the scan as given and {other:.2g} mm "
                 "mirrored (coplanar fiducials fit both ways)",
-                next_step="Undo the mirrored axis with {mirror} x, y or z",
+                next_step=undo_mirror("scan", "vibrometer"),
             )
         )
 

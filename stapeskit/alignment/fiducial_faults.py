@@ -331,12 +331,27 @@ def _cell(explanation: Explanation, rotation: Array) -> str:
     return f" (as with {' or '.join(hits)})" if hits else ""
 
 
+def undo_mirror(target: str, source: str) -> str:
+    """Return what to do when the frames that points tie are mirror images of each other."""
+    if source == "plate":
+        return (
+            "Undo the mirrored axis of the scan with {mirror} x, y or z, or correct the plate's coordinates"
+        )
+    step = (
+        "Undo the mirrored axis with {mirror} x, y or z (scanning heads often count one axis the other way)"
+    )
+    if target != "scan":
+        return step
+    scan = "when the slices of the scan are in reverse order, mirror the scan where it is read, by ct2mass"
+    return f"{step}; {scan}. A side of the ear that you know shows which of the two it is"
+
+
 def refuse_mirrored(
     suspects: Sequence[Explanation],
     energy: float,
     total_weight: float,
     stated: bool,
-    source: str,
+    frames: tuple[str, str],
     names: Sequence[str],
 ) -> None:
     """Refuse points that fit far better as a mirror image than as they are, or with one other fault.
@@ -356,11 +371,10 @@ def refuse_mirrored(
     also = f"; or correct fiducial {' or '.join(rivals)}, which alone says so" if len(rivals) == 1 else ""
     raise StapeskitError(
         Fault(
-            f"the coordinates of the {source} frame",
+            f"the coordinates of the {frames[1]} frame",
             "right-handed",
             f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
             f"{flipped:.3g} mm mirrored)",
-            next_step="Undo the mirrored axis with {mirror} x, y or z (scanning heads often count one "
-            f"axis the other way){also}",
+            next_step=f"{undo_mirror(*frames)}{also}",
         )
     )

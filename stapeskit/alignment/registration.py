@@ -180,7 +180,8 @@ def _checked(
     if len(a) > 3:
         suspects = explanations(a, b, weights)
         if mirrored and not coplanar:
-            refuse_mirrored(suspects, energy, float(np.sum(weights)), stated, transform.source, names)
+            frames = (transform.to, transform.source)
+            refuse_mirrored(suspects, energy, float(np.sum(weights)), stated, frames, names)
         single = (
             min(explanation.energy for explanation in suspects if explanation.kind == "wrong")
             if len(a) > 4

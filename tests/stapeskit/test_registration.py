@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from kinematics.registration.fiducials import Fiducials, read_fiducials
 from kinematics.registration.placement import place
+from stapeskit.alignment.fiducial_faults import undo_mirror
 from stapeskit.alignment.registration import displacement, fit_rigid
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, rotation_from_vector
@@ -107,6 +108,19 @@ def test_never_a_reflection():
 def test_mirrored_coordinates_are_refused_where_the_points_show_it():
     with pytest.raises(StapeskitError, match=r"must be right-handed.*--mirror"):
         fit(SEEN * [1, 1, -1])
+
+
+@pytest.mark.parametrize(
+    ("target", "source", "told"),
+    [
+        ("plate", "vibrometer", ("{mirror}",)),
+        ("scan", "vibrometer", ("{mirror}", "ct2mass")),  # either of the two may be mirrored
+        ("scan", "plate", ("scan's mirrored axis", "plate's coordinates")),
+    ],
+)
+def test_the_step_names_every_frame_that_may_be_mirrored(target, source, told):
+    assert all(words in undo_mirror(target, source) for words in told)
+    assert ("ct2mass" in undo_mirror(target, source)) == ("ct2mass" in told)
 
 
 def test_three_fiducials_are_few():
