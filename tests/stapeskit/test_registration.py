@@ -115,7 +115,7 @@ def test_mirrored_coordinates_are_refused_where_the_points_show_it():
     [
         ("plate", "vibrometer", ("{mirror}",)),
         ("scan", "vibrometer", ("{mirror}", "ct2mass")),  # either of the two may be mirrored
-        ("scan", "plate", ("scan's mirrored axis", "plate's coordinates")),
+        ("scan", "plate", ("of the scan", "plate's coordinates")),
     ],
 )
 def test_the_step_names_every_frame_that_may_be_mirrored(target, source, told):
