@@ -31,9 +31,9 @@ $(READY): pyproject.toml locks/run.txt tools/setup.sh hatch_build.py $(wildcard 
 	@PYTHON="$(PYTHON)" sh tools/setup.sh
 	@touch $(READY)
 
-# what tests and checks need beyond the package
+# what tests and checks need beyond the package; their byte code comes with their first import
 $(TOOLS): $(READY) locks/dev.txt
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefer-binary --require-hashes -r locks/dev.txt
+	@$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check --prefer-binary --require-hashes -r locks/dev.txt
 	@touch $(TOOLS)
 
 $(SITE): $(READY) locks/docs.txt

@@ -38,7 +38,8 @@ def parser() -> Parser:
     )
 
 
-def _work(arguments: list[str]) -> tuple[Given, Outcome]:
+def work(arguments: list[str]) -> tuple[Given, Outcome]:
+    """Parse, fit or plan, write, and return the outcome."""
     given = parser().parse(arguments)
     if given.plan is not None:
         return given, _plan(given)
@@ -88,7 +89,7 @@ def _plan(given: Given) -> Outcome:
 
 def main() -> NoReturn:
     """Run the command and leave with its exit code."""
-    run("dof2kd", _work)
+    run("dof2kd", work)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from stapeskit.process import run
 
 TYPE_CHECKING = False  # everything is imported on first use, so that Ctrl-C is handled from the beginning
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from typing import Any, NoReturn
 
     from stapeskit.command import Outcome
@@ -87,7 +87,9 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
         sys.stdout.write(f"stapeskit {__version__}\n")
         return None
     if word in COMMANDS:
-        done: tuple[Any, Outcome] | None = _work_of(COMMANDS[word])(rest)
+        from importlib import import_module
+
+        done: tuple[Any, Outcome] | None = import_module(COMMANDS[word]).work(rest)
         return done
     if word in _USAGE and {"-h", "--help"} & {*rest}:
         sys.stdout.write(_USAGE[word])
@@ -98,13 +100,6 @@ def work(arguments: list[str]) -> tuple[Any, Outcome] | None:
     from stapeskit.faults import StapeskitError
 
     raise StapeskitError(_unknown(word))
-
-
-def _work_of(module: str) -> Callable[[list[str]], Any]:
-    from importlib import import_module
-
-    loaded = import_module(module)
-    return getattr(loaded, "work", None) or loaded._work
 
 
 def _unknown(word: str) -> Fault:

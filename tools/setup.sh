@@ -26,13 +26,15 @@ fi
 .venv/bin/python -m pip install --quiet --disable-pip-version-check "pip>=25.1"
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
 # Versions and content hashes of everything that is downloaded: "make lock" writes the list.
-pip --prefer-binary --require-hashes -r locks/run.txt
+pip --no-compile --prefer-binary --require-hashes -r locks/run.txt
 if command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null; then
     pip --no-deps --no-build-isolation -e .
 else
     # pip fetches zig's compiler for the build; without it numpy does what the kernels would
     pip --no-deps -e . || STAPESKIT_KERNELS=numpy pip --no-deps --no-build-isolation -e .
 fi
-# What would otherwise be built in the user's first run: byte code and matplotlib's list of fonts.
+# What would otherwise be built in the user's first run: byte code, by all processors at once where pip takes
+# one (a package may hold templates that are no Python), and matplotlib's list of fonts.
+.venv/bin/python -m compileall -qq -j 0 .venv/lib || true
 .venv/bin/python -m compileall -q stapeskit kinematics ct_inertia fitting pipeline
 .venv/bin/python -c 'import matplotlib.font_manager, trimesh, skimage.measure' 2>/dev/null || true

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.cli import _work
+from fitting.cli import work
 from fitting.dof2kd import dof2kd
 from fitting.errors import FittingError
 from fitting.kd import fit_kd
@@ -70,7 +70,7 @@ def files(tmp_path: Path) -> Path:
 
 def test_command_writes_what_it_promises(files: Path, monkeypatch) -> None:
     monkeypatch.chdir(files)
-    _, outcome = _work(["dof.csv", "--mass", "M.csv", "--out", "new/kd.json"])
+    _, outcome = work(["dof.csv", "--mass", "M.csv", "--out", "new/kd.json"])
     content = json.loads((files / "new" / "kd.json").read_text(encoding="utf-8"))
     assert set(content) >= KEYS
     assert content["schema"] == "stapeskit.kd/1"
@@ -130,7 +130,7 @@ def test_exact_data_survive_the_files(tmp_path: Path) -> None:
 def test_all_options_reach_the_fit(files: Path, monkeypatch) -> None:
     monkeypatch.chdir(files)
     line = "dof.h5 --mass M.csv --estimator constrained --constraint psd --lower K11=1750 --upper D11=0.03"
-    _, outcome = _work(
+    _, outcome = work(
         [*line.split(), "--band", "500,4500", "--exclude", "990-1010", "--exclude", "2000-2100"]
     )
     parameters = outcome.result["provenance"]["parameters"]
@@ -146,7 +146,7 @@ def test_config_file_gives_options(files: Path, monkeypatch) -> None:
     (files / "o.toml").write_text(
         'mass = "M.csv"\nband = [500, 4000]\nexclude = ["990-1010"]\nrobust = "t4"\n'
     )
-    _, outcome = _work(["dof.csv", "--config", "o.toml"])
+    _, outcome = work(["dof.csv", "--config", "o.toml"])
     assert outcome.result["provenance"]["parameters"]["robust"] == "t4"
     assert outcome.result["provenance"]["parameters"]["band_hz"] == [500.0, 4000.0]
 
@@ -210,7 +210,7 @@ def test_faults_are_one_sentence_and_leave_nothing(files: Path, monkeypatch, lin
     np.savetxt(files / "negative.csv", -M, delimiter=",")
     before = sorted(path.name for path in files.iterdir())
     with pytest.raises(StapeskitError) as fault:
-        _work(line.split())
+        work(line.split())
     assert message in str(fault.value)
     assert "\n" not in str(fault.value)
     assert sorted(path.name for path in files.iterdir()) == before

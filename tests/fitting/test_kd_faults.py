@@ -126,14 +126,14 @@ def test_every_fault_is_one_of_the_users() -> None:
 @pytest.mark.parametrize("plain", ["M.csv", "bounds"])
 def test_dof_in_another_order_is_refused_where_entries_are_counted_by_it(plain, tmp_path) -> None:
     """A matrix written in the order that was given would be read in the fixed one."""
-    from fitting.cli import _work
+    from fitting.cli import work
 
     arguments = ["dof.csv", "--mass", str(tmp_path / ("M.csv" if plain == "M.csv" else "mass.json"))]
     arguments += ["--dof", "y,gamma,alpha"]
     if plain == "bounds":
         arguments += ["--estimator", "constrained", "--lower", "K22=1"]
     with pytest.raises(StapeskitError, match="--dof must be in the order"):
-        _work(arguments)
+        work(arguments)
 
 
 def test_as_many_equations_as_unknowns_give_an_answer_that_says_what_it_is_worth() -> None:

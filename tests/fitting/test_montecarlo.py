@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.cli import _work
+from fitting.cli import work
 from fitting.kd import fit_kd
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
@@ -62,10 +62,10 @@ def test_command_writes_the_scatter(tmp_path: Path, monkeypatch) -> None:
     motion = paper_motion(0.05, 0, 40)
     ones = np.ones_like(motion.chi2)
     write_motion(tmp_path, "dof", replace(motion, chi2=42.0 * ones, n_dof=42.0 * ones))
-    _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "30"])
+    work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "30"])
     content = json.loads(Path("kd.json").read_text(encoding="utf-8"))["monte_carlo"]
     assert content["refits"] == 30
     assert set(content["sd_over_linear_propagation"]) == set(content["sd_si"])
     assert "Monte Carlo" in Path("kd.html").read_text(encoding="utf-8")
     with pytest.raises(StapeskitError, match="whole number from 20"):
-        _work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "3"])
+        work(["dof.csv", "--mass", "M.csv", "--monte-carlo", "3"])

@@ -11,14 +11,17 @@ from scipy.stats import chi2
 
 import stapeskit as sk
 from pipeline.scan2kd import run_study
+from tests.conftest import leave_drawing
 
 SAMPLE = Path(__file__).parents[2] / "sample_volumes"
 
 
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory):
-    out = tmp_path_factory.mktemp("sample")
-    result = run_study(SAMPLE / "study.toml", out)
+    """The finished study, without its drawings: those of `finished` and of the README's commands are made."""
+    with pytest.MonkeyPatch.context() as patch:
+        leave_drawing(patch)
+        result = run_study(SAMPLE / "study.toml", tmp_path_factory.mktemp("sample"))
     return result, json.loads((SAMPLE / "truth.json").read_text(encoding="utf-8"))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.cli import _work, parser
+from fitting.cli import parser, work
 from fitting.errors import FittingError
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
@@ -72,7 +72,7 @@ def test_example_of_the_help_runs(tmp_path: Path, monkeypatch) -> None:
     assert PLAN_EXAMPLE in parser().format_help()
     path = write(tmp_path, PLAN_EXAMPLE)
     monkeypatch.chdir(tmp_path)
-    _, outcome = _work(["--plan", str(path)])
+    _, outcome = work(["--plan", str(path)])
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
     assert content["schema"] == "stapeskit.plan/1"
     assert content["options"][0]["name"] == "as planned"
@@ -141,13 +141,13 @@ def test_all_faults_of_a_plan_stand_in_one_message(tmp_path: Path) -> None:
 
 def test_faults_of_the_command(tmp_path: Path) -> None:
     with pytest.raises(StapeskitError, match="existing TOML file"):
-        _work(["--plan", str(tmp_path / "none.toml")])
+        work(["--plan", str(tmp_path / "none.toml")])
     path = write(tmp_path, "lines = 50")
     with pytest.raises(StapeskitError, match="DOF must be left out beside --plan"):
-        _work(["dof.csv", "--plan", str(path)])
+        work(["dof.csv", "--plan", str(path)])
     with pytest.raises(StapeskitError, match=r"ends with \.json"):
-        _work(["--plan", str(path), "--out", "plan.txt"])
+        work(["--plan", str(path), "--out", "plan.txt"])
     with pytest.raises(StapeskitError, match="DOF"):
-        _work(["--mass", "M.csv"])
+        work(["--mass", "M.csv"])
     with pytest.raises(StapeskitError, match="--mass"):
-        _work(["dof.csv"])
+        work(["dof.csv"])
