@@ -40,14 +40,14 @@ def system_compiler() -> list[str] | None:
 
 def compiler() -> list[str] | None:
     """Return the command of a C compiler: the system's, or zig's."""
-    found = system_compiler()
-    if found is None:
+    command = system_compiler()
+    if command is None:
         try:
             import ziglang  # noqa: F401
         except ImportError:
             return None
-        found = [sys.executable, "-m", "ziglang", "cc"]
-    return found
+        command = [sys.executable, "-m", "ziglang", "cc"]
+    return command
 
 
 def build(strict: bool = False) -> list[Path]:
@@ -68,20 +68,20 @@ def build_folder(folder: Path, command: list[str], strict: bool) -> Path | None:
     if present is not None and not strict:
         return Path(present)
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        made = Path(place) / "kernels"
-        line = [*command, *FLAGS, *(STRICT if strict else []), "-o", str(made)]
+        library = Path(place) / "kernels"
+        line = [*command, *FLAGS, *(STRICT if strict else []), "-o", str(library)]
         line += [str(source) for source in sorted(folder.glob("*.c"))]
         line += [] if sys.platform == "win32" else ["-fPIC", "-lm"]
         done = subprocess.run(line, capture_output=True, text=True, check=False)
-        if done.returncode or not made.is_file():
+        if done.returncode or not library.is_file():
             sys.stderr.write(
                 f"stapeskit: the kernels could not be compiled; numpy takes their place\n{done.stderr}"
             )
             return None
         for old in folder.glob("kernels-*"):
             old.unlink()
-        target = folder / library_name(folder, made.read_bytes())
-        made.replace(target)
+        target = folder / library_name(folder, library.read_bytes())
+        library.replace(target)
     return target
 
 

@@ -92,14 +92,14 @@ def main() -> None:
         write_surface(folder / "stapes.ply", stapes(0.08))
         result = ct2mass(MassOptions(folder / "stapes.ply", density=(1900.0, None), anterior=(1.0, 0.0, 0.0)))
         export(result, folder, "abaqus")
-        found = modes(folder)
+        frequencies = modes(folder)
     reduced = result.matrix.matrix[np.ix_([1, 3, 5], [1, 3, 5])]
     expected = np.sqrt(eigh(np.diag(STIFFNESS), reduced, eigvals_only=True)) / (2.0 * np.pi)
-    for number, (one, other) in enumerate(zip(found, expected, strict=True), start=1):
+    for number, (own, other) in enumerate(zip(frequencies, expected, strict=True), start=1):
         print(
-            f"mode {number}: CalculiX {one:.4f} Hz, K and M {other:.4f} Hz, {1e2 * (one / other - 1):+.1e} %"
+            f"mode {number}: CalculiX {own:.4f} Hz, K and M {other:.4f} Hz, {1e2 * (own / other - 1):+.1e} %"
         )
-    raise SystemExit(int(np.max(np.abs(found / expected - 1.0)) > 0.01))
+    raise SystemExit(int(np.max(np.abs(frequencies / expected - 1.0)) > 0.01))
 
 
 if __name__ == "__main__":

@@ -31,14 +31,14 @@ _CHANGING = ("provenance", "seconds", "hash", "modified", "date")
 
 def numbers(folder: Path) -> dict[str, object]:
     """Return the content of every ear's results without dates and hashes of dated files."""
-    found: dict[str, object] = {}
+    contents: dict[str, object] = {}
     for path in sorted(folder.glob("*/*")):
         if path.suffix == ".json":
             content = json.loads(path.read_text(encoding="utf-8"))
-            found[str(path.relative_to(folder))] = {k: v for k, v in content.items() if k not in _CHANGING}
+            contents[str(path.relative_to(folder))] = {k: v for k, v in content.items() if k not in _CHANGING}
         elif path.suffix in (".csv", ".ply"):
-            found[str(path.relative_to(folder))] = path.read_bytes()
-    return found
+            contents[str(path.relative_to(folder))] = path.read_bytes()
+    return contents
 
 
 def timed(run, tasks, out: Path) -> float:
@@ -106,12 +106,14 @@ def main() -> None:
                     flush=True,
                 )
             if kind == "ears":
-                print("results equal:", all(found == results[0] and found for found in results))
+                print("results equal:", all(outcome == results[0] and outcome for outcome in results))
                 (folder / "stages").mkdir()
                 with processes(folder / "stages", 2) as (address, _):
-                    found = stages_one_by_one(studies[0], folder / "stages", address)
-                alone = {name: results[0][name] for name in found}
-                print(f"stages of one ear as tasks of their own, {len(found)} files equal:", found == alone)
+                    outcome = stages_one_by_one(studies[0], folder / "stages", address)
+                alone = {name: results[0][name] for name in outcome}
+                print(
+                    f"stages of one ear as tasks of their own, {len(outcome)} files equal:", outcome == alone
+                )
 
 
 if __name__ == "__main__":

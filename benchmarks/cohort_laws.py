@@ -99,14 +99,14 @@ def law_row(name, scene, n, count):
 def component_row(n, count):
     """Return how often two planted components of six quantities are counted."""
     rng = np.random.default_rng(n)
-    found = []
+    results = []
     for k in range(count):
         axes, _ = np.linalg.qr(rng.standard_normal((6, 2)))
         values = rng.standard_normal((n, 2)) @ (axes * [0.6, 0.3]).T
         values += 0.08 * rng.standard_normal((n, 6))
-        found.append(independent_parameters(values, np.tile(0.08**2 * np.eye(6), (n, 1, 1)), seed=k))
-    exact = np.mean([one.estimate == 2 for one in found])
-    held = np.mean([one.interval[0] <= 2 <= one.interval[1] for one in found])
+        results.append(independent_parameters(values, np.tile(0.08**2 * np.eye(6), (n, 1, 1)), seed=k))
+    exact = np.mean([result.estimate == 2 for result in results])
+    held = np.mean([result.interval[0] <= 2 <= result.interval[1] for result in results])
     return [n, f"{exact:.3f}", f"{held:.3f}"]
 
 
@@ -121,7 +121,7 @@ def discovery_row(n, count):
         y = 0.25 * (0.8 * stiff + 0.6 * rng.standard_normal((n, 8)))
         x, y = x + 0.03 * rng.standard_normal(x.shape), y + 0.05 * rng.standard_normal(y.shape)
         pairs = [LogPairs(a, b, own).centred() for a in x.T for b in y.T]
-        p = np.array([Profile(one).p_value() for one in pairs])
+        p = np.array([Profile(pair).p_value() for pair in pairs])
         plain += p.min() < 0.05
         adjusted += np.nanmin(false_discovery(p)) < 0.10
     return [n, f"{adjusted / count:.3f}", f"{plain / count:.2f}"]
@@ -183,7 +183,7 @@ def main() -> None:
     sizes = [(n, count) for n, count in zip((8, 16, 40), options.cohorts, strict=True) if count]
     counts = max(sizes[-1][1] // 2, 20), max(sizes[-1][1] // 3, 10)
     scenes = [(name, scene, n, count) for n, count in sizes for name, scene in SCENES.items()]
-    parts = [(laws, law_row, one) for one in scenes]
+    parts = [(laws, law_row, case) for case in scenes]
     parts += [(components, component_row, (n, counts[0])) for n in (8, 16, 40)]
     parts += [(discoveries, discovery_row, (n, counts[1])) for n in (8, 16)]
     for rows, work, arguments in parts:

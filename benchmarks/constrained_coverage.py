@@ -41,9 +41,9 @@ def passive_matrix(rng: Generator, size: np.ndarray, smallest: float) -> np.ndar
     """Return a matrix with the given root diagonal whose smallest eigenvalue is about ``smallest``."""
     axes, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     values = np.array([1.0, rng.uniform(0.3, 1.0), smallest])
-    made = (axes * values) @ axes.T
-    root = size / np.sqrt(np.diag(made))
-    return made * np.outer(root, root)
+    matrix = (axes * values) @ axes.T
+    root = size / np.sqrt(np.diag(matrix))
+    return matrix * np.outer(root, root)
 
 
 def plain(rng: Generator, noise: tuple[float, float]) -> Drawn:

@@ -45,9 +45,9 @@ ComplexArray = NDArray[np.complex128]
 EXACT = LaserPriors(0.0, 0.0, 0.0)
 
 
-def fitted(made: Reading, correct: bool, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
+def fitted(reading: Reading, correct: bool, stated: bool = True, position_sd_mm: float = 0.0) -> Points2Dof:
     """Fit a reading whose lasers agree."""
-    return judged(made, stated, position_sd_mm, Options(lasers=EXACT, correct=correct))
+    return judged(reading, stated, position_sd_mm, Options(lasers=EXACT, correct=correct))
 
 
 def errors(result: Points2Dof, truth: ComplexArray) -> tuple[Array, Array, Array]:
@@ -81,9 +81,9 @@ def ear(seed: int, body: str, fault: str, lines: int) -> tuple[Measurement, Mass
     base = driven_base(freq, DOF_NAMES)
     inertia = inertia_of(mass, DOF_NAMES).rows(DOF_NAMES, ())
     moved = simulated_motion(inertia, stiffness, damping, DOF_NAMES, freq, base, 0.0, None).q[0]
-    made = draw(seed, body, fault, lines=lines, motion=moved[0].T)
+    reading = draw(seed, body, fault, lines=lines, motion=moved[0].T)
     still = draw(seed + 50_000, "shell, 12 points, 3 heads", lines=lines, motion=moved[1].T)
-    bodies = (channels(made, True, 0.0, "stapes"), channels(still, True, 0.0, "base"))
+    bodies = (channels(reading, True, 0.0, "stapes"), channels(still, True, 0.0, "base"))
     return (
         Measurement("footplate", ("1",), freq, bodies, 1),
         mass,
@@ -157,13 +157,13 @@ def main() -> None:
             for number in range(arguments.scenes):
                 seed = 1000 * arguments.seed + number
                 truth = draw(seed, body, lines=lines, position_sd_mm=mm).twist.T
-                made = draw(seed, body, fault, lines=lines, position_sd_mm=mm)
-                plain, right = (fitted(made, way, not arguments.no_sd, mm) for way in (False, True))
+                reading = draw(seed, body, fault, lines=lines, position_sd_mm=mm)
+                plain, right = (fitted(reading, way, not arguments.no_sd, mm) for way in (False, True))
                 places = [("x", "y", "z", "alpha", "beta", "gamma").index(d) for d in right.motion.dof]
                 before.append(np.sqrt(np.mean(errors(plain, truth[:, places])[0] ** 2)))
-                size, one, whole = errors(right, truth[:, places])
+                size, scaled, whole = errors(right, truth[:, places])
                 after.append(np.sqrt(np.mean(size**2)))
-                single.append(np.mean(np.abs(one) < 1.96))
+                single.append(np.mean(np.abs(scaled) < 1.96))
                 mean.append(np.mean(np.abs(whole) < 1.96))
                 actions += sorted({c.action for c in right.corrections})
             share = [actions.count(name) / arguments.scenes for name in ("corrected", "left out")]

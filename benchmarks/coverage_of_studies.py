@@ -46,8 +46,8 @@ def one_study(seed: int) -> dict[str, Any]:
         fit = fit_kd(motion, mass.mass_matrix, study.fit)
         seconds = time.perf_counter() - started
     wanted = np.concatenate([np.array(truth[key])[ENTRIES] for key in ("stiffness_si", "damping_si")])
-    found = np.concatenate([np.asarray(part)[ENTRIES] for part in (fit.stiffness, fit.damping)])
-    error = found - wanted
+    estimates = np.concatenate([np.asarray(part)[ENTRIES] for part in (fit.stiffness, fit.damping)])
+    error = estimates - wanted
     sd = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(sd, sd)
     matrix, exact = mass.mass_matrix.matrix, np.array(truth["mass_matrix_si"])

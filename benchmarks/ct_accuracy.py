@@ -80,12 +80,12 @@ def ours(path: Path, truth: dict[str, Any]) -> dict[str, float]:
     ]
     command += ["--density", f"{truth['density_kg_m3']}+-0", f"--anterior={anterior}", "--no-report"]
     subprocess.run([*command, "--quiet", "--out", str(out)], check=True, cwd=ROOT)
-    found = json.loads((out / "mass.json").read_text(encoding="utf-8"))
-    inertia = np.array(found["inertia_about_center_of_mass_in_scan_axes_kg_m2"])
+    content = json.loads((out / "mass.json").read_text(encoding="utf-8"))
+    inertia = np.array(content["inertia_about_center_of_mass_in_scan_axes_kg_m2"])
     second = (0.5 * np.trace(inertia) * np.eye(3) - inertia) * 1e15 / truth["density_kg_m3"]
-    frame = np.array(found["frames"]["scan_from_footplate"])
-    errors = against(truth, found["volume_m3"] * 1e9, found["center_of_mass_in_scan_mm"], second, frame)
-    exact, matrix = np.array(truth["mass_matrix_si"]), np.array(found["mass_matrix"]["matrix_si"])
+    frame = np.array(content["frames"]["scan_from_footplate"])
+    errors = against(truth, content["volume_m3"] * 1e9, content["center_of_mass_in_scan_mm"], second, frame)
+    exact, matrix = np.array(truth["mass_matrix_si"]), np.array(content["mass_matrix"]["matrix_si"])
     root = np.sqrt(np.diag(exact))
     errors["matrix"] = 100.0 * float(np.abs((matrix - exact) / np.outer(root, root)).max())
     return errors
@@ -127,7 +127,7 @@ def errors_of(stapes: Path, voxel_um: float, seed: int, folder: Path) -> dict[st
     exact = truth(placed)
     path = folder / "scan.tif"
     write_scan(path, placed)
-    found = {"stapeskit": ours(path, exact)}
+    errors = {"stapeskit": ours(path, exact)}
     volume = tifffile.imread(path).astype(np.uint16)
     grey, origin = handed(volume, placed, ear.levels[0])
     half = 0.5 * (ear.levels[0] + ear.levels[2])
@@ -145,8 +145,8 @@ def errors_of(stapes: Path, voxel_um: float, seed: int, folder: Path) -> dict[st
     }
     for name, (way, values, level) in ways.items():
         size, centre, second = way(values, spacing, level)
-        found[name] = against(exact, size, centre + origin, second)
-    return found
+        errors[name] = against(exact, size, centre + origin, second)
+    return errors
 
 
 def main() -> None:
@@ -184,12 +184,12 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
             mesh = OPENEAR_STAPES if stapes == "openear" else write_analytic_stapes(folder / "made.ply")
             for voxel_um in (float(word) for word in options.voxel_um.split(",")):
                 for seed in range(17, 17 + options.poses):
-                    found = errors_of(mesh, voxel_um, seed, folder)
+                    errors = errors_of(mesh, voxel_um, seed, folder)
                     head = {"stapes": stapes, "voxel_um": voxel_um, "seed": seed}
-                    rows += [{**head, "method": name, **found[name]} for name in METHODS]
+                    rows += [{**head, "method": name, **errors[name]} for name in METHODS]
                     if options.save:
                         options.save.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-                    print(f"{stapes} {voxel_um:g} um, pose {seed}: {found['stapeskit']}", file=sys.stderr)
+                    print(f"{stapes} {voxel_um:g} um, pose {seed}: {errors['stapeskit']}", file=sys.stderr)
     return rows
 
 

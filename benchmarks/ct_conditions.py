@@ -1,12 +1,13 @@
-"""How true is ct2mass on scans that are not clean? Loud, thin-walled, touching the plate, uneven, cupped.
+"""Accuracy of ct2mass on difficult scans: noisy, thin-walled, touching the plate, uneven, with cupping.
 
     python benchmarks/ct_conditions.py [WORD ...]        only the rows whose names hold one of the words
 
 Every scan is a file that sample_volumes/make_sample.py writes: a stapes in its oval window (gap 100 um) over
 a plate, PSF 1.2 voxels, noise 4 % of the contrast between bone and air unless said; seeds are fixed. ct2mass
-gets the file, the true mean density (or a calibration) and the sense of the long axis. M is about the centre
-and in the axes that it finds: the worst entry as a share of sqrt(Mii Mjj), and the largest stated standard
-deviation of any entry likewise. "Within" counts the entries off by less than 1.96 stated standard deviations.
+gets the file, the true mean density (or a calibration) and the sense of the long axis. M is compared about
+the centre and in the axes that ct2mass finds. The table gives the largest error of an entry Mij as a share of
+sqrt(Mii Mjj), and the largest stated standard deviation as the same share.
+"Within" counts the entries off by less than 1.96 stated standard deviations.
 Warnings that every such file has (handedness, signs of the plate's axes, no sd of the density) are left out.
 """
 

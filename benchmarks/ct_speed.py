@@ -96,10 +96,10 @@ def measured(command: list[str], folder: Path, environment: dict[str, str]) -> R
             break
         time.sleep(0.005)
     wall = time.perf_counter() - started
-    said = process.stderr.read().decode() if process.stderr else ""
+    messages = process.stderr.read().decode() if process.stderr else ""
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{said}")
+        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{messages}")
     return Run(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0, own / 1024.0)
 
 

@@ -54,7 +54,7 @@ class Reading:
 
 @dataclass
 class _World:
-    """What truly is: the state that the faults change."""
+    """The true state of the body, which a fault changes."""
 
     rng: np.random.Generator
     point_of: NDArray[np.int64]
@@ -103,14 +103,14 @@ def forced_response(rng: np.random.Generator, freq_hz: Array, arm_mm: float) -> 
 
 def _shell(rng: np.random.Generator, count: int, axes: tuple[float, float, float]) -> Array:
     """Return points (point, 3) on the side of an ellipsoid that the heads see, mm, off the origin."""
-    made: list[Array] = []
-    while len(made) < count:
+    places: list[Array] = []
+    while len(places) < count:
         v = rng.normal(size=3)
         v[1] = abs(v[1])
         place = v / np.linalg.norm(v) * axes
-        if all(np.linalg.norm(place - other) > 0.15 * max(axes) / np.sqrt(count) for other in made):
-            made.append(place)
-    return np.array(made) + rng.normal(size=3) * 0.3
+        if all(np.linalg.norm(place - other) > 0.15 * max(axes) / np.sqrt(count) for other in places):
+            places.append(place)
+    return np.array(places) + rng.normal(size=3) * 0.3
 
 
 def frequencies(lines: int) -> Array:
@@ -202,29 +202,29 @@ def _channel(world: _World) -> int:
 
 def _factor(factor: complex, verdict: str) -> Callable[[_World], Made]:
     def spoil(world: _World) -> Made:
-        one = _channel(world)
-        world.factor[one] = factor
-        return [one], verdict
+        channel = _channel(world)
+        world.factor[channel] = factor
+        return [channel], verdict
 
     return spoil
 
 
 def _delay(world: _World) -> Made:
-    one = _channel(world)
-    world.factor[one] = np.exp(-2j * np.pi * world.freq_hz * 8e-6)
-    return [one], "gain"
+    channel = _channel(world)
+    world.factor[channel] = np.exp(-2j * np.pi * world.freq_hz * 8e-6)
+    return [channel], "gain"
 
 
 def _drift(world: _World) -> Made:
-    one = _channel(world)
-    world.factor[one] = np.linspace(1.0, 0.93, len(world.freq_hz))
-    return [one], "drift"
+    channel = _channel(world)
+    world.factor[channel] = np.linspace(1.0, 0.93, len(world.freq_hz))
+    return [channel], "drift"
 
 
 def _loud(world: _World) -> Made:
-    one = _channel(world)
-    world.loud[one] = 4.0
-    return [one], "noise"
+    channel = _channel(world)
+    world.loud[channel] = 4.0
+    return [channel], "noise"
 
 
 def _tilted(world: _World, channels: list[int], degrees: float) -> None:
@@ -235,9 +235,9 @@ def _tilted(world: _World, channels: list[int], degrees: float) -> None:
 
 
 def _direction(world: _World) -> Made:
-    one = _channel(world)
-    _tilted(world, [one], 4.0)
-    return [one], "direction"
+    channel = _channel(world)
+    _tilted(world, [channel], 4.0)
+    return [channel], "direction"
 
 
 def _position(world: _World) -> Made:
@@ -272,10 +272,10 @@ def _names(world: _World) -> Made:
         > 0.35 * world.size
     ]
     a, b = pairs[int(world.rng.integers(len(pairs)))]
-    one, two = world.of_point(a), world.of_point(b)
+    first, second = world.of_point(a), world.of_point(b)
     for table in (world.places, world.beams):
-        table[one], table[two] = table[two].copy(), table[one].copy()
-    return [*one, *two], "label_swap"
+        table[first], table[second] = table[second].copy(), table[first].copy()
+    return [*first, *second], "label_swap"
 
 
 def _beams(world: _World) -> Made:

@@ -1,4 +1,4 @@
-"""Simulated readings of one rigid body with one fault, and how surely the best possible test would see it.
+"""Simulated readings of one rigid body with one fault, and the power of the best possible test for it.
 
 Nothing of the project's fitting code is used: v(p) = v0 + omega x (p - p0), read along each beam.
 """
@@ -42,7 +42,7 @@ class Scene:
         return readings(self.reported, self.directions, self.q)
 
     def faulty(self) -> NDArray[np.complex128]:
-        """Return what this one reads, without noise."""
+        """Return the readings with the fault, without noise."""
         return readings(self.true, self.true_directions, self.q) * self.factor + self.extra
 
 
@@ -127,83 +127,83 @@ def scene(
     reported = np.repeat(places, per, axis=0)
     true = reported + np.repeat(position_sd_mm * rng.normal(size=places.shape), per, axis=0)
     directions = np.tile(beams, (count, 1))
-    made = Scene(
+    case = Scene(
         tuple(str(1 + c // per) for c in range(count * per)), reported, directions, freq, q, np.empty(0)
     )
-    size = np.sqrt(np.mean(np.abs(made.clean()) ** 2))
-    made.sd = np.full((count * per, lines), noise * size / np.sqrt(2.0))
-    made.placed, made.true, made.true_directions = true, true.copy(), directions.copy()
-    made.factor = np.ones((count * per, lines), dtype=complex)
-    made.loud = np.ones(count * per)
-    made.extra = np.zeros((count * per, lines), dtype=complex)
+    size = np.sqrt(np.mean(np.abs(case.clean()) ** 2))
+    case.sd = np.full((count * per, lines), noise * size / np.sqrt(2.0))
+    case.placed, case.true, case.true_directions = true, true.copy(), directions.copy()
+    case.factor = np.ones((count * per, lines), dtype=complex)
+    case.loud = np.ones(count * per)
+    case.extra = np.zeros((count * per, lines), dtype=complex)
     if fault:
-        _spoil(made, fault, rng, (count, per), at)
-    return made
+        _spoil(case, fault, rng, (count, per), at)
+    return case
 
 
-def _spoil(made: Scene, fault: str, rng: np.random.Generator, shape: tuple[int, int], at: int | None) -> None:
+def _spoil(case: Scene, fault: str, rng: np.random.Generator, shape: tuple[int, int], at: int | None) -> None:
     count, per = shape
     channel = int(rng.integers(count * per))
     channel = channel if at is None else at
     point, beam = divmod(channel, per)
     own = list(range(per * point, per * point + per))
     laser = list(range(beam, count * per, per))
-    tau = np.linspace(0.0, 1.0, len(made.freq_hz))
-    made.culprits, made.verdict = [channel], fault.split()[0]
+    tau = np.linspace(0.0, 1.0, len(case.freq_hz))
+    case.culprits, case.verdict = [channel], fault.split()[0]
     if fault.startswith("gain"):
-        made.factor[channel] = 1.0 + float(fault.split()[1]) / 100.0
+        case.factor[channel] = 1.0 + float(fault.split()[1]) / 100.0
     elif fault == "phase 3 deg":
-        made.factor[channel], made.verdict = np.exp(1j * np.radians(3.0)), "gain"
+        case.factor[channel], case.verdict = np.exp(1j * np.radians(3.0)), "gain"
     elif fault == "delay 10 us":
-        made.factor[channel], made.verdict = np.exp(-2e-5j * np.pi * made.freq_hz), "gain"
+        case.factor[channel], case.verdict = np.exp(-2e-5j * np.pi * case.freq_hz), "gain"
     elif fault == "sign":
-        made.factor[channel] = -1.0
+        case.factor[channel] = -1.0
     elif fault == "drift 6 %":
-        made.factor[channel] = 1.0 + 0.06 * tau
+        case.factor[channel] = 1.0 + 0.06 * tau
     elif fault == "zeros":
-        made.factor[channel], made.loud[channel] = 0.0, 0.0
+        case.factor[channel], case.loud[channel] = 0.0, 0.0
     elif fault == "noise x4":
-        made.loud[channel] = 4.0
+        case.loud[channel] = 4.0
     elif fault == "direction 3 deg":
-        made.true_directions[channel] = _tilt(made.directions[channel], 3.0, rng) @ made.directions[channel]
+        case.true_directions[channel] = _tilt(case.directions[channel], 3.0, rng) @ case.directions[channel]
     elif fault == "position 200 um":
         shift = rng.normal(size=3)
-        made.true[own] += 0.2 * shift / np.linalg.norm(shift)
-        made.culprits = own
+        case.true[own] += 0.2 * shift / np.linalg.norm(shift)
+        case.culprits = own
     elif fault == "point sign":
-        made.factor[own], made.culprits, made.verdict = -1.0, own, "sign"
+        case.factor[own], case.culprits, case.verdict = -1.0, own, "sign"
     elif fault == "label swap":
         other = (point + 1 + int(rng.integers(count - 1))) % count
         others = list(range(per * other, per * other + per))
-        made.true[own], made.true[others] = made.true[others].copy(), made.true[own].copy()
-        made.culprits, made.verdict = sorted(own + others), "label_swap"
+        case.true[own], case.true[others] = case.true[others].copy(), case.true[own].copy()
+        case.culprits, case.verdict = sorted(own + others), "label_swap"
     elif fault == "beams swapped":
         other = own[(beam + 1) % per]
         pair = [channel, other]
-        made.true_directions[pair] = made.directions[pair[::-1]]
-        made.culprits, made.verdict = sorted(pair), "label_swap"
+        case.true_directions[pair] = case.directions[pair[::-1]]
+        case.culprits, case.verdict = sorted(pair), "label_swap"
     elif fault == "axes 2 deg":
         axis = rng.normal(size=3)
         turn = rotation_from_vector(np.radians(2.0) * axis / np.linalg.norm(axis))
-        made.true_directions[:] = made.directions @ turn.T
-        made.culprits, made.verdict = list(range(count * per)), "direction"
+        case.true_directions[:] = case.directions @ turn.T
+        case.culprits, case.verdict = list(range(count * per)), "direction"
     elif fault == "laser gain 5 %":
-        made.factor[laser], made.culprits, made.verdict = 1.05, laser, "gain"
+        case.factor[laser], case.culprits, case.verdict = 1.05, laser, "gain"
     elif fault == "laser sign":
-        made.factor[laser], made.culprits, made.verdict = -1.0, laser, "sign"
+        case.factor[laser], case.culprits, case.verdict = -1.0, laser, "sign"
     elif fault == "laser direction 3 deg":
-        turn = _tilt(made.directions[channel], 3.0, rng)
-        made.true_directions[laser] = made.directions[laser] @ turn.T
-        made.culprits, made.verdict = laser, "direction"
+        turn = _tilt(case.directions[channel], 3.0, rng)
+        case.true_directions[laser] = case.directions[laser] @ turn.T
+        case.culprits, case.verdict = laser, "direction"
     else:
-        bend = (made.true[:, 1] / 3.0) ** 2 + (made.true[:, 0] / 1.4) ** 2
-        shape = bend * made.directions[:, 1]
+        bend = (case.true[:, 1] / 3.0) ** 2 + (case.true[:, 0] / 1.4) ** 2
+        shape = bend * case.directions[:, 1]
         shape = shape / np.sqrt(np.mean(shape**2))
-        size = float(np.sqrt(np.mean(np.abs(made.clean()) ** 2)))
-        course = 1.0 / (1.0 - (made.freq_hz / 6000.0) ** 2 + 0.05j)
+        size = float(np.sqrt(np.mean(np.abs(case.clean()) ** 2)))
+        course = 1.0 / (1.0 - (case.freq_hz / 6000.0) ** 2 + 0.05j)
         course = course / np.sqrt(np.mean(np.abs(course) ** 2))
-        made.extra = 0.03 * size * np.outer(shape, course)
-        made.culprits = list(range(count * per))
+        case.extra = 0.03 * size * np.outer(shape, course)
+        case.culprits = list(range(count * per))
 
 
 def _tilt(direction: Array, angle_deg: float, rng: np.random.Generator) -> Array:
@@ -211,15 +211,15 @@ def _tilt(direction: Array, angle_deg: float, rng: np.random.Generator) -> Array
     return rotation_from_vector(np.radians(angle_deg) * axis / np.linalg.norm(axis))
 
 
-def measured(made: Scene, seed: int) -> NDArray[np.complex128]:
+def measured(case: Scene, seed: int) -> NDArray[np.complex128]:
     """Return the readings with noise."""
     rng = np.random.default_rng([seed, 59])
-    noise = rng.normal(size=(*made.sd.shape, 2)) @ np.array([1.0, 1j])
-    return np.asarray(made.faulty() + made.sd * made.loud[:, None] * noise)
+    noise = rng.normal(size=(*case.sd.shape, 2)) @ np.array([1.0, 1j])
+    return np.asarray(case.faulty() + case.sd * case.loud[:, None] * noise)
 
 
-def bound(made: Scene, position_sd_mm: float = 0.0) -> float:
-    """Return the power of the most powerful test (Neyman and Pearson 1933) of this very fault, at 1 %.
+def bound(case: Scene, position_sd_mm: float = 0.0) -> float:
+    """Return the power of the most powerful test (Neyman and Pearson 1933) of exactly this fault, at 1 %.
 
     Its kind, place and size are taken as known; the motion is not, and position errors of the stated sd
     are noise of known covariance. No real test can do better. Faults of the noise alone are tested by
@@ -227,33 +227,33 @@ def bound(made: Scene, position_sd_mm: float = 0.0) -> float:
     """
     from scipy.stats import chi2, norm
 
-    span, scale = _span(made), 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
-    if np.any(made.loud > 1.0):
-        channel = int(np.argmax(made.loud))
+    span, scale = _span(case), 1.0 / (np.sqrt(2.0) * case.sd[:, 0])
+    if np.any(case.loud > 1.0):
+        channel = int(np.argmax(case.loud))
         left = 1.0 - float(np.sum(span[channel] ** 2))
-        number = 2 * made.sd.shape[1]
-        ratio = left * made.loud[channel] ** 2 + 1.0 - left
+        number = 2 * case.sd.shape[1]
+        ratio = left * case.loud[channel] ** 2 + 1.0 - left
         return float(chi2.sf(chi2.isf(ALARM, number) / ratio, number))
-    change = scale[:, None] * (made.faulty() - readings(made.placed, made.directions, made.q))
+    change = scale[:, None] * (case.faulty() - readings(case.placed, case.directions, case.q))
     change = change - span @ (span.T @ change)
     energy = 2.0 * float(np.sum(np.abs(change) ** 2))
     if position_sd_mm > 0.0:
-        energy -= _taken(made, change, span, scale, position_sd_mm)
+        energy -= _taken(case, change, span, scale, position_sd_mm)
     return float(norm.sf(norm.isf(ALARM) - np.sqrt(max(energy, 0.0))))
 
 
 def nameable(seed: int, geometry: str, fault: str, *, noise: float = 0.01, lines: int = 120) -> bool:
-    """Tell whether the likeliest culprit of this very fault is the true one; no search can name better.
+    """Return whether the likeliest culprit is the true one when only the place of the fault is unknown.
 
-    Its kind, size, course and the direction of a shift or tilt are taken as known, and the noise and the
-    share of the motion in the readings too; only which channel, point or laser has it is asked.
+    Kind, size and course of the fault, the direction of a shift or tilt, the noise and the share of the
+    motion in the readings are taken as known. No search can name culprits more often.
     """
-    made = scene(seed, geometry, fault, noise=noise, lines=lines)
-    span, scale = _span(made), 1.0 / (np.sqrt(2.0) * made.sd[:, 0])
-    held = scale[:, None] * (measured(made, seed) - made.clean())
+    case = scene(seed, geometry, fault, noise=noise, lines=lines)
+    span, scale = _span(case), 1.0 / (np.sqrt(2.0) * case.sd[:, 0])
+    held = scale[:, None] * (measured(case, seed) - case.clean())
     held = held - span @ (span.T @ held)
     likely: dict[tuple[int, ...], float] = {}
-    for at in range(len(made.points)):
+    for at in range(len(case.points)):
         other = scene(seed, geometry, fault, noise=noise, lines=lines, at=at)
         if np.any(other.loud > 1.0):
             left = 1.0 - float(np.sum(span[at] ** 2))
@@ -266,24 +266,24 @@ def nameable(seed: int, geometry: str, fault: str, *, noise: float = 0.01, lines
             value = float(2.0 * np.real(np.vdot(change, held)) - np.sum(np.abs(change) ** 2))
         key = tuple(sorted(other.culprits))
         likely[key] = max(likely.get(key, -np.inf), value)
-    return max(likely, key=lambda key: likely[key]) == tuple(sorted(made.culprits))
+    return max(likely, key=lambda key: likely[key]) == tuple(sorted(case.culprits))
 
 
-def _span(made: Scene) -> Array:
+def _span(case: Scene) -> Array:
     """Return orthonormal columns (channel, m) of what rigid motions can read."""
-    rows = np.hstack([made.directions, np.cross(made.reported * 1e-3, made.directions)])
+    rows = np.hstack([case.directions, np.cross(case.reported * 1e-3, case.directions)])
     u, s, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=0).clip(1e-12), full_matrices=False)
     return np.asarray(u[:, s > 1e-6 * s[0]])
 
 
-def _taken(made: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float) -> float:
-    """Return the part of a change that position errors could have made."""
+def _taken(case: Scene, change: NDArray[np.complex128], span: Array, scale: Array, sd_mm: float) -> float:
+    """Return the part of a change that position errors explain."""
     columns = []
-    for point in dict.fromkeys(made.points):
-        own = np.array([name == point for name in made.points])
+    for point in dict.fromkeys(case.points):
+        own = np.array([name == point for name in case.points])
         for axis in np.eye(3):
-            rows = np.hstack([np.zeros_like(made.directions), np.cross(axis, made.directions)])
-            moved = np.where(own[:, None], scale[:, None] * (rows @ made.q.T), 0.0)
+            rows = np.hstack([np.zeros_like(case.directions), np.cross(axis, case.directions)])
+            moved = np.where(own[:, None], scale[:, None] * (rows @ case.q.T), 0.0)
             columns.append((moved - span @ (span.T @ moved)).ravel())
     j = np.array(columns)
     j = np.hstack([j.real, j.imag]) * sd_mm * 1e-3
@@ -308,14 +308,14 @@ def with_gaps(
         Leave one channel out over half of the lines, which follow each other.
     """
     rng = np.random.default_rng([seed, 61])
-    made = value.copy()
+    case = value.copy()
     if share > 0.0:
-        made[rng.random(made.shape) < share] = np.nan
+        case[rng.random(case.shape) < share] = np.nan
     if band:
-        channel, half = int(rng.integers(len(made))), made.shape[1] // 2
+        channel, half = int(rng.integers(len(case))), case.shape[1] // 2
         start = int(rng.integers(half))
-        made[channel, start : start + half] = np.nan
-    return made
+        case[channel, start : start + half] = np.nan
+    return case
 
 
 def two_faults(
@@ -325,20 +325,20 @@ def two_faults(
 
     ``verdict`` holds both verdicts, and ``culprits`` both channels, in this order.
     """
-    one = scene(seed, geometry, faults[0], noise=noise, lines=lines)
+    first = scene(seed, geometry, faults[0], noise=noise, lines=lines)
     rng = np.random.default_rng([seed, 67])
-    count = len(one.points)
-    own = {one.points[c] for c in one.culprits}
-    channel = int(rng.choice([c for c in range(count) if one.points[c] not in own]))
+    count = len(first.points)
+    own = {first.points[c] for c in first.culprits}
+    channel = int(rng.choice([c for c in range(count) if first.points[c] not in own]))
     turn = np.linspace(0.0, 1.0, lines)
     if faults[1] == "direction 4 deg":
-        beam = one.directions[channel]
-        one.true_directions[channel] = _tilt(beam, 4.0, rng) @ beam
+        beam = first.directions[channel]
+        first.true_directions[channel] = _tilt(beam, 4.0, rng) @ beam
     elif faults[1] == "noise x4":
-        one.loud[channel] = 4.0
+        first.loud[channel] = 4.0
     elif faults[1] == "drift 10 %":
-        one.factor[channel] = 1.0 + 0.1 * turn
+        first.factor[channel] = 1.0 + 0.1 * turn
     else:
-        one.factor[channel] = {"sign": -1.0, "gain 5 %": 1.05}[faults[1]]
-    one.culprits, one.verdict = [*one.culprits, channel], f"{one.verdict} {faults[1].split()[0]}"
-    return one
+        first.factor[channel] = {"sign": -1.0, "gain 5 %": 1.05}[faults[1]]
+    first.culprits, first.verdict = [*first.culprits, channel], f"{first.verdict} {faults[1].split()[0]}"
+    return first

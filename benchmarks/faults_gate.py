@@ -31,28 +31,28 @@ from kinematics.measurement import BodyChannels, Measurement
 from kinematics.points2dof import Points2Dof, points2dof
 
 
-def channels(made: Reading, stated: bool, position_sd_mm: float, name: str = "incus") -> BodyChannels:
+def channels(reading: Reading, stated: bool, position_sd_mm: float, name: str = "incus") -> BodyChannels:
     """Return a reading as a body of a measurement."""
     return BodyChannels(
         name,
-        tuple(made.points),
-        made.positions_mm,
-        made.directions,
-        made.value[None],
-        made.sd[None] if stated else None,
+        tuple(reading.points),
+        reading.positions_mm,
+        reading.directions,
+        reading.value[None],
+        reading.sd[None] if stated else None,
         not stated,
-        np.full(len(made.points), position_sd_mm or np.nan),
+        np.full(len(reading.points), position_sd_mm or np.nan),
     )
 
 
 def judged(
-    made: Reading, stated: bool = True, position_sd_mm: float = 0.0, options: Options | None = None
+    reading: Reading, stated: bool = True, position_sd_mm: float = 0.0, options: Options | None = None
 ) -> Points2Dof:
     """Run the diagnosis on a reading; one head sees three degrees of freedom."""
-    body = channels(made, stated, position_sd_mm)
-    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 1)
+    body = channels(reading, stated, position_sd_mm)
+    data = Measurement("footplate", ("1",), reading.freq_hz, (body,), 1)
     options = options or Options()
-    if made.head.max() == 0:
+    if reading.head.max() == 0:
         options = replace(options, dof=("y", "alpha", "gamma"))
     return points2dof(data, options=options)
 
@@ -64,23 +64,25 @@ def faults(arguments: argparse.Namespace) -> Iterator[str]:
         for fault in FAULTS if arguments.body in body else ():
             if not possible(fault, body) or arguments.fault not in fault:
                 continue
-            found = named = right = 0
+            detected = named = right = 0
             for number in range(arguments.scenes):
                 seed = 1000 * arguments.seed + number
-                made = draw(
+                reading = draw(
                     seed, body, fault, lines=arguments.lines, gaps=arguments.gaps,
                     position_sd_mm=1e-3 * arguments.position_um,
                 )  # fmt: skip
-                result = judged(made, not arguments.no_sd, 1e-3 * arguments.position_um)
+                result = judged(reading, not arguments.no_sd, 1e-3 * arguments.position_um)
                 accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
-                found += bool(accused)
-                named += sorted(accused) == made.culprits
-                right += accused == dict.fromkeys(made.culprits, made.verdict)
-                if arguments.show and accused != dict.fromkeys(made.culprits, made.verdict):
-                    said = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
-                    print(f"  {body}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {said}")
+                detected += bool(accused)
+                named += sorted(accused) == reading.culprits
+                right += accused == dict.fromkeys(reading.culprits, reading.verdict)
+                if arguments.show and accused != dict.fromkeys(reading.culprits, reading.verdict):
+                    verdicts = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
+                    print(
+                        f"  {body}; {fault}; {seed}; {reading.culprits[:6]}: {sorted(accused)[:8]} {verdicts}"
+                    )
             n = arguments.scenes
-            yield f"| {body} | {fault} | {found / n:.2f} | {named / n:.2f} | {right / n:.2f} |"
+            yield f"| {body} | {fault} | {detected / n:.2f} | {named / n:.2f} | {right / n:.2f} |"
 
 
 # Lines, standard deviation of the positions (um), share missing.
@@ -110,11 +112,11 @@ def clean(arguments: argparse.Namespace) -> Iterator[str]:
                 seed = (
                     700_000 + 1000 * arguments.seed + number + 100_000 * CONDITIONS.index((lines, um, gaps))
                 )
-                made = draw(
+                reading = draw(
                     seed, body, lines=lines, position_sd_mm=1e-3 * um, gaps=gaps, noise=arguments.noise
                 )
                 for stated in alarms:
-                    result = judged(made, stated, 1e-3 * um)
+                    result = judged(reading, stated, 1e-3 * um)
                     wrong = [v for v in result.channels if v.verdict != "ok"]
                     alarms[stated] += bool(wrong)
                     if wrong and arguments.show:

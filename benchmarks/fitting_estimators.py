@@ -125,18 +125,18 @@ def run(task: tuple[Case, str, str, int]) -> str:
         draw = rng.standard_normal((2, *observation.q.shape)) * np.sqrt(0.5)
         draw = draw[0] + 1j * draw[1]
         draw[rng.random(len(draw)) < case.outliers] *= 10.0
-        made = replace(problem, observation=observation.shifted(np.einsum("lij,lj->li", root, draw)))
-        lines = made.lines()
+        repeated = replace(problem, observation=observation.shifted(np.einsum("lij,lj->li", root, draw)))
+        lines = repeated.lines()
         start = time.process_time()
-        found = estimator(name).estimate(lines, options)
-        if case.directions and identifiability(found.parameters, lines, made.units).weak:
-            found = improve(made, lines, found)
+        fit = estimator(name).estimate(lines, options)
+        if case.directions and identifiability(fit.parameters, lines, repeated.units).weak:
+            fit = improve(repeated, lines, fit)
         spent.append(time.process_time() - start)
-        error = found.parameters - truth
+        error = fit.parameters - truth
         errors.append(error)
         if place < INTERVALS:
-            covariance, _, _ = noise_covariance(made, lines, found)
-            bias = attenuation(made, lines, found.parameters)
+            covariance, _, _ = noise_covariance(repeated, lines, fit)
+            bias = attenuation(repeated, lines, fit.parameters)
             hits.append(np.abs(error) < 1.96 * np.sqrt(np.diag(covariance) + bias**2))
     relative = np.sqrt(np.mean(np.square(errors), axis=0)) / bound
     bias = np.abs(np.mean(errors, axis=0)) / np.std(errors, axis=0)

@@ -73,7 +73,7 @@ def slsqp(objective: Callable[[np.ndarray], float], start: np.ndarray, lines: Li
         if row == column:
             lower[[place, place + half]] = 0.0
     unit = objective(start)
-    found = minimize(
+    result = minimize(
         lambda parameters: objective(parameters) / unit,
         start,
         method="SLSQP",
@@ -81,7 +81,7 @@ def slsqp(objective: Callable[[np.ndarray], float], start: np.ndarray, lines: Li
         constraints=[{"type": "ineq", "fun": lambda parameters: stability(parameters, lines.mass)}],
         options={"maxiter": 1000, "ftol": 1e-14},
     )
-    return found.x, objective(found.x)
+    return result.x, objective(result.x)
 
 
 def side_by_side(problem: Problem) -> None:
@@ -169,12 +169,12 @@ def semidefinite() -> None:
         root = np.linalg.cholesky(problem.observation.covariance)
         lines = noisy_lines(problem, root, np.random.default_rng(seed))
         reduced = constrained.reduce(lines, options)
-        found = constrained.estimate(lines, options)
+        fit = constrained.estimate(lines, options)
         ours = median_ms(lambda lines=lines: constrained.estimate(lines, options), 0.5)
         theirs = median_ms(lambda reduced=reduced: modelled(reduced), 1.0)
         likely = median_ms(lambda lines=lines: ml.estimate(lines, OPTIONS), 0.5)
-        excess = reduced.value(modelled(reduced)) / reduced.value(found.parameters) - 1.0
-        active = ", ".join(found.active) or "none"
+        excess = reduced.value(modelled(reduced)) / reduced.value(fit.parameters) - 1.0
+        active = ", ".join(fit.active) or "none"
         print(f"| noise {100 * noise:g} %, {count} lines | {active} | {ours:.2f} | {theirs:.2f} ", end="")
         print(f"| {likely:.2f} | {theirs / ours:.1f}, {theirs / likely:.1f} | {excess:.1e} |", flush=True)
 
@@ -184,10 +184,10 @@ def growth() -> None:
     print("\n| lines | ml, ms per fit |\n|-|-|")
     for lines in (100, 200, 500, 1000, 2000, 5000):
         problem = problem_of(lines)
-        made = noisy_lines(
+        drawn = noisy_lines(
             problem, np.linalg.cholesky(problem.observation.covariance), np.random.default_rng(2)
         )
-        print(f"| {lines} | {median_ms(lambda made=made: ml.estimate(made, OPTIONS), 1.0):.2f} |")
+        print(f"| {lines} | {median_ms(lambda drawn=drawn: ml.estimate(drawn, OPTIONS), 1.0):.2f} |")
 
 
 def many(seed: int, fits: int) -> tuple[float, float, np.ndarray]:
@@ -195,13 +195,13 @@ def many(seed: int, fits: int) -> tuple[float, float, np.ndarray]:
     problem = problem_of(200)
     root = np.linalg.cholesky(problem.observation.covariance)
     rng = np.random.default_rng(seed)
-    found, spent, begun = np.empty((fits, 12)), 0.0, time.process_time()
+    estimates, spent, begun = np.empty((fits, 12)), 0.0, time.process_time()
     for place in range(fits):
         lines = noisy_lines(problem, root, rng)
         start = time.process_time()
-        found[place] = ml.estimate(lines, OPTIONS).parameters
+        estimates[place] = ml.estimate(lines, OPTIONS).parameters
         spent += time.process_time() - start
-    return spent, time.process_time() - begun, found
+    return spent, time.process_time() - begun, estimates
 
 
 def main(fits: int) -> None:

@@ -1,12 +1,12 @@
-"""How still do the frames stand? The same stapes scanned at several voxel sizes, in random poses, with noise.
+"""Repeatability of the frames: one stapes scanned at several voxel sizes, in random poses, with noise.
 
     python benchmarks/frame_stability.py --phantom openear --voxels-um 10,15,20,25,30,40 --poses 6
     python benchmarks/frame_stability.py --phantom analytic --gap-um 40
 
 Each scan shows the stapes in its window on a plastic plate. For every voxel size the table gives the root
-mean square and the largest deviation of the footplate frame from where the body was put: its origin, its
-normal, its long axis; then the same of the plate frame; then how often 95 % intervals hold the truth, over
-the six displacements of the footplate frame.
+mean square and the largest deviation of the footplate frame from its true pose: origin, normal, long axis;
+then the same for the plate frame; then how often the 95 % intervals of the six displacements of the footplate
+frame hold the truth.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _HEAD = (
 )
 
 
-def deviation(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def deviation(estimated: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return the displacement (6,) of a frame in the axes of the true one, mm and rad; either way of x."""
     from stapeskit.frames import vector_from_rotation
 
-    turn = truth[:3, :3].T @ found[:3, :3]
+    turn = truth[:3, :3].T @ estimated[:3, :3]
     sign = np.sign(turn[0, 0])
     turned = turn @ np.diag([sign, 1.0, sign])
-    return np.concatenate([truth[:3, :3].T @ (found[:3, 3] - truth[:3, 3]), vector_from_rotation(turned)])
+    return np.concatenate([truth[:3, :3].T @ (estimated[:3, 3] - truth[:3, 3]), vector_from_rotation(turned)])
 
 
 def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> dict[str, np.ndarray]:
@@ -71,7 +71,7 @@ def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> d
         bodies.frame_surface, AnatomyHints(), bodies.frame_blur_mm, bodies.frame_noise_mm4
     )
     spent = time.process_time() - start
-    found = {
+    deviations = {
         "footplate": deviation(frame.scan_from_footplate.matrix, np.array(known["scan_from_footplate"])),
         "sd": np.sqrt(np.diag(frame.covariance)) * [1e3, 1e3, 1e3, 1.0, 1.0, 1.0],
         "cpu": np.array([spent]),
@@ -79,8 +79,8 @@ def scanned(seed: int, voxel_mm: float, gap_mm: float, stapes: Path | None) -> d
     if bodies.plate is not None:
         border = getattr(bodies.plate, "on_border", None)
         plate = plate_frame(bodies.plate, bodies.stapes, border, bodies.volume, bodies.psf_sigma_mm)
-        found["plate"] = deviation(plate.scan_from_plate.matrix, np.array(known["scan_from_plate"]))
-    return found
+        deviations["plate"] = deviation(plate.scan_from_plate.matrix, np.array(known["scan_from_plate"]))
+    return deviations
 
 
 def row(voxel_um: float, scans: list[dict[str, np.ndarray]]) -> str:

@@ -121,10 +121,10 @@ def accuracy(replicas, seed):
     print("|-|-|-|-|-|")
     for number, (name, make, noise) in enumerate(CASES):
         rng = np.random.default_rng([seed, number])
-        made = [make(rng) for _ in range(replicas)]
-        value = np.array([one.value[0] for one in made])
-        sd = np.array([one.sd[0] for one in made])
-        true = plant(made[0].freq_hz)
+        estimates = [make(rng) for _ in range(replicas)]
+        value = np.array([estimate.value[0] for estimate in estimates])
+        sd = np.array([estimate.sd[0] for estimate in estimates])
+        true = plant(estimates[0].freq_hz)
         bias = np.mean(value / true) - 1.0
         error = value - np.mean(value, axis=0)
         ratio = np.sqrt(np.mean(np.abs(error) ** 2) / 2.0 / np.mean(sd**2) * replicas / (replicas - 1))

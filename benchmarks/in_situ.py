@@ -68,14 +68,14 @@ def ours(placed: Any, grey: Any, behind: dict[str, Any]) -> str:
     centre = np.linalg.norm(moments.centroid_mm - behind["center_of_mass_in_scan_mm"]) * 1e3
     frame = RigidTransform(np.array(behind["scan_from_footplate"]), "scan", "footplate")
     body = from_density(moments, behind["density_kg_m3"], None)
-    found = footplate_mass_matrix(body, frame, np.zeros((6, 6))).matrix
+    matrix = footplate_mass_matrix(body, frame, np.zeros((6, 6))).matrix
     true = np.array(behind["mass_matrix_si"])
     root = np.sqrt(np.diag(true))
-    matrix = np.abs((found - true) / np.outer(root, root)).max()
+    worst = np.abs((matrix - true) / np.outer(root, root)).max()
     codes = ", ".join(notice.code for notice in bodies.notices) or "none"
     return (
         f"{100 * (moments.volume_mm3 / exact - 1):+.3f} % | {100 * stated / exact:.3f} % | {centre:.2f} um | "
-        f"{100 * matrix:.3f} % | {codes} | {seconds:.1f} s |"
+        f"{100 * worst:.3f} % | {codes} | {seconds:.1f} s |"
     )
 
 

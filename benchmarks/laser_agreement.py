@@ -66,30 +66,30 @@ def study(case: Case, seed: int, lines: int) -> tuple[np.ndarray, np.ndarray, li
     how = Vibrometry(lines=lines, seed=seed)
     mass = matrix_from_parameters(PARAMETERS)
     marks = [(name, np.array(at, dtype=float)) for name, at in MARKS]
-    made = record(mass, RigidTransform.identity("footplate", "plate"), how, marks)
+    recording = record(mass, RigidTransform.identity("footplate", "plate"), how, marks)
     rng = np.random.default_rng([seed, 11])
     gain, phase, delay = (np.array(sd) * rng.standard_normal(3) for sd in case.truth)
-    omega = 2.0 * np.pi * made.freq_hz
+    omega = 2.0 * np.pi * recording.freq_hz
     factors = (1.0 + gain[:, None] / 100.0) * np.exp(
         1j * (np.deg2rad(phase)[:, None] - np.outer(delay * 1e-6, omega))
     )
-    laser = np.arange(len(made.point)) % 3
-    value = made.velocity_m_s * factors[laser]
+    laser = np.arange(len(recording.point)) % 3
+    value = recording.velocity_m_s * factors[laser]
     bodies = {}
-    for name in dict.fromkeys(made.body):
-        mine = [k for k, body in enumerate(made.body) if body == name]
+    for name in dict.fromkeys(recording.body):
+        mine = [k for k, body in enumerate(recording.body) if body == name]
         bodies[name] = {
-            "points": [made.point[k] for k in mine],
-            "positions_mm": made.position_mm[mine],
-            "directions": made.direction[mine],
+            "points": [recording.point[k] for k in mine],
+            "positions_mm": recording.position_mm[mine],
+            "directions": recording.direction[mine],
             "value": value[:, mine],
-            "sd": made.sd_m_s[:, mine, None],
+            "sd": recording.sd_m_s[:, mine, None],
             "position_sd_mm": np.full(len(mine), how.position_sd_mm),
         }
-    measurement = from_arrays(bodies, made.freq_hz, frame="vibrometer")
-    seen = np.array([at for _, at, _ in made.fiducials])
-    known = np.array([at for _, _, at in made.fiducials])
-    names = tuple(name for name, _, _ in made.fiducials)
+    measurement = from_arrays(bodies, recording.freq_hz, frame="vibrometer")
+    seen = np.array([at for _, at, _ in recording.fiducials])
+    known = np.array([at for _, _, at in recording.fiducials])
+    names = tuple(name for name, _, _ in recording.fiducials)
     ties = Fiducials(names, seen, known, ("footplate",) * len(names), np.full(len(names), how.fiducial_sd_mm))
     options = Options(
         lasers=LaserPriors(*case.stated),
@@ -98,8 +98,8 @@ def study(case: Case, seed: int, lines: int) -> tuple[np.ndarray, np.ndarray, li
     motion = points2dof(measurement, place(ties), options).motion
     fit = fit_kd(motion, mass)
     wanted = np.concatenate([part[ENTRIES] for part in (PAPER_STIFFNESS, PAPER_DAMPING_CORRECTED)])
-    found = np.concatenate([part[ENTRIES] for part in (fit.stiffness, fit.damping)])
-    error = found - wanted
+    estimates = np.concatenate([part[ENTRIES] for part in (fit.stiffness, fit.damping)])
+    error = estimates - wanted
     percent = 100.0 * np.diag(fit.stiffness - PAPER_STIFFNESS) / np.diag(PAPER_STIFFNESS)
     return error / np.sqrt(np.diag(fit.covariance)), percent, [notice.code for notice in motion.notices]
 
@@ -117,18 +117,18 @@ def main() -> None:
     print("|-|-|-|-|-|-|")
     names = [name for name in CASES if name in chosen.cases]
     for name in names:
-        done = [study(CASES[name], seed, chosen.lines) for seed in range(chosen.studies)]
-        z = np.array([one[0] for one in done])
-        rms = np.sqrt(np.mean(np.array([one[1] for one in done]) ** 2, axis=0))
+        results = [study(CASES[name], seed, chosen.lines) for seed in range(chosen.studies)]
+        z = np.array([result[0] for result in results])
+        rms = np.sqrt(np.mean(np.array([result[1] for result in results]) ** 2, axis=0))
         covered = 100.0 * np.mean(np.abs(z) < 1.96, axis=0)
         codes: dict[str, int] = {}
-        for one in done:
-            for code in dict.fromkeys(one[2]):
+        for result in results:
+            for code in dict.fromkeys(result[2]):
                 codes[code] = codes.get(code, 0) + 1
-        said = ", ".join(f"{code} {count}" for code, count in sorted(codes.items())) or "none"
+        counts = ", ".join(f"{code} {count}" for code, count in sorted(codes.items())) or "none"
         sizes = ", ".join(f"{value:.2g}" for value in rms)
         print(f"| {name} | {np.mean(covered):.1f} | {np.min(covered):.0f} | "
-              f"{np.sqrt(np.mean(z**2)):.2f} | {sizes} | {said} |", flush=True)  # fmt: skip
+              f"{np.sqrt(np.mean(z**2)):.2f} | {sizes} | {counts} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What is known of the in-plane coupling of a ligament before it is measured: a population of uneven rings.
+"""Prior distribution of the in-plane coupling of a ligament, from a population of uneven rings.
 
     python benchmarks/ligament_prior.py [RINGS]
 
@@ -57,12 +57,12 @@ def main() -> None:
     )
     parser.add_argument("rings", type=int, nargs="?", default=2000)
     rng = np.random.default_rng(0)
-    found = np.array([coupling(rng) for _ in range(parser.parse_args().rings)])
+    couplings = np.array([coupling(rng) for _ in range(parser.parse_args().rings)])
     names = [f"Y[{row}, {column}]" for row in ("y", "alpha", "gamma") for column in ("x", "z", "beta")]
-    flat = found.reshape(len(found), 9)
+    flat = couplings.reshape(len(couplings), 9)
     for name, mean, sd in zip(names, flat.mean(axis=0), flat.std(axis=0), strict=True):
         print(f"{name:16s} mean {mean:+.4f} sd {sd:.4f}")
-    heights = np.column_stack([found[:, 1, 1], -found[:, 2, 0]])
+    heights = np.column_stack([couplings[:, 1, 1], -couplings[:, 2, 0]])
     print(f"heights: sd of the mean {heights.mean(axis=1).std():.4f}, of the difference "
           f"{(heights[:, 0] - heights[:, 1]).std():.4f} mm")  # fmt: skip
     correlation = np.corrcoef(flat.T)

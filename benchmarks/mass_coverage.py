@@ -104,11 +104,11 @@ def row(name: str, score: np.ndarray, size: np.ndarray, unit: str) -> str:
     return f"| {name} | {rms:.3g} {unit} | {score.mean():+.2f} | {score.std():.2f} | {inside:.0f} % |"
 
 
-def report(found: list[dict[str, np.ndarray]]) -> None:
+def report(ears: list[dict[str, np.ndarray]]) -> None:
     """Print the tables."""
 
     def stacked(key: str) -> np.ndarray:
-        return np.array([one[key] for one in found])
+        return np.array([ear[key] for ear in ears])
 
     error, sd, exact = stacked("error"), stacked("sd"), stacked("exact")
     diagonal = np.sqrt(np.einsum("nii->ni", exact))
@@ -159,13 +159,13 @@ def main() -> None:
             from sample_volumes.gutter import write_gutter_stapes
 
             stapes = write_gutter_stapes(Path(folder) / "stapes.ply")
-        found = []
+        ears = []
         for k in range(options.ears):
             try:
-                found.append(measured(options.seed + k, options.voxel_um * 1e-3, stapes))
+                ears.append(measured(options.seed + k, options.voxel_um * 1e-3, stapes))
             except ValueError as fault:
                 print(f"ear {options.seed + k}: {fault}", file=sys.stderr)
-    report(found)
+    report(ears)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Do the intervals of K and D hold, and are errors named? On simulated ears that share no code with fitting.
+"""Coverage of the intervals of K and D, and naming of errors, on simulated ears.
+
+The simulation shares no code with fitting.
 
     python benchmarks/model_errors.py [EARS] [--table intervals|causes|laws|branches|all] [--noise 0.5,1,3]
                                       [--height 0,0.1,0.3]
@@ -7,8 +9,8 @@ intervals: every cell draws EARS ears (benchmarks/ring_ears.py) with all shared 
 fluid, and prints how many entries lie outside their 95 % interval, K33's median bias, false alarms and the
 time of a fit. causes: one error of known size an ear, 1 % noise: how often there is a warning, how often it
 is named first or among the look-alikes, and the errors of K and D in their own sd before and after it is
-corrected. laws: how often ``compare`` finds the law at 3 % noise, and coverage under it. branches: what
-``compare`` makes of a ligament with two relaxation times, which no law has.
+corrected. laws: how often ``compare`` finds the law at 3 % noise, and coverage under it. branches: which law
+``compare`` chooses for a ligament with two relaxation times, which no law describes.
 """
 
 from __future__ import annotations
@@ -167,9 +169,9 @@ def causes(ears: int) -> None:
             if fit is None:
                 continue
             warned += bool({notice.code for notice in fit.notices} & ALARMS)
-            found, others = named(fit)
-            first += matches(found, name)
-            among += matches(found, name) or any(matches(one, name) for one in others)
+            cause, others = named(fit)
+            first += matches(cause, name)
+            among += matches(cause, name) or any(matches(other, name) for other in others)
             before.append(np.abs(relative(fit, case)).max())
             outside[0].append(
                 np.abs(join(fit.stiffness, fit.damping) - truth(case))
@@ -211,10 +213,10 @@ def named(fit: KDFit) -> tuple[str, tuple[str, ...]]:
     return ("fluid" if fit.fluid is not None and fit.fluid.used else ""), ()
 
 
-def matches(found: str, name: str) -> bool:
+def matches(cause: str, name: str) -> bool:
     """Return whether a cause is the simulated one; resonances of the holder and laws are named more
     finely."""
-    return found == name or (name == "holder" and found.startswith("holder"))
+    return cause == name or (name == "holder" and cause.startswith("holder"))
 
 
 def laws(ears: int) -> None:

@@ -57,16 +57,14 @@ def main() -> int:
                 timeout=180,
                 check=False,
             )
-        said = [line for line in re.findall(r"CONSOLE.*", done.stderr) if "ReadPixels" not in line]
+        messages = [line for line in re.findall(r"CONSOLE.*", done.stderr) if "ReadPixels" not in line]
         colours = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
         # bone is the one large area with clearly more red than blue
         bone = int(np.sum(colours[..., 0] - colours[..., 2] > 40.0))
-        wrong = len(said) + (bone < 2000)
+        wrong = len(messages) + (bone < 2000)
         failed += wrong
-        print(
-            f"{width:5d} px: {len(said)} console messages, {bone} pixels of bone{'  FAILED' if wrong else ''}"
-        )
-        for line in said:
+        print(f"{width:5d} px: {len(messages)} messages, {bone} pixels of bone{'  FAILED' if wrong else ''}")
+        for line in messages:
             print(f"         {line[:160]}")
     return failed
 

@@ -7,7 +7,7 @@
 
 Scenes are those of ``fault_scenes``. ``missing``: single values of all channels at random; ``band``: one
 channel over half of the lines; ``two``: two faults at different points; ``unstated``: position errors that no
-``sd_mm`` tells of, and what is said of them.
+``sd_mm`` states, and the verdicts that follow.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ PAIRS = (("sign", "gain 5 %"), ("sign", "sign"), ("gain 5 %", "direction 4 deg")
          ("position 200 um", "sign"), ("drift 6 %", "gain 5 %"))  # fmt: skip
 
 
-def verdicts(made: Scene, value: np.ndarray, stated: bool = True) -> dict[int, str]:
-    """Return what is said of each channel that is not in order; of a file that is refused, that of all."""
+def verdicts(case: Scene, value: np.ndarray, stated: bool = True) -> dict[int, str]:
+    """Return the verdict on each channel that is not ok; ``refused`` on every channel of a refused file."""
     try:
-        result = judged(made, 0, stated, value=value)
+        result = judged(case, 0, stated, value=value)
     except StapeskitError:
-        return dict.fromkeys(range(len(made.points)), "refused")
+        return dict.fromkeys(range(len(case.points)), "refused")
     return {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
 
 
 def drawn(arguments: argparse.Namespace, seed: int, geometry: str, fault: str) -> tuple[Scene, np.ndarray]:
     """Draw a scene and its readings with gaps."""
-    made = scene(seed, geometry, fault, noise=arguments.noise, lines=arguments.lines)
+    case = scene(seed, geometry, fault, noise=arguments.noise, lines=arguments.lines)
     gone = arguments.share if arguments.what == "missing" else 0.0
-    return made, with_gaps(measured(made, seed), seed, gone, arguments.what == "band")
+    return case, with_gaps(measured(case, seed), seed, gone, arguments.what == "band")
 
 
 def gaps(arguments: argparse.Namespace) -> Iterator[str]:
@@ -67,17 +67,17 @@ def gaps(arguments: argparse.Namespace) -> Iterator[str]:
         for fault in FAULTS if arguments.scenes else ():
             if not possible(fault, geometry) or (arguments.fault and fault not in arguments.fault):
                 continue
-            found = named = right = 0
+            detected = named = right = 0
             for number in range(arguments.scenes):
-                made, value = drawn(arguments, 1000 * arguments.seed + number, geometry, fault)
-                said = verdicts(made, value, not arguments.no_sd)
-                found += bool(said)
-                named += set(said) == set(made.culprits)
-                right += said == dict.fromkeys(made.culprits, made.verdict)
-                if arguments.show and said != dict.fromkeys(made.culprits, made.verdict):
-                    print(geometry, fault, 1000 * arguments.seed + number, made.culprits[:4], said)
+                case, value = drawn(arguments, 1000 * arguments.seed + number, geometry, fault)
+                named_as = verdicts(case, value, not arguments.no_sd)
+                detected += bool(named_as)
+                named += set(named_as) == set(case.culprits)
+                right += named_as == dict.fromkeys(case.culprits, case.verdict)
+                if arguments.show and named_as != dict.fromkeys(case.culprits, case.verdict):
+                    print(geometry, fault, 1000 * arguments.seed + number, case.culprits[:4], named_as)
             n = arguments.scenes
-            yield f"| {geometry} | {fault} | {found / n:.3f} | {named / n:.3f} | {right / n:.3f} |"
+            yield f"| {geometry} | {fault} | {detected / n:.3f} | {named / n:.3f} | {right / n:.3f} |"
         alarms = sum(
             bool(verdicts(*drawn(arguments, 500_000 + number, geometry, ""), not arguments.no_sd))
             for number in range(arguments.clean)
@@ -93,38 +93,39 @@ def two(arguments: argparse.Namespace) -> Iterator[str]:
         if arguments.geometry not in geometry or len(GEOMETRIES[geometry][1]) == 1:
             continue
         for pair in PAIRS:
-            one = other = both = 0
+            single = other = both = 0
             for number in range(arguments.scenes):
                 seed = 1000 * arguments.seed + number
-                made = two_faults(seed, geometry, pair, noise=arguments.noise, lines=arguments.lines)
-                said = verdicts(made, measured(made, seed), not arguments.no_sd)
-                named = set(said) if len(said) < len(made.points) else set()
-                one += set(made.culprits[:-1]) <= named
-                other += made.culprits[-1] in named
-                both += named == set(made.culprits)
-                if arguments.show and named != set(made.culprits):
-                    print(geometry, pair, seed, made.culprits, said)
+                case = two_faults(seed, geometry, pair, noise=arguments.noise, lines=arguments.lines)
+                named_as = verdicts(case, measured(case, seed), not arguments.no_sd)
+                named = set(named_as) if len(named_as) < len(case.points) else set()
+                single += set(case.culprits[:-1]) <= named
+                other += case.culprits[-1] in named
+                both += named == set(case.culprits)
+                if arguments.show and named != set(case.culprits):
+                    print(geometry, pair, seed, case.culprits, named_as)
             n = arguments.scenes
-            yield f"| {geometry} | {' and '.join(pair)} | {one / n:.3f} | {other / n:.3f} | {both / n:.3f} |"
+            shares = " | ".join(f"{count / n:.3f}" for count in (single, other, both))
+            yield f"| {geometry} | {' and '.join(pair)} | {shares} |"
 
 
 def unstated(arguments: argparse.Namespace) -> Iterator[str]:
-    """Yield what is said of files without fault whose positions are off by more than is stated."""
+    """Yield the verdicts on files without fault whose positions are off by more than is stated."""
     yield "| geometry | what is said, of how many files |\n|-|-|"
     for geometry in GEOMETRIES:
         if arguments.geometry not in geometry:
             continue
-        told: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for number in range(arguments.scenes):
             seed = 1000 * arguments.seed + number
-            made = scene(
+            case = scene(
                 seed, geometry, noise=arguments.noise, lines=arguments.lines,
                 position_sd_mm=1e-3 * arguments.position_um,
             )  # fmt: skip
-            said = verdicts(made, measured(made, seed), not arguments.no_sd)
-            whole = "all channels: " if len(said) == len(made.points) else "some channels: "
-            told[whole + ", ".join(sorted(set(said.values()))) if said else "nothing"] += 1
-        yield f"| {geometry} | {'; '.join(f'{what} {n}' for what, n in told.most_common())} |"
+            named_as = verdicts(case, measured(case, seed), not arguments.no_sd)
+            whole = "all channels: " if len(named_as) == len(case.points) else "some channels: "
+            counts[whole + ", ".join(sorted(set(named_as.values()))) if named_as else "nothing"] += 1
+        yield f"| {geometry} | {'; '.join(f'{what} {n}' for what, n in counts.most_common())} |"
 
 
 def main() -> None:

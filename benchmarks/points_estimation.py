@@ -81,9 +81,9 @@ def bound(data: Data) -> np.ndarray:
     return np.diagonal(np.linalg.inv(grams), axis1=1, axis2=2) / scale**2
 
 
-def efficiency(found: np.ndarray, data: Data) -> np.ndarray:
+def efficiency(estimates: np.ndarray, data: Data) -> np.ndarray:
     """Return mean squared error over its bound, (6,)."""
-    error = np.abs(found - data.q) ** 2 / 2.0
+    error = np.abs(estimates - data.q) ** 2 / 2.0
     return np.mean(error / bound(data), axis=0)
 
 

@@ -33,25 +33,25 @@ from kinematics.points2dof import Points2Dof, points2dof
 
 
 def judged(
-    made: Scene,
+    case: Scene,
     seed: int,
     stated: bool = True,
     position_sd_mm: float = 0.0,
     value: NDArray[np.complex128] | None = None,
 ) -> Points2Dof:
     """Run the diagnosis on a scene, by default on readings (channel, freq) with noise of this seed."""
-    flat = len({tuple(d) for d in made.directions}) == 1
+    flat = len({tuple(d) for d in case.directions}) == 1
     body = BodyChannels(
         "stapes",
-        made.points,
-        made.reported,
-        made.directions,
-        (measured(made, seed) if value is None else value)[None],
-        made.sd[None] if stated else None,
+        case.points,
+        case.reported,
+        case.directions,
+        (measured(case, seed) if value is None else value)[None],
+        case.sd[None] if stated else None,
         not stated,
-        np.full(len(made.points), position_sd_mm or np.nan),
+        np.full(len(case.points), position_sd_mm or np.nan),
     )
-    data = Measurement("footplate", ("1",), made.freq_hz, (body,), 0)
+    data = Measurement("footplate", ("1",), case.freq_hz, (body,), 0)
     return points2dof(data, options=Options(("y", "alpha", "gamma")) if flat else None)
 
 
@@ -64,35 +64,37 @@ def table(arguments: argparse.Namespace) -> Iterator[str]:
         for fault in FAULTS if arguments.geometry in geometry else ():
             if not possible(fault, geometry) or (arguments.fault and arguments.fault not in fault):
                 continue
-            found = named = right = beside = likeliest = 0
+            detected = named = right = beside = likeliest = 0
             best = []
             for number in range(arguments.scenes):
                 seed = 1000 * arguments.seed + number
-                made = scene(
+                case = scene(
                     seed, geometry, fault, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd
                 )
                 stated = 0.0 if arguments.positions_unstated else sd
                 try:
-                    result = judged(made, seed, not arguments.no_sd, stated)
+                    result = judged(case, seed, not arguments.no_sd, stated)
                 except KinematicsError as refused:  # found, and no culprit named
-                    found += 1
+                    detected += 1
                     if arguments.show:
-                        print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {refused}")
+                        print(f"{geometry}; {fault}; {seed}; {case.culprits[:6]}: {refused}")
                     continue
                 accused = {c: v.verdict for c, v in enumerate(result.channels) if v.verdict != "ok"}
-                found += bool(accused)
-                named += set(accused) == set(made.culprits)
-                right += accused == dict.fromkeys(made.culprits, made.verdict)
-                beside += len(set(accused) - set(made.culprits))
-                best.append(bound(made, stated) if fault != "zeros" else 1.0)
+                detected += bool(accused)
+                named += set(accused) == set(case.culprits)
+                right += accused == dict.fromkeys(case.culprits, case.verdict)
+                beside += len(set(accused) - set(case.culprits))
+                best.append(bound(case, stated) if fault != "zeros" else 1.0)
                 likeliest += nameable(seed, geometry, fault, noise=arguments.noise, lines=arguments.lines)
-                if arguments.show and accused != dict.fromkeys(made.culprits, made.verdict):
-                    told = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
-                    print(f"{geometry}; {fault}; {seed}; {made.culprits[:6]}: {sorted(accused)[:8]} {told}")
+                if arguments.show and accused != dict.fromkeys(case.culprits, case.verdict):
+                    verdicts = {(v.verdict, v.estimate) for v in result.channels if v.verdict != "ok"}
+                    print(
+                        f"{geometry}; {fault}; {seed}; {case.culprits[:6]}: {sorted(accused)[:8]} {verdicts}"
+                    )
             n = arguments.scenes
             yield (
-                f"| {geometry} | {fault} | {found / n:.3f} | {np.mean(best or 1.0):.3f} | {named / n:.3f} | "
-                f"{likeliest / n:.3f} | {right / n:.3f} | {beside / n:.2f} |"
+                f"| {geometry} | {fault} | {detected / n:.3f} | {np.mean(best or 1.0):.3f} | "
+                f"{named / n:.3f} | {likeliest / n:.3f} | {right / n:.3f} | {beside / n:.2f} |"
             )
 
 
@@ -108,9 +110,9 @@ def clean(arguments: argparse.Namespace) -> list[str]:
         alarms, chances = 0, []
         for number in range(arguments.clean):
             seed = 500_000 + 1000 * arguments.seed + number
-            made = scene(seed, geometry, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd)
+            case = scene(seed, geometry, noise=arguments.noise, lines=arguments.lines, position_sd_mm=sd)
             stated = 0.0 if arguments.positions_unstated else sd
-            result = judged(made, seed, not arguments.no_sd, stated)
+            result = judged(case, seed, not arguments.no_sd, stated)
             wrong = [v for v in result.channels if v.verdict != "ok"]
             alarms += bool(wrong)
             if wrong and arguments.show:

@@ -72,17 +72,17 @@ def target_rows(draws: int, seed: int) -> list[str]:
         for spread in ((0.05,) * 3, (0.02, 0.02, 0.2)):
             rng = np.random.default_rng([seed, len(rows)])
             sd = np.array(spread)
-            misses, distances, said = [], [], []
+            misses, distances, stated = [], [], []
             for _ in range(draws):
                 pose = pose_of(rng)
                 seen = pose.inverse().points(marks) + sd * rng.normal(size=marks.shape)
-                found = fit_rigid(seen, marks, np.tile(sd, (len(marks), 1)), to="plate", source="vibrometer")
+                fit = fit_rigid(seen, marks, np.tile(sd, (len(marks), 1)), to="plate", source="vibrometer")
                 there = pose.inverse().points(FOOTPLATE)
-                misses.append(np.linalg.norm(found.transform.points(there) - FOOTPLATE))
-                error = displacement(found.transform, pose)
-                distances.append(error @ np.linalg.solve(found.covariance_si, error))
-                said.append(found.target_registration_error(there)[0])
-            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, said))
+                misses.append(np.linalg.norm(fit.transform.points(there) - FOOTPLATE))
+                error = displacement(fit.transform, pose)
+                distances.append(error @ np.linalg.solve(fit.covariance_si, error))
+                stated.append(fit.target_registration_error(there)[0])
+            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, stated))
             alike = len(set(spread)) == 1
             formula = f"{1e3 * fitzpatrick_west(marks, FOOTPLATE[0], spread[0]):.1f}" if alike else ""
             words = f"{spread[0] * 1e3:g}" if alike else f"{spread[0] * 1e3:g}, depth {spread[2] * 1e3:g}"
@@ -109,14 +109,16 @@ def fault_rows(draws: int, seed: int) -> list[str]:
         ):
             cells = []
             for stated in (True, False):
-                told, named = 0, 0
+                warned, named = 0, 0
                 for draw in range(draws):
                     rng = np.random.default_rng([seed, draw, 7])
                     text, culprits = _with_fault(rng, marks, fault, stated)
-                    told += bool(text)
-                    named += bool(text) and all(f" {one} " in text.replace(",", " ") for one in culprits)
+                    warned += bool(text)
+                    named += bool(text) and all(
+                        f" {culprit} " in text.replace(",", " ") for culprit in culprits
+                    )
                 cells.append(
-                    f"{100 * told / draws:.1f} %" + (f", {100 * named / draws:.1f} %" if culprits else "")
+                    f"{100 * warned / draws:.1f} %" + (f", {100 * named / draws:.1f} %" if culprits else "")
                 )
             rows.append(f"| {name} | {fault} | {cells[0]} | {cells[1]} |")
     return rows
@@ -138,10 +140,10 @@ def _with_fault(rng: np.random.Generator, marks: Array, fault: str, stated: bool
         seen = seen * [1.0, -1.0, 1.0]
         culprits = ["--mirror"]
     try:
-        found = fit_rigid(seen, known, 0.02 if stated else None, to="plate", source="vibrometer", names=names)
+        fit = fit_rigid(seen, known, 0.02 if stated else None, to="plate", source="vibrometer", names=names)
     except StapeskitError as refused:
         return f" {refused} ", culprits
-    texts = [notice.text for notice in found.notices if notice.code == "fiducials_inconsistent"]
+    texts = [notice.text for notice in fit.notices if notice.code == "fiducials_inconsistent"]
     return (f" {texts[0]} " if texts else ""), culprits
 
 
@@ -157,7 +159,7 @@ def plate_rows(clouds: int, seed: int) -> list[str]:
     every = (("with leaning sides", wedge(), False), ("box, 8 points on the stapes decide", plain, True))
     for name, plate, decided in every:
         for count, sd in ((20, 0.01), (50, 0.01), (50, 0.03), (200, 0.03)):
-            refused, wrong, misses, said, distances = 0, 0, [], [], []
+            refused, wrong, misses, stated, distances = 0, 0, [], [], []
             start = time.process_time()
             for draw in range(clouds):
                 rng = np.random.default_rng([seed, draw, count])
@@ -177,11 +179,11 @@ def plate_rows(clouds: int, seed: int) -> list[str]:
                     wrong += 1
                     continue
                 misses.append(miss)
-                said.append(fit.registration.target_registration_error(there)[0])
+                stated.append(fit.registration.target_registration_error(there)[0])
                 error = displacement(fit.registration.transform, pose)
                 distances.append(error @ np.linalg.solve(fit.registration.covariance_si, error))
             spent = (time.process_time() - start) / clouds
-            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, said))
+            rms, predicted = (1e3 * np.sqrt(np.mean(np.square(part))) for part in (misses, stated))
             rows.append(
                 f"| {name} | {count}, {1e3 * sd:g} | {refused} of {clouds} | {wrong} | {rms:.1f} / "
                 f"{predicted:.1f} | {np.mean(distances) / 6.0:.2f} | {spent:.1f} |"
@@ -205,15 +207,15 @@ def moved_rows(clouds: int, seed: int) -> list[str]:
         for shift in (0.0, 0.03, 0.05, 0.1, 0.2):
             cells, sizes, others = [], [], 0
             for stated in (True, False):
-                told = 0
+                warned = 0
                 for draw in range(clouds):
                     given = scenes.setting(1000 * seed + draw, shift=(0.0, 0.0, shift), stated=stated)
                     stapes, base = scenes.checked(scan, *given).checks
-                    told += any(notice.code == "sample_moved" for notice in base.notices)
+                    warned += any(notice.code == "sample_moved" for notice in base.notices)
                     others += bool(stapes.notices)
                     if stated:
                         sizes.append(1e3 * float((scenes.SCAN_FROM_FOOTPLATE.rotation @ base.shift_mm)[2]))
-                cells.append(f"{100 * told / clouds:.0f} %")
+                cells.append(f"{100 * warned / clouds:.0f} %")
             rows.append(
                 f"| {1e3 * shift:.0f} um | {cells[0]} | {np.mean(sizes):.0f} ± {np.std(sizes):.0f} "
                 f"| {cells[1]} | {100 * others / (2 * clouds):.1f} % |"
@@ -246,11 +248,13 @@ def calibrate_rows(ears: int, seed: int) -> list[str]:
             after = points2dof(measurement, options=Options(calibrate=priors))
             plain.append(nees(before, truth))
             joint.append(nees(after, truth))
-            errors = [np.sum(np.abs(one.motion.q[0] - truth) ** 2, axis=(0, 1)) for one in (before, after)]
+            errors = [
+                np.sum(np.abs(result.motion.q[0] - truth) ** 2, axis=(0, 1)) for result in (before, after)
+            ]
             ratio.append(np.median(errors[1] / errors[0]))
-            found = after.calibration
-            if found is not None:
-                spread.append(np.rad2deg(found.sd[:3].mean()))
+            fit = after.calibration
+            if fit is not None:
+                spread.append(np.rad2deg(fit.sd[:3].mean()))
         rows.append(
             f"| {full['pos'] * 1e3:g} um, {full['axes']:g}°, {full['beam']:g}°, {full['gain']:g} % "
             f"| {full['snr']:g} | {np.mean(plain):.2f} | {np.mean(joint):.2f} "
@@ -271,18 +275,18 @@ def main() -> None:
     parser.add_argument("--ears", type=int, default=150)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    made: dict[str, Callable[[], list[str]]] = {
+    tables: dict[str, Callable[[], list[str]]] = {
         "target": lambda: target_rows(options.draws, options.seed),
         "faults": lambda: fault_rows(max(options.draws // 5, 1), options.seed),
         "plate": lambda: plate_rows(options.clouds, options.seed),
         "moved": lambda: moved_rows(options.clouds, options.seed),
         "calibrate": lambda: calibrate_rows(options.ears, options.seed),
     }
-    unknown = [name for name in options.tables if name not in made]
+    unknown = [name for name in options.tables if name not in tables]
     if unknown:
-        parser.error(f"tables are {', '.join(made)}; got {', '.join(unknown)}")
-    for name in options.tables or made:
-        print(f"\n**{name}** (seed {options.seed})\n", *made[name](), sep="\n", flush=True)
+        parser.error(f"tables are {', '.join(tables)}; got {', '.join(unknown)}")
+    for name in options.tables or tables:
+        print(f"\n**{name}** (seed {options.seed})\n", *tables[name](), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""False alarms, power and honest pooling of repeats and levels: prints markdown tables.
+"""False alarms, power and pooling of repeats and levels: prints markdown tables.
 
 ``python benchmarks/points_repeats.py [REPLICATES [SEED]]``; 10 ms of processor time each.
 """
@@ -112,33 +112,33 @@ def alarms(replicates, seed):
     """Print how often data without a fault raise an alarm."""
     print("| no fault; amplitudes scatter by 3 % | any alarm | single tests below 0.05 |\n|-|-|-|")
     for row, (name, options) in enumerate(ALARM.items()):
-        found, low, count = 0, 0, 0
+        detected, low, count = 0, 0, 0
         for k in range(replicates):
             report = pooled(simulate(np.random.default_rng([seed, row, k]), **options)[0]).repeats[0]
-            found += bool(report.found)
+            detected += bool(report.found)
             values = [test.p_value for test in report.tests if test.name != "shape_scatter"]
             low, count = low + sum(p < 0.05 for p in values), count + len(values)
-        print(f"| {name} | {100 * found / replicates:.1f} % | {100 * low / count:.1f} % |", flush=True)
+        print(f"| {name} | {100 * detected / replicates:.1f} % | {100 * low / count:.1f} % |", flush=True)
 
 
 def powers(replicates, seed):
     """Print how often a fault is found and named."""
     print("\n| fault | found | named right | other findings beside it |\n|-|-|-|-|")
     for row, (name, (code, options)) in enumerate(FAULTS.items()):
-        found, right, others = 0, 0, Counter()
+        detected, right, others = 0, 0, Counter()
         for k in range(replicates):
             report = pooled(simulate(np.random.default_rng([seed, 100 + row, k]), **options)[0]).repeats[0]
             codes = [code_of(test) for test in report.found]
-            found += bool(codes)
+            detected += bool(codes)
             right += code in codes
             others.update(other for other in set(codes) - {code})
         extra = ", ".join(f"{other} {100 * n / replicates:.1f} %" for other, n in others.most_common(3))
-        shares = f"{100 * found / replicates:.1f} % | {100 * right / replicates:.1f} %"
+        shares = f"{100 * detected / replicates:.1f} % | {100 * right / replicates:.1f} %"
         print(f"| {name} | {shares} | {extra or '—'} |", flush=True)
 
 
 def pooling(replicates, seed):
-    """Print whether pooled values are as uncertain as they say, and what a plain mean would cost."""
+    """Print the scatter of pooled values over their stated deviation, and the same of a plain mean."""
     print("\n| pooled, ratios to the common gain | error² / stated variance | 95 % intervals hold | ", end="")
     print("sd of a plain mean of ratios over that of the pooled one |\n|-|-|-|-|")
     cases = {
@@ -158,9 +158,9 @@ def pooling(replicates, seed):
         square, inside, plain = [], [], []
         for k in range(replicates):
             measured, truth = simulate(np.random.default_rng([seed, 200 + row, k]), **options)
-            made = pooled(measured).measurement
-            value = np.concatenate([body.displacement[0] for body in made.bodies])
-            sd = np.concatenate([body.sd[0] for body in made.bodies])
+            mean = pooled(measured).measurement
+            value = np.concatenate([body.displacement[0] for body in mean.bodies])
+            sd = np.concatenate([body.sd[0] for body in mean.bodies])
             true = np.concatenate(truth)
             weight = 1.0 / sd**2
             own = np.sum(weight * true.conj() * value, axis=0) / np.sum(weight * np.abs(true) ** 2, axis=0)

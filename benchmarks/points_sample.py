@@ -113,9 +113,9 @@ def _late(value: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def _two_lines(value: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    made = value.copy()
-    made[..., [30, 150]] = value[..., [150, 30]]
-    return made
+    exchanged = value.copy()
+    exchanged[..., [30, 150]] = value[..., [150, 30]]
+    return exchanged
 
 
 def _drift(value: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -152,9 +152,9 @@ def cases(data: Measurement, number: int, kind: str, seed: int) -> Iterator[Case
     """Yield the recordings with one kind of fault, at every place of a body."""
     body, points = data.bodies[number], channels_of(data.bodies[number])
 
-    def case(made: BodyChannels, own: list[int], verdict: str, name: str) -> Case:
+    def case(changed: BodyChannels, own: list[int], verdict: str, name: str) -> Case:
         bodies = list(data.bodies)
-        bodies[number] = replace(made, reported_directions=body.reported_directions)
+        bodies[number] = replace(changed, reported_directions=body.reported_directions)
         culprits = frozenset((number, c) for c in own)
         return Case(replace(data, bodies=tuple(bodies)), culprits, verdict, name)
 
@@ -166,46 +166,49 @@ def cases(data: Measurement, number: int, kind: str, seed: int) -> Iterator[Case
     elif kind in POINT:
         change, verdict = POINT[kind]
         for name, own in points.items():
-            made = change(body, own, np.random.default_rng([seed, own[0], 61]))
-            yield case(made, own, verdict, name)
+            changed = change(body, own, np.random.default_rng([seed, own[0], 61]))
+            yield case(changed, own, verdict, name)
     elif kind == "points exchanged":
-        for one, two in combinations(points, 2):
+        for first, second in combinations(points, 2):
             positions = body.positions_mm.copy()
-            positions[points[one]] = body.positions_mm[points[two][0]]
-            positions[points[two]] = body.positions_mm[points[one][0]]
-            own = sorted(points[one] + points[two])
-            yield case(replace(body, positions_mm=positions), own, "label_swap", f"{one} and {two}")
+            positions[points[first]] = body.positions_mm[points[second][0]]
+            positions[points[second]] = body.positions_mm[points[first][0]]
+            own = sorted(points[first] + points[second])
+            yield case(replace(body, positions_mm=positions), own, "label_swap", f"{first} and {second}")
     elif kind == "beams exchanged":
         for name, own in points.items():
             for c, d in combinations(own, 2):
                 value, sd = body.displacement.copy(), np.array(body.sd)
                 value[:, [c, d]], sd[:, [c, d]] = value[:, [d, c]], sd[:, [d, c]]
-                made = replace(body, displacement=value, sd=sd)
-                yield case(made, [c, d], "label_swap", f"{name}, beams {c} and {d}")
+                changed = replace(body, displacement=value, sd=sd)
+                yield case(changed, [c, d], "label_swap", f"{name}, beams {c} and {d}")
     else:
         yield from _across(data, number, kind)
 
 
 def _across(data: Measurement, number: int, kind: str) -> Iterator[Case]:
-    one, two = data.bodies[number], data.bodies[1 - number]
-    others = list(channels_of(two).values())
-    for k, (name, own) in enumerate(channels_of(one).items()):
-        bodies = [one, two]
+    first, second = data.bodies[number], data.bodies[1 - number]
+    others = list(channels_of(second).values())
+    for k, (name, own) in enumerate(channels_of(first).items()):
+        bodies = [first, second]
         if kind == "bodies exchanged":
             partner = others[(2 * k + 1) % len(others)]
             for place, (mine, theirs, i, j) in enumerate(
-                ((one, two, own, partner), (two, one, partner, own))
+                ((first, second, own, partner), (second, first, partner, own))
             ):
                 value, sd = mine.displacement.copy(), np.array(mine.sd)
                 value[:, i], sd[:, i] = theirs.displacement[:, j], np.asarray(theirs.sd)[:, j]
                 bodies[place] = replace(mine, displacement=value, sd=sd)
             culprits = {(number, c) for c in own} | {(1 - number, c) for c in partner}
         else:
-            rest = [c for c in range(len(one.points)) if c not in own]
-            bodies = [_picked([(one, rest)], one.body, ""), _picked([(two, []), (one, own)], two.body, name)]
-            culprits = {(1 - number, len(two.points) + c) for c in range(len(own))}
+            rest = [c for c in range(len(first.points)) if c not in own]
+            bodies = [
+                _picked([(first, rest)], first.body, ""),
+                _picked([(second, []), (first, own)], second.body, name),
+            ]
+            culprits = {(1 - number, len(second.points) + c) for c in range(len(own))}
         ordered = tuple(bodies if number == 0 else bodies[::-1])
-        yield Case(replace(data, bodies=ordered), frozenset(culprits), "label_swap", f"{one.body} {name}")
+        yield Case(replace(data, bodies=ordered), frozenset(culprits), "label_swap", f"{first.body} {name}")
 
 
 def _picked(parts: list[tuple[BodyChannels, list[int]]], name: str, extra: str) -> BodyChannels:
@@ -235,15 +238,15 @@ def judged(case: Case) -> tuple[tuple[bool, bool, bool], str]:
     """Return whether a fault was found, at the culprit alone, and as what it is; and what was said."""
     result = points2dof(case.data)
     wrong: dict[tuple[int, int], set[str]] = {}
-    told = set()
+    texts = set()
     places = [(n, c) for n, body in enumerate(case.data.bodies) for c in range(len(body.points))]
     for k, verdict in enumerate(result.channels):
         if verdict.verdict != "ok":
             wrong.setdefault(places[k % len(places)], set()).add(verdict.verdict)
-            told.add(f"{verdict.body} {verdict.point} {verdict.verdict}: {verdict.estimate}")
+            texts.add(f"{verdict.body} {verdict.point} {verdict.verdict}: {verdict.estimate}")
     named = frozenset(wrong) == case.culprits
     right = named and set().union(*wrong.values()) == {case.verdict}
-    return (bool(wrong), named, right), "; ".join(sorted(told))
+    return (bool(wrong), named, right), "; ".join(sorted(texts))
 
 
 def bound(clean: Measurement, case: Case) -> float:
@@ -297,23 +300,23 @@ def main() -> None:
     parser.add_argument("--show", action="store_true", help="tell every case that went wrong")
     arguments = parser.parse_args()
     start = time.process_time()
-    one, two = sample(), sample(second_run=True)
+    single, double = sample(), sample(second_run=True)
     print("| body | fault | cases | found | culprit named | right kind | best test where not named |")
     print("|-|-|-|-|-|-|-|")
-    for number, body in enumerate(one.bodies):
+    for number, body in enumerate(single.bodies):
         for kind in KINDS if arguments.body in ("", body.body) else ():
             if arguments.kind not in ("", kind):
                 continue
-            data = two if kind == "runs of a point" else one
+            data = double if kind == "runs of a point" else single
             sums, missed = np.zeros(4, dtype=int), []
             for case in islice(cases(data, number, kind, arguments.seed), 0, None, arguments.every):
-                (found, named, right), said = judged(case)
-                sums += np.array([1, found, named, right])
+                (detected, named, right), verdict = judged(case)
+                sums += np.array([1, detected, named, right])
                 if not named:
                     missed.append(bound(data, case))
                 if arguments.show and not right:
                     best = bound(data, case)
-                    print(f"    {case.name}: {said or 'nothing'} (best test {best:.2f})")
+                    print(f"    {case.name}: {verdict or 'nothing'} (best test {best:.2f})")
             best = f"{np.mean(missed):.2f}" if missed else "-"
             print(f"| {body.body} | {kind} | " + " | ".join(map(str, sums)) + f" | {best} |", flush=True)
     print(f"\n{time.process_time() - start:.0f} s of processor time, seed {arguments.seed}.")

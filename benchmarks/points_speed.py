@@ -55,23 +55,23 @@ def simulated(points: int, lines: int) -> dict[str, Any]:
 
 def least(work: Callable[[], Any], repeat: int) -> tuple[float, Any]:
     """Return the least processor time of some runs, and the last result."""
-    best, found = np.inf, None
+    best, result = np.inf, None
     for _ in range(repeat):
-        found = None
+        result = None
         start = time.process_time()
-        found = work()
+        result = work()
         best = min(best, time.process_time() - start)
-    return best, found
+    return best, result
 
 
 def peak(work: Callable[[], Any]) -> int:
     """Return the most memory in bytes that a call allocates."""
     tracemalloc.start()
     kept = work()
-    found = tracemalloc.get_traced_memory()[1]
+    bytes_held = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     del kept
-    return found
+    return bytes_held
 
 
 def ours(data: dict[str, Any], repeat: int) -> tuple[list[dict[str, Any]], np.ndarray]:
@@ -102,9 +102,9 @@ def ours(data: dict[str, Any], repeat: int) -> tuple[list[dict[str, Any]], np.nd
         places = (rng.integers(len(value), size=len(at)), at) if gaps else (len(value) // 2, slice(None))
         kept = value[places].copy()
         value[places] = np.nan if gaps else 1.05 * kept
-        found = whole(extra)
+        result = whole(extra)
         value[places] = kept
-        return found
+        return result
 
     placed = {"sd": 1e-9, "position_sd_mm": 0.02}
     cases: list[tuple[str, Callable[[], Any], int]] = [
@@ -127,10 +127,10 @@ def ours(data: dict[str, Any], repeat: int) -> tuple[list[dict[str, Any]], np.nd
     ]
     rows, q = [], np.empty(0)
     for number, (name, work, size) in enumerate(cases):
-        seconds, found = least(work, repeat if number < 4 else min(repeat, 2))
+        seconds, result = least(work, repeat if number < 4 else min(repeat, 2))
         if number == 0:
-            q = found.q
-        del found
+            q = result.q
+        del result
         passes, memory = seconds / (once if size == value.nbytes else both), 1.0 + peak(work) / size
         rows.append({"name": name, "seconds": seconds, "passes": passes, "memory": memory})
     rows.insert(0, {"name": "one sum over the data", "seconds": once, "passes": 1.0, "memory": 1.0})
@@ -157,17 +157,17 @@ def peer(python: str, script: str, folder: Path, threads: bool = False) -> dict[
     return {key: value for line in lines for key, value in line.items()}
 
 
-def total(found: dict[str, float]) -> float:
+def total(seconds: dict[str, float]) -> float:
     """Return the seconds of all parts of a peer."""
-    return sum(value for key, value in found.items() if key in PARTS)
+    return sum(value for key, value in seconds.items() if key in PARTS)
 
 
 def table(
-    rows: list[dict[str, Any]], found: dict[str, dict[str, float] | None], size: int, difference: float | None
+    rows: list[dict[str, Any]], peers: dict[str, dict[str, float] | None], size: int, difference: float | None
 ) -> str:
     """Write the markdown table."""
     names = ("pyFBS", "pyFBS, threads as installed")
-    slow = {name: total(one) for name in names if (one := found.get(name)) is not None}
+    slow = {name: total(peer) for name in names if (peer := peers.get(name)) is not None}
     columns = "".join(f" {name} over this |" for name in slow)
     lines = [f"| | processor time | passes over the data | memory / data |{columns}"]
     lines.append("|-|-|-|-|" + "-|" * len(slow))
@@ -183,16 +183,16 @@ def table(
             f"{seconds / row['seconds']:.0f}" if row is not rows[0] else "" for seconds in slow.values()
         ]
         lines.append("| " + " | ".join([*cells, *ratios]) + " |")
-    for name, one in found.items():
-        if one is None:
+    for name, peer in peers.items():
+        if peer is None:
             continue
-        seconds, times = total(one), {key: value for key, value in one.items() if key in PARTS}
+        seconds, times = total(peer), {key: value for key, value in peer.items() if key in PARTS}
         parts = ", ".join(f"{key} {value:.2f} s" for key, value in times.items())
         cells = [
             f"{name}: {parts}",
             f"{seconds:.1f} s",
             f"{seconds / once:.0f}",
-            f"{one['peak_bytes'] / size:.1f}",
+            f"{peer['peak_bytes'] / size:.1f}",
         ]
         lines.append(
             "| " + " | ".join([*cells, *[f"{other / seconds:.1f}" for other in slow.values()]]) + " |"
@@ -218,7 +218,7 @@ def main() -> None:
     size = data["value"].nbytes
     print(f"{options.points} points x 3 beams x {options.lines} lines, {size / 2**20:.0f} MiB, one thread\n")
     rows, q = ours(data, options.repeat)
-    found: dict[str, dict[str, float] | None] = {}
+    times: dict[str, dict[str, float] | None] = {}
     difference = None
     if options.peers:
         with tempfile.TemporaryDirectory() as name:
@@ -226,19 +226,19 @@ def main() -> None:
             np.save(folder / "value.npy", data["value"])
             np.save(folder / "positions.npy", data["positions_mm"] * 1e-3)
             np.save(folder / "directions.npy", data["directions"])
-            found["pyFBS"] = peer(options.peers, "points_pyfbs.py", folder)
-            if found["pyFBS"] is not None:
+            times["pyFBS"] = peer(options.peers, "points_pyfbs.py", folder)
+            if times["pyFBS"] is not None:
                 theirs = np.load(folder / "pyfbs.npy").T
                 difference = float(
                     np.max(np.max(np.abs(q - theirs), axis=0) / np.max(np.abs(theirs), axis=0))
                 )
-            found["pyFBS, threads as installed"] = peer(
+            times["pyFBS, threads as installed"] = peer(
                 options.peers, "points_pyfbs.py", folder, threads=True
             )
-            found["sdynpy, residuals alone"] = peer(options.peers, "points_sdynpy.py", folder)
+            times["sdynpy, residuals alone"] = peer(options.peers, "points_sdynpy.py", folder)
     else:
         print("pyFBS and sdynpy: not run (name an interpreter that has them with --peers).\n")
-    print(table(rows, found, size, difference))
+    print(table(rows, times, size, difference))
 
 
 if __name__ == "__main__":

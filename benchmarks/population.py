@@ -290,14 +290,14 @@ def total(scores: list[Score]) -> str:
 
 def _recorded(file: Path | None) -> dict[tuple[str, int], Score]:
     """Return the scores that a file of records holds, by row and number."""
-    found = {}
+    scores = {}
     for text in file.read_text().splitlines() if file is not None and file.exists() else ():
         record = json.loads(text)
         key = record.pop("row"), record.pop("number")
         for name in ("matrix", "pose", "pose_sd"):
             record[name] = None if record[name] is None else np.array(record[name], dtype=float)
-        found[key] = Score(**record)
-    return found
+        scores[key] = Score(**record)
+    return scores
 
 
 def main() -> None:
@@ -315,12 +315,12 @@ def main() -> None:
         for number, row in ((k, r) for k in range(given.start, given.start + given.scans) for r in rows):
             if (row.name, number) in scores:
                 continue
-            found = scores[row.name, number] = score(row, number, Path(place))
+            scored = scores[row.name, number] = score(row, number, Path(place))
             if given.verbose:
-                print(found.text, flush=True)
+                print(scored.text, flush=True)
             if given.records is not None:
                 with given.records.open("a") as file:
-                    record = {"row": row.name, "number": number, **asdict(found)}
+                    record = {"row": row.name, "number": number, **asdict(scored)}
                     file.write(json.dumps(record, default=lambda array: array.tolist()) + "\n")
     heads = (
         "condition", "n", "right", "refused", "wrong, named", "silent", "volume rms", "stated", "V held",

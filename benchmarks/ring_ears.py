@@ -171,10 +171,10 @@ def point_mass(mass: float, place: np.ndarray) -> np.ndarray:
 def shifted_parameters(parameters: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Return the ten inertial parameters of the same body, displaced."""
     mass, centre = parameters[0], parameters[1:4] / parameters[0]
-    made = parameters - point_mass(mass, centre) + point_mass(mass, centre + shift)
-    made[0] = mass
-    made[1:4] = mass * (centre + shift)
-    return made
+    shifted = parameters - point_mass(mass, centre) + point_mass(mass, centre + shift)
+    shifted[0] = mass
+    shifted[1:4] = mass * (centre + shift)
+    return shifted
 
 
 def relaxing(omega: np.ndarray, *times_us: float) -> np.ndarray:

@@ -255,7 +255,7 @@ def _study(
     except StapeskitError as refusal:
         return _row(seed, scan, what, REFUSED, [fault.thing for fault in refusal.faults][:2])
     notices = unique((*mass.notices, *motion.notices, *fit.notices))
-    found = verdict(fit.content(), [notice for notice in notices if notice.code not in _OF_ALL])
+    reached = verdict(fit.content(), [notice for notice in notices if notice.code not in _OF_ALL])
     true = truth["mass_kg"]
     errors = {"mass": [mass.matrix.matrix[0, 0] - true, mass.matrix.standard_deviation[0, 0], true]}
     for letter, key, value, sd in (
@@ -265,9 +265,9 @@ def _study(
         for k in range(3):
             true = truth[key][k][k]
             errors[f"{letter}{k + 1}{k + 1}"] = [value[k, k] - true, sd[k][k], true]
-    codes = [reason.code or reason.text.split(":")[0] for reason in found.reasons]
+    codes = [reason.code or reason.text.split(":")[0] for reason in reached.reasons]
     stated = {name: [float(value) for value in row] for name, row in errors.items()}
-    return _row(seed, scan, what, found.level, codes, stated)
+    return _row(seed, scan, what, reached.level, codes, stated)
 
 
 def _recording(ear: Ear, truth: Mapping[str, Any], how: Vibrometry, what: str, rng: Draw) -> Recording:
@@ -316,11 +316,11 @@ def main() -> None:
         rows = [json.loads(line) for line in chosen.records.read_text(encoding="utf-8").splitlines()]
     wanted = range(chosen.first, chosen.first + chosen.ears)
     for seed in sorted(set(wanted) - {row["seed"] for row in rows}):
-        made = one_ear(seed)
-        rows += made
+        ear = one_ear(seed)
+        rows += ear
         if chosen.records is not None:
             with chosen.records.open("a", encoding="utf-8") as stream:
-                stream.writelines(json.dumps(row) + "\n" for row in made)
+                stream.writelines(json.dumps(row) + "\n" for row in ear)
     tables([row for row in rows if row["seed"] in wanted])
 
 

@@ -157,7 +157,7 @@ def _measure(options: MassOptions, progress: Tell) -> MassMeasurement:
         return _result(options, known, None, surface, surface, None, (*surface.notices, exact))
     bodies = _bodies(options, progress)
     progress("finding the frames")
-    _ = bodies.labels.packed  # goes on in the background
+    _ = bodies.labels.packed  # is packed in the background
     return _result(options, known, bodies, bodies.stapes, bodies.frame_surface, bodies.plate, bodies.notices)
 
 
@@ -252,7 +252,7 @@ def _result(
         plate_matrix = plate_axes_mass_matrix(
             matrix, plate_from_footplate, footplate.covariance, frame.covariance
         )
-    found = [
+    collected = [
         *notices,
         *doubts,
         *footplate.notices,
@@ -275,7 +275,7 @@ def _result(
         plate_matrix,
         _matrix(by_mesh, footplate, scale_sd),
         bodies,
-        unique(found),
+        unique(collected),
         ways,
         gap=gap.result(),
     )
@@ -303,7 +303,7 @@ def _footplate(
     try:
         footplate = footplate_frame(surface, known.hints, blur, noise)
     except CtInertiaError:
-        # Landmarks that do not fit a wrong body are not at fault: tell of the body first.
+        # Where the body is wrong, correct landmarks do not fit it: report the body first.
         reasons = [] if named else implausible(footplate_frame(surface, blur_mm=blur), moments.volume_mm3)
         if reasons:
             raise unsuitable(reasons, notices) from None
@@ -315,7 +315,7 @@ def _footplate(
 
 
 def _with_doubt(footplate: FootplateFrame, hints: AnatomyHints, bodies: Bodies | None) -> FootplateFrame:
-    """Add what is not known of soft things around the stapes to the covariance of its frame."""
+    """Add the uncertainty from soft tissue around the stapes to the covariance of its frame."""
     if bodies is None or bodies.frame_doubt is None:
         return footplate
     other = footplate_pose(bodies.frame_doubt, hints, bodies.frame_blur_mm)

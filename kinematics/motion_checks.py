@@ -23,10 +23,10 @@ def uncommon_lines(placed: Measurement) -> list[Notice]:
     counts = [int(np.sum(lines)) for lines in measured]
     if all(count == len(placed.freq_hz) for count in counts):
         return []
-    said = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
+    listed = ", ".join(f"{body.body} at {n}" for body, n in zip(placed.bodies, counts, strict=True))
     common = int(np.sum(np.all(measured, axis=0)))
     text = (
-        f"of {len(placed.freq_hz)} frequencies, {said} were measured, {common} of them on all bodies; "
+        f"of {len(placed.freq_hz)} frequencies, {listed} were measured, {common} of them on all bodies; "
         "lines are matched within 1e-6."
     )
     text += column_offset(placed.freq_hz, measured, [body.body for body in placed.bodies])

@@ -122,23 +122,25 @@ def points2dof(
         parse_reference(options.reference, tuple(body.body for body in measurement.bodies), options.dof)
     ready = prepared(measurement, placement, options)
     lasers = Lasers.of(ready.placed, options.laser_priors)
-    found, corrections = _searched(ready, lasers, options)
-    diagnoses = found.diagnoses
-    notices = [*ready.notices, *far_away(found.placed), *found.notices]
-    notices += [*correction_notices(found.placed, corrections), *_notices_of_bodies(found)]
-    notices += check_axes(found.placed, placement.transform, found.fits, _left_by_one(diagnoses))
-    motion = with_record_noise(_motion(found.placed, found.fits, options.dof), found.placed, found.fits)
+    searched, corrections = _searched(ready, lasers, options)
+    diagnoses = searched.diagnoses
+    notices = [*ready.notices, *far_away(searched.placed), *searched.notices]
+    notices += [*correction_notices(searched.placed, corrections), *_notices_of_bodies(searched)]
+    notices += check_axes(searched.placed, placement.transform, searched.fits, _left_by_one(diagnoses))
+    motion = with_record_noise(
+        _motion(searched.placed, searched.fits, options.dof), searched.placed, searched.fits
+    )
     check_determined(motion)
-    errors = None if lasers is None else _laser_errors(lasers, found)
+    errors = None if lasers is None else _laser_errors(lasers, searched)
     if errors is not None:
         motion = replace(motion, q=motion.q + errors.correction)
         notices += laser_notices(errors)
     motion = replace(
         motion,
-        shared=motion_errors(found.placed, found.fits, placement, errors, ready.calibration),
+        shared=motion_errors(searched.placed, searched.fits, placement, errors, ready.calibration),
         provenance=dict(provenance or {}),
     )
-    motion = with_corrections(motion, found.placed, found.fits, corrections)
+    motion = with_corrections(motion, searched.placed, searched.fits, corrections)
     motion = with_gain_errors(motion, ready.repeats.repeats if options.repeats == "pool" else ())
     if not _spoils_motion(diagnoses):
         notices += exchanged_lines(motion) + phase_notice(motion, mass)
@@ -147,13 +149,13 @@ def points2dof(
         notices += motion.notices
     else:
         motion = _with_reference_noise(motion, options, ready.repeats.measurement)
-    bodies = found.placed.bodies
+    bodies = searched.placed.bodies
     return Points2Dof(
         replace(motion, notices=unique(notices)),
-        _verdicts(found, shown(corrections, diagnoses)),
-        found.placed,
+        _verdicts(searched, shown(corrections, diagnoses)),
+        searched.placed,
         placement,
-        found.fits,
+        searched.fits,
         diagnoses,
         options,
         {body.body: tuple(unseen_motions(body.positions_mm, body.directions)) for body in bodies},
@@ -168,21 +170,21 @@ def _searched(
     ready: PreparedMeasurement, lasers: Lasers | None, options: Options
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
     """Return the fits with what is wrong with them, and what was corrected."""
-    found = searched_fits(ready.placed, ready.screens, ready.beams, options.robust)
+    searched = searched_fits(ready.placed, ready.screens, ready.beams, options.robust)
     if lasers is not None:
-        found = with_lasers(found, lasers, ready.beams, options.robust) or found
-    if options.correct and not found.clean:
-        return corrected_fits(found, options.dof, options.robust)
-    return found, ()
+        searched = with_lasers(searched, lasers, ready.beams, options.robust) or searched
+    if options.correct and not searched.clean:
+        return corrected_fits(searched, options.dof, options.robust)
+    return searched, ()
 
 
-def _laser_errors(lasers: Lasers, found: SearchedFits) -> LaserErrors:
+def _laser_errors(lasers: Lasers, searched: SearchedFits) -> LaserErrors:
     """Estimate how far the lasers disagree, without channels at fault unless that is beyond belief."""
-    left_out = channels_at_fault(found.diagnoses)
-    estimate = lasers.estimate(found.placed, found.fits, left_out, found.applied)
+    left_out = channels_at_fault(searched.diagnoses)
+    estimate = lasers.estimate(searched.placed, searched.fits, left_out, searched.applied)
     if estimate.beyond_belief:
-        estimate = lasers.estimate(found.placed, found.fits, {}, found.applied)
-    return lasers.errors(found.placed, found.fits, estimate)
+        estimate = lasers.estimate(searched.placed, searched.fits, {}, searched.applied)
+    return lasers.errors(searched.placed, searched.fits, estimate)
 
 
 def _with_reference_noise(motion: RigidMotion, options: Options, measurement: Measurement) -> RigidMotion:
@@ -195,7 +197,7 @@ def _with_reference_noise(motion: RigidMotion, options: Options, measurement: Me
 
 def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[int, int], float]:
     """Return the share of each misfit that a single fault, other than of all beams, does not explain."""
-    return {key: found.kept for key, found in diagnoses.items()}
+    return {key: diagnosis.kept for key, diagnosis in diagnoses.items()}
 
 
 def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:
@@ -229,24 +231,29 @@ def _body_notices(
     return notices
 
 
-def _notices_of_bodies(found: SearchedFits) -> list[Notice]:
+def _notices_of_bodies(searched: SearchedFits) -> list[Notice]:
     """Return what the fits of all bodies and runs have to say."""
     notices: list[Notice] = []
-    for run, (number, screen) in product(range(len(found.placed.runs)), enumerate(found.screens)):
+    for run, (number, screen) in product(range(len(searched.placed.runs)), enumerate(searched.screens)):
         key = (run, number)
         notices += _body_notices(
-            found.placed, run, screen.body, found.fits[key], found.diagnoses[key], found.known[key]
+            searched.placed,
+            run,
+            screen.body,
+            searched.fits[key],
+            searched.diagnoses[key],
+            searched.known[key],
         )
     return notices
 
 
 def _verdicts(
-    found: SearchedFits, reported: Mapping[tuple[int, int], Diagnosis]
+    searched: SearchedFits, reported: Mapping[tuple[int, int], Diagnosis]
 ) -> tuple[ChannelVerdict, ...]:
     """Return the verdict on every channel in every run."""
     verdicts: list[ChannelVerdict] = []
-    for run, (number, screen) in product(range(len(found.placed.runs)), enumerate(found.screens)):
-        fit, name = found.fits[run, number], found.placed.runs[run]
+    for run, (number, screen) in product(range(len(searched.placed.runs)), enumerate(searched.screens)):
+        fit, name = searched.fits[run, number], searched.placed.runs[run]
         weight = fit.channel_weight / max(float(np.max(fit.channel_weight)), 1e-300)
         verdicts += channel_verdicts(
             name, screen.body, reported[run, number], fit.channel_rms, weight, screen.unused[run]

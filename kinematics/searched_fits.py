@@ -99,8 +99,8 @@ def searched_fits(
     keys = list(product(range(len(placed.runs)), range(len(screens))))
     for key in keys:
         run, body = key[0], screens[key[1]].body
-        fits[key], known[key], said = with_noise(placed, run, body, beams[key[1]], robust)
-        notices += said
+        fits[key], known[key], raised = with_noise(placed, run, body, beams[key[1]], robust)
+        notices += raised
         if too_large(body, known[key]):
             notices.append(_unsearched(body))
         diagnoses[key], searched[key] = searched_body(placed, run, body, fits[key], known[key])
@@ -126,26 +126,28 @@ def _unsearched(body: BodyChannels) -> Notice:
 
 
 def with_lasers(
-    found: SearchedFits, lasers: Lasers, beams: Sequence[BeamSet], robust: str
+    searched: SearchedFits, lasers: Lasers, beams: Sequence[BeamSet], robust: str
 ) -> SearchedFits | None:
     """Return the fits with the lasers corrected, where that explains all that was found.
 
     A scatter of the lasers no larger than stated is no fault. None where it is, where it leaves anything to
     be found, or where the noise is not stated, whose size then comes from the misfit itself.
     """
-    if found.clean or not all(found.known.values()):
+    if searched.clean or not all(searched.known.values()):
         return None
-    estimate = lasers.estimate(found.placed, found.fits)
+    estimate = lasers.estimate(searched.placed, searched.fits)
     if not estimate.explains_misfit:
         return None
-    placed = lasers.corrected(found.placed, estimate.values)
-    screens = [replace(screen, body=body) for screen, body in zip(found.screens, placed.bodies, strict=True)]
+    placed = lasers.corrected(searched.placed, estimate.values)
+    screens = [
+        replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
+    ]
     again = searched_fits(placed, screens, beams, robust)
     return replace(again, applied=estimate.values) if again.clean else None
 
 
 def corrected_fits(
-    found: SearchedFits, dof: tuple[str, ...], robust: str
+    searched: SearchedFits, dof: tuple[str, ...], robust: str
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
     """Return the fits after the faults were corrected that can be, and what was done about each.
 
@@ -153,16 +155,16 @@ def corrected_fits(
     """
     done: list[Correction] = []
     for _ in range(_ROUNDS):
-        corrections = corrections_of(found.placed, found.fits, found.diagnoses, done)
+        corrections = corrections_of(searched.placed, searched.fits, searched.diagnoses, done)
         if not corrections:
             break
         done += corrections
-        placed = found.placed
+        placed = searched.placed
         for correction in corrections:
             placed = correction.corrected(placed)
         screens = [
-            replace(screen, body=body) for screen, body in zip(found.screens, placed.bodies, strict=True)
+            replace(screen, body=body) for screen, body in zip(searched.screens, placed.bodies, strict=True)
         ]
         again = searched_fits(placed, screens, beam_sets(placed, dof), robust)
-        found = replace(again, applied=found.applied)
-    return found, tuple(done)
+        searched = replace(again, applied=searched.applied)
+    return searched, tuple(done)

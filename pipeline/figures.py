@@ -60,9 +60,9 @@ class _Parts(HTMLParser):
             self._rows[-1].append("")
         elif tag == "br" and self._rows and self._rows[-1]:
             self._rows[-1][-1] += " "
-        elif tag == "img" and (found := _PICTURE.fullmatch(values.get("src") or "")):
-            content = base64.b64decode(found[2])
-            self.figures.append((self._numbered(self.figures), found[1], content))
+        elif tag == "img" and (picture := _PICTURE.fullmatch(values.get("src") or "")):
+            content = base64.b64decode(picture[2])
+            self.figures.append((self._numbered(self.figures), picture[1], content))
 
     def handle_endtag(self, tag: str) -> None:
         """End a heading or a table."""

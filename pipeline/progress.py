@@ -51,8 +51,8 @@ class Progress:
         stream = sys.stderr if self.stream is None else self.stream
         with nullcontext() if self.quiet else _alive(title, stream):
             yield current
-        told = f"  {current.note}" if current.note else ""
-        line = f"{self.prefix}{title:<40} {current.seconds:7.1f} s{told}\n"
+        remark = f"  {current.note}" if current.note else ""
+        line = f"{self.prefix}{title:<40} {current.seconds:7.1f} s{remark}\n"
         note(line)
         if not self.quiet:
             stream.write(line)

@@ -78,7 +78,7 @@ def write_report(
     """
     mass, kd = work.mass.record.raw, work.kd
     truth = None if study.study.truth is None else _read_truth(study.study.truth)
-    notices = unique(notice for one in reports.values() for notice in one.notices)
+    notices = unique(notice for stage in reports.values() for notice in stage.notices)
     report = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
     report.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
     report.summary.append(summary_block(mass, kd, verdict(kd, notices), truth))

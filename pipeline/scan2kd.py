@@ -73,9 +73,9 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
         mass, kd = work.mass.record.raw, work.kd
         names = _outputs(runs)
         kept += names
-    shown = tuple(out / one for one in names if not one.startswith(FOLDER))
+    shown = tuple(out / file for file in names if not file.startswith(FOLDER))
     notices = unique(
-        (*(notice for one in reports.values() for notice in one.notices), *outputs.kept_notices(names))
+        (*(notice for report in reports.values() for notice in report.notices), *outputs.kept_notices(names))
     )
     return StudyResult(study, name, out, mass, kd, tuple(runs), shown, notices)
 
@@ -112,9 +112,9 @@ def output_set(
 
     records = _records(out) if records is None else records
     known = {
-        name: found
+        name: digest
         for record in records.values()
-        for name, found in record.outputs.items()
+        for name, digest in record.outputs.items()
         if not name.startswith(FOLDER)
     }
     names = (REPORT_FILE, *names_of_outputs(study, out))

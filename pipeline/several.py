@@ -168,9 +168,9 @@ def _checked_outputs(
     for name, path in studies.items():
         with suppress(StapeskitError):
             sets.append(output_set(path, read_study(path), out / name, force))
-    read = tuple(dict.fromkeys(path for one in sets for path in (*studies.values(), *one.inputs)))
+    read = tuple(dict.fromkeys(path for ear in sets for path in (*studies.values(), *ear.inputs)))
     outputs = cohort_outputs(out, read, force, exports)
-    raise_all(StapeskitError, [fault for one in sets for fault in replace(one, inputs=read).clashes()])
+    raise_all(StapeskitError, [fault for ear in sets for fault in replace(ear, inputs=read).clashes()])
     outputs.check()
     return outputs
 

@@ -78,8 +78,8 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
     if vague:
         reasons.append(Reason(CHECK, "", f"Known to no better than 30 percent: {', '.join(vague)}."))
     shown = tuple(reason for reason in reasons if reason.level != BELIEVE)
-    shown = tuple(sorted(shown, key=lambda one: -_ORDER.index(one.level)))
-    level = max((one.level for one in shown), key=_ORDER.index, default=BELIEVE)
+    shown = tuple(sorted(shown, key=lambda reason: -_ORDER.index(reason.level)))
+    level = max((reason.level for reason in shown), key=_ORDER.index, default=BELIEVE)
     return Verdict(level, shown)
 
 

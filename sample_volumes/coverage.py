@@ -92,11 +92,11 @@ def crossings(vertices: Array, faces: NDArray[np.int64], shape: tuple[int, int],
     nx, ny = shape
     columns, heights, weights = [], [], []
     for triangle in np.asarray(vertices, dtype=float)[faces].tolist():
-        found = _triangle(triangle, nx, ny, samples)
-        if found is not None:
-            columns.append(found[0])
-            heights.append(found[1])
-            weights.append(found[2])
+        crossed = _triangle(triangle, nx, ny, samples)
+        if crossed is not None:
+            columns.append(crossed[0])
+            heights.append(crossed[1])
+            weights.append(crossed[2])
     if not columns:
         return Crossings(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), shape)
     height = np.concatenate(heights)

@@ -88,10 +88,10 @@ def faulty(recording: Recording, fault: Fault, seed: int = 1) -> Recording:
 
 def _channels(recording: Recording, body: str, point: str) -> list[int]:
     pairs = zip(recording.body, recording.point, strict=True)
-    found = [number for number, pair in enumerate(pairs) if pair == (body, point)]
-    if not found:
+    numbers = [number for number, pair in enumerate(pairs) if pair == (body, point)]
+    if not numbers:
         raise ValueError(f"the point must be one of the recording; got {body} {point}.")
-    return found
+    return numbers
 
 
 def _tilted(recording: Recording, channel: int, angle_deg: float, rng: np.random.Generator) -> Array:

@@ -151,10 +151,10 @@ def _scaled(
 def compare(folder: Path) -> list[dict[str, Any]]:
     """Return, for each law with a planted exponent, the truth and what the cohort's study found."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    found = json.loads((folder / "out" / "cohort.json").read_text(encoding="utf-8"))
+    estimated = json.loads((folder / "out" / "cohort.json").read_text(encoding="utf-8"))
     planted, sd = truth["exponents_of_mass"], truth["intrinsic_sd_log"]
     rows = []
-    for law in found["laws"]:
+    for law in estimated["laws"]:
         if law["predictor"] != "mass_kg" or law["response"] not in planted:
             continue
         ends = law["exponent_interval_95"]

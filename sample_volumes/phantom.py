@@ -94,9 +94,9 @@ def _random_tilt(rng: np.random.Generator, most_deg: float) -> Array:
 def _solids(ear: Ear, footplate_from_plate: RigidTransform) -> list[tuple[Solid, int]]:
     """Return the bodies in footplate coordinates with their material; the stapes comes first."""
     stapes = bodies.stapes_in_footplate(ear.stapes)
-    found = [(Solid(stapes.vertices_mm, np.asarray(stapes.faces)), 2)]
+    solids = [(Solid(stapes.vertices_mm, np.asarray(stapes.faces)), 2)]
     if ear.bone:
-        found += [(solid, 2) for solid in _peripheral_bone(ear, stapes)]
+        solids += [(solid, 2) for solid in _peripheral_bone(ear, stapes)]
     if ear.plate:
         wide = np.array([ear.plate_reach, 1.0, ear.plate_reach])
         slab = [bodies.box(PLATE_LOW * wide, PLATE_HIGH * wide)]
@@ -107,15 +107,15 @@ def _solids(ear: Ear, footplate_from_plate: RigidTransform) -> list[tuple[Solid,
             )
             for x, z, height in PINS
         ]
-        found += [(bodies.moved(part, footplate_from_plate), 1) for part in slab]
+        solids += [(bodies.moved(part, footplate_from_plate), 1) for part in slab]
     if ear.incus_gap_mm is not None:
-        found += [(solid, 2) for solid in _incus(stapes, ear.incus_gap_mm)]
+        solids += [(solid, 2) for solid in _incus(stapes, ear.incus_gap_mm)]
     rng = np.random.default_rng(ear.pose_seed + 1000)
     for _ in range(ear.dust):
         place = np.array([rng.uniform(-1.5, 1.5), rng.uniform(1.0, 2.5), rng.choice([-1.2, 1.2])])
         size = rng.uniform(0.03, 0.08, 3)
-        found.append((bodies.box(place - size, place + size), 2))
-    return found
+        solids.append((bodies.box(place - size, place + size), 2))
+    return solids
 
 
 def _peripheral_bone(ear: Ear, stapes: bodies.Surface) -> list[Solid]:

@@ -281,11 +281,11 @@ def _fiducials(
     rng: np.random.Generator,
 ) -> tuple[tuple[str, Array, Array], ...]:
     wobble = 0.0 if how.noise_free else how.fiducial_sd_mm
-    found = []
+    rows = []
     for name, place in places:
         seen = pose_of_plate.points(place) + wobble * rng.standard_normal(3)
-        found.append((name, seen, place))
-    return tuple(found)
+        rows.append((name, seen, place))
+    return tuple(rows)
 
 
 def _mirrored(recording: Recording, axis: str) -> Recording:

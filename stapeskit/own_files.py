@@ -187,8 +187,8 @@ class OutputSet:
         }
         self._check((*self.names, *hashes) if not self.force else hashes)
         recorded = self._recorded()
-        hashes = {name: found for name, found in hashes.items() if not name.startswith(f"{RECORDS}/")}
-        after = {name: {found} for name, found in hashes.items()}
+        hashes = {name: digest for name, digest in hashes.items() if not name.startswith(f"{RECORDS}/")}
+        after = {name: {digest} for name, digest in hashes.items()}
         if not os.path.lexists(self.folder):
             # the record appears with the files, by one rename
             self._record(stage, after, stage)
@@ -199,7 +199,7 @@ class OutputSet:
         # files that the next one knows, and readers refuse them until then.
         both = {**recorded, **{name: {*recorded.get(name, ()), hashes[name]} for name in hashes}}
         self._record(stage, both, self.folder, unfinished=(*hashes, *stale))
-        after = {**{name: found for name, found in recorded.items() if name not in stale}, **after}
+        after = {**{name: digest for name, digest in recorded.items() if name not in stale}, **after}
 
         def finish() -> None:
             for name in stale:

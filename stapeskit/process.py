@@ -107,7 +107,7 @@ def undisturbed() -> Iterator[None]:
         if threading.current_thread() is threading.main_thread():
             for number in _SIGNALS:
                 if callable(signal.getsignal(number)):
-                    replaced[number] = signal.signal(number, lambda found, _frame: caught.append(found))
+                    replaced[number] = signal.signal(number, lambda received, _frame: caught.append(received))
         try:
             yield
         finally:

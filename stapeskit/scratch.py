@@ -25,8 +25,8 @@ _open: set[Path] = set()
 def scratch(parent: Path | None = None) -> Iterator[Path]:
     """Lend an empty folder that is removed when the block ends.
 
-    The folder is locked meanwhile. What killed runs left beside it is removed first: folders of this name,
-    mark and owner whose lock is free.
+    The folder is locked while it is in use. Folders that killed runs left in the same place are removed
+    first: those of this name, mark and owner whose lock is free.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def _lock(folder: Path) -> int | None:
 def _remove(top: Path) -> None:
     """Remove a folder, also while a thread still writes into it."""
     for _ in range(5):
-        # the mark goes last: what a run leaves that is killed, or may open no file, the next one knows
+        # the mark is removed last: by it the next run knows a folder whose removal was interrupted
         shutil.rmtree(top / _FILES, ignore_errors=True)
         if not (top / _FILES).exists():
             shutil.rmtree(top, ignore_errors=True)

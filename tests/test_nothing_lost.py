@@ -13,7 +13,7 @@ import pytest
 from markupsafe import Markup
 
 from ct_inertia.cli import work as ct2mass
-from fitting.cli import _work as dof2kd
+from fitting.cli import work as dof2kd
 from kinematics.cli import work as points2dof
 from pipeline.cli import work as scan2kd
 from stapeskit.faults import StapeskitError

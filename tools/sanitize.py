@@ -60,11 +60,11 @@ def _run(sanitizer: str, flags: list[str]) -> int:
             source.write_bytes(_CLONES.sub(b"", source.read_bytes()))
         more = ["-g", "-O1", f"-fsanitize={sanitizer}", "-fno-sanitize-recover=undefined", *flags]
         build = {"CC": " ".join(["gcc", *more])}
-        made = subprocess.run(
+        done = subprocess.run(
             [sys.executable, "hatch_build.py"], cwd=copy, env=os.environ | build, check=False
         )
-        if made.returncode:
-            return made.returncode
+        if done.returncode:
+            return done.returncode
         settings = {
             "LD_PRELOAD": _library(SANITIZERS[sanitizer]),
             "ASAN_OPTIONS": "detect_leaks=0",  # those of the interpreter
@@ -78,8 +78,8 @@ def _run(sanitizer: str, flags: list[str]) -> int:
 
 
 def _library(name: str) -> str:
-    found = subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
-    return found.stdout.strip()
+    done = subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
 
 
 if __name__ == "__main__":

@@ -57,13 +57,13 @@ def write_labels(folder: Path, mask: Any, box: tuple[slice, ...], spacing: float
 
 def write_mass(folder: Path, volume_mm3: float, centre_mm: Any, inertia_mm5: Any) -> None:
     """Write mass, centre of mass and inertia about it."""
-    found = {
+    properties = {
         "mass_kg": DENSITY_KG_M3 * volume_mm3 * 1e-9,
         "volume_mm3": volume_mm3,
         "center_of_mass_mm": np.asarray(centre_mm).tolist(),
         "inertia_kg_m2": (DENSITY_KG_M3 * 1e-15 * np.asarray(inertia_mm5)).tolist(),
     }
-    (folder / "mass.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    (folder / "mass.json").write_text(json.dumps(properties, indent=1), encoding="utf-8")
 
 
 def mesh_and_mass(folder: Path, points: Any, faces: Any) -> None:
@@ -87,11 +87,11 @@ def image(array: Any, spacing: float) -> Any:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkImageData
 
-    made = vtkImageData()
-    made.SetDimensions(*array.shape[::-1])
-    made.SetSpacing(spacing, spacing, spacing)
-    made.GetPointData().SetScalars(numpy_to_vtk(array.reshape(-1)))
-    return made
+    grid = vtkImageData()
+    grid.SetDimensions(*array.shape[::-1])
+    grid.SetSpacing(spacing, spacing, spacing)
+    grid.GetPointData().SetScalars(numpy_to_vtk(array.reshape(-1)))
+    return grid
 
 
 def flying_edges(grey: Any, spacing: float, level: float) -> tuple[Any, Any]:

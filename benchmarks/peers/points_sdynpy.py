@@ -29,13 +29,18 @@ def main(folder: Path) -> None:
     names = sdpy.coordinate_array(np.arange(1, len(places) + 1)[:, None], ["X+", "Y+", "Z+"]).flatten()
     start = time.process_time()
     shapes = sdpy.shape_array(names, np.ascontiguousarray(np.array(value).T))
-    made = time.process_time()
+    prepared = time.process_time()
     _, residual = sdpy.shape.rigid_body_error(geometry, shapes)
     done = time.process_time()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     rms = float(np.sqrt(np.mean(residual**2)))
-    found = {"setup": made - start, "residuals": done - made, "peak_bytes": peak, "residual_rms": rms}
-    print(json.dumps(found))
+    measures = {
+        "setup": prepared - start,
+        "residuals": done - prepared,
+        "peak_bytes": peak,
+        "residual_rms": rms,
+    }
+    print(json.dumps(measures))
 
 
 if __name__ == "__main__":

@@ -32,8 +32,8 @@ def main(scan: Path, folder: Path, level: float) -> None:
     number = common.nearest_in_volume(sizes, spacing)
     stapes = int(vtk_to_numpy(connectivity.GetExtractedRegionLabels())[number])
     extent = vtk_to_numpy(connectivity.GetExtractedRegionExtents())[number]
-    found = [slice(int(extent[2 * k]), int(extent[2 * k + 1]) + 1) for k in (2, 1, 0)]
-    box = common.widened(found, volume.shape)
+    part = [slice(int(extent[2 * k]), int(extent[2 * k + 1]) + 1) for k in (2, 1, 0)]
+    box = common.widened(part, volume.shape)
     labels = vtk_to_numpy(connectivity.GetOutput().GetPointData().GetScalars()).reshape(volume.shape)[box]
     grey = common.alone(volume[box].astype(np.float32), labels, stapes, 0.0)
     points, faces = common.flying_edges(grey, spacing, level + 0.25)

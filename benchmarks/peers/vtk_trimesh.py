@@ -35,8 +35,8 @@ def main(scan: Path, folder: Path, level: float) -> None:
     common.mesh_and_mass(folder, points, renumbered[faces[owner == stapes]])
     low = np.floor(points.min(axis=0) / spacing).astype(int)[::-1]
     high = np.ceil(points.max(axis=0) / spacing).astype(int)[::-1]
-    found = [slice(int(a), int(b) + 1) for a, b in zip(low, high, strict=True)]
-    box = common.widened(found, volume.shape)
+    part = [slice(int(a), int(b) + 1) for a, b in zip(low, high, strict=True)]
+    box = common.widened(part, volume.shape)
     labels, _ = label(volume[box] > level)
     number = 1 + common.nearest_in_volume(np.bincount(labels.ravel())[1:], spacing)
     common.write_labels(folder, labels == number, box, spacing)

@@ -1,7 +1,7 @@
 """The stapes parted from its surroundings by a marker watershed, and its grey values summed: a short script.
 
-It is given what ct2mass finds out: the grey levels of air and bone, the blur, where the stapes is, and its
-true volume to choose among basins and depths of erosion by.
+Its inputs are what ct2mass determines by itself: the grey levels of air and bone, the blur and the place of
+the stapes; and the true volume, by which it chooses among basins and depths of erosion.
 """
 
 from __future__ import annotations

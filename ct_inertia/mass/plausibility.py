@@ -49,7 +49,7 @@ def implausible(footplate: FootplateFrame, volume_mm3: float) -> list[str]:
     ]
 
 
-def unsuitable(found: Sequence[str], notices: Sequence[Notice]) -> CtInertiaError:
+def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> CtInertiaError:
     """Return the refusal of a body that nobody named, with what the notices tell of the scan's border."""
     border = [notice.text for notice in notices if notice.code == "touches_border"]
     step = (
@@ -61,17 +61,17 @@ def unsuitable(found: Sequence[str], notices: Sequence[Notice]) -> CtInertiaErro
         Fault(
             "the scan",
             "one with a body that can be a stapes",
-            f"no object that can be a stapes: the likeliest has {', '.join(found)}",
+            f"no object that can be a stapes: the likeliest has {', '.join(reasons)}",
             next_step=" ".join([f"{step}.", *border]),
         )
     )
 
 
-def size_notice(found: Sequence[str]) -> Notice:
+def size_notice(reasons: Sequence[str]) -> Notice:
     """Return the warning for a body that somebody named."""
     text = (
-        f"The body has {', '.join(found)}: it cannot be a whole human stapes. Check what was measured in the "
-        f"report, the voxel spacing, and the unit of a mesh."
+        f"The body has {', '.join(reasons)}: it cannot be a whole human stapes. Check what was measured in "
+        f"the report, the voxel spacing, and the unit of a mesh."
     )
     return Notice("size_implausible", text)
 

@@ -70,14 +70,14 @@ def found_section(content: Mapping[str, Any]) -> page.Section:
     return page.Section("What was found", blocks, "literature")
 
 
-def gap_words(found: Mapping[str, Any]) -> str:
+def gap_words(evidence: Mapping[str, Any]) -> str:
     """Return the gap between the footplate's rim and the bone around it, or that there is none."""
-    if found.get("gap_mm") is None:
+    if evidence.get("gap_mm") is None:
         return "not measured: no other bone along half of the rim, or too near for the blur"
-    gap, sd, spread = (1e3 * found[key] for key in ("gap_mm", "gap_sd_mm", "gap_spread_mm"))
+    gap, sd, spread = (1e3 * evidence[key] for key in ("gap_mm", "gap_sd_mm", "gap_spread_mm"))
     return (
-        f"{gap:.0f} ± {sd:.1f} µm (median along the {100.0 * found['gap_rim_share']:.0f} % of the rim with "
-        f"bone opposite; sd along it {spread:.0f} µm)"
+        f"{gap:.0f} ± {sd:.1f} µm (median along the {100.0 * evidence['gap_rim_share']:.0f} % of the rim "
+        f"with bone opposite; sd along it {spread:.0f} µm)"
     )
 
 

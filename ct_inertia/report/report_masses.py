@@ -128,17 +128,17 @@ def _differences(check: Mapping[str, Any]) -> tuple[str, str]:
     return f"{check['volume_difference_percent']:+.4f} %", ", ".join(f"{v:+.2f}" for v in apart)
 
 
-def _second_opinion(found: Mapping[str, Any] | None) -> str:
-    if found is None:
+def _second_opinion(opinion: Mapping[str, Any] | None) -> str:
+    if opinion is None:
         return (
             "The surface was not checked by a second mesh library: pymeshlab or its GL libraries are missing "
             "here."
         )
-    worst = max(abs(found["volume_difference"]), abs(found["inertia_difference"]))
-    shape = "closed and two-manifold" if found["two_manifold"] else "NOT closed and two-manifold"
+    worst = max(abs(opinion["volume_difference"]), abs(opinion["inertia_difference"]))
+    shape = "closed and two-manifold" if opinion["two_manifold"] else "NOT closed and two-manifold"
     return (
-        f"Second opinion by pymeshlab: the surface is {shape}, of genus {found['genus']}; volume and inertia "
-        f"of the surface agree with ours within {worst:.1e}."
+        f"Second opinion by pymeshlab: the surface is {shape}, of genus {opinion['genus']}; volume and "
+        f"inertia of the surface agree with ours within {worst:.1e}."
     )
 
 

@@ -22,7 +22,7 @@ _LEAST_BEYOND_MM3 = calibrated("necks.least_beyond_mm3")
 _MOST_BEYOND = calibrated("necks.most_beyond")
 _NARROWER = calibrated("necks.narrower")
 _APART_MM = calibrated("necks.apart_mm")
-# Most necks of an end, and most voxels of a body that areas are counted from: for time only.
+# Limits of the computing time: necks kept at each end, and voxels of a body that areas are counted from.
 _MOST = 4
 MOST_POINTS = 60_000
 
@@ -130,10 +130,10 @@ def _along(normal: Array, near: Array, grain: _Grain) -> list[Neck]:
     return minima
 
 
-def _apart(found: list[Neck]) -> list[Neck]:
+def _apart(necks: list[Neck]) -> list[Neck]:
     """Keep the most marked of those that cut at about the same height."""
     kept: list[Neck] = []
-    for neck in found:
+    for neck in necks:
         if all(abs(neck.height_mm - other.height_mm) > _APART_MM for other in kept):
             kept.append(neck)
     return kept[:_MOST]

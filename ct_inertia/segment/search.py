@@ -107,7 +107,7 @@ def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight
     """
     if options.threshold is not None:
         return sight
-    trial = at_own_level(sight, lambda found: _whole(found, sight.scan, volume))
+    trial = at_own_level(sight, lambda pieces: _whole(pieces, sight.scan, volume))
     if trial is None:
         return sight
     best = judged(trial, trial.stapes)
@@ -195,11 +195,11 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     return best
 
 
-def _whole(found: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
+def _whole(pieces: list[Piece], scan: CoarseScan, volume: Volume) -> list[Piece]:
     """Correct the border flag: the coarse grid may miss the last voxels of the scan."""
     size = volume.size
     kept = []
-    for piece in found:
+    for piece in pieces:
         low, high = piece.low * scan.step + scan.step // 2, (piece.high - 1) * scan.step + scan.step // 2
         cut = np.any(low <= scan.step) or np.any(high >= size - 1 - scan.step)
         kept.append(replace(piece, at_border=bool(cut)))

@@ -150,12 +150,12 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
         likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
     refits: list[Refit] = []
     for place in likely[: int(calibrated("causes.shortlist"))]:
-        explained = any(found.p_value > calibrated("causes.misfit_p") for found in refits)
+        explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in refits)
         refit = _refit(ligament, names[place], terms[place], tested, place, units, explained)
         refits += [] if refit is None else [refit]
     if not searched:
         least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
-        searched = any(found.fall > least for found in refits)
+        searched = any(candidate.fall > least for candidate in refits)
         refits = refits if searched else []
     equations = 2 * ligament.equations.n * ligament.lines.count
     shown = sorted(leading)
@@ -166,10 +166,10 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
         tested.correlation[np.ix_(shown, shown)],
         tested.response[:, shown],
     )
-    found = Diagnosis(
+    diagnosis = Diagnosis(
         tuple(names[place] for place in shown), kept, (), float(np.log(equations)), sensitivities, searched
     )
-    return with_refits(found, refits)
+    return with_refits(diagnosis, refits)
 
 
 def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:

@@ -37,7 +37,7 @@ def improve(problem: Problem, lines: Lines, current: Estimate) -> Estimate:
         starts += [current.parameters + 2.0 * step, current.parameters - 2.0 * step]
     free = replace(options, passive=False)
     tried = [ml.estimate(lines, free, start) for start in starts]
-    best = min(tried, key=lambda found: found.objective)
+    best = min(tried, key=lambda fit: fit.objective)
     if best.objective >= current.objective * (1.0 - 1e-9):
         return current
     held = ml.estimate(lines, options, best.parameters)

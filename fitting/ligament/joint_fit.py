@@ -151,10 +151,10 @@ def expand(
     gradient[:p] += prior.root.T @ off
     gradient[p:] += errors
     if hessian is None:
-        made = [whitening @ structural.reshape(lines.count, equations.n, p)]
+        columns = [whitening @ structural.reshape(lines.count, equations.n, p)]
         if lines.errors:
-            made.append(_error_columns(lines, rows, whitening, bare, fitted, moved, heavy))
-        jacobian = np.concatenate(made, axis=2).reshape(lines.count * equations.n, -1)
+            columns.append(_error_columns(lines, rows, whitening, bare, fitted, moved, heavy))
+        jacobian = np.concatenate(columns, axis=2).reshape(lines.count * equations.n, -1)
         real = np.concatenate([jacobian.real, jacobian.imag])
         hessian = 2.0 * (real.T @ real)
         hessian[:p, :p] += prior.root.T @ prior.root

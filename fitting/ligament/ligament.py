@@ -156,10 +156,10 @@ def _from_all_starts(
     return best
 
 
-def _better(one: Extended | None, other: Extended | None) -> Extended | None:
-    if one is None or other is None:
-        return other if one is None else one
-    return other if other[2].chi2 < one[2].chi2 - 1e-6 else one
+def _better(first: Extended | None, other: Extended | None) -> Extended | None:
+    if first is None or other is None:
+        return other if first is None else first
+    return other if other[2].chi2 < first[2].chi2 - 1e-6 else first
 
 
 def _prepared(
@@ -189,19 +189,19 @@ def extended_fit(
     start = np.insert(fit.parameters, equations.unknowns, np.zeros(len(terms)) if begin is None else begin)
     value = 0.0 if begin is None else float(begin[0])
     extended = equations.with_terms(terms)
-    found = _settled(lambda: fit_joint(lines, extended, start, most=most))
-    if found is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
-        found = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
-    return None if found is None else (lines, extended, found)
+    joint = _settled(lambda: fit_joint(lines, extended, start, most=most))
+    if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
+        joint = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
+    return None if joint is None else (lines, extended, joint)
 
 
 def _settled(fit: Callable[[], JointFit]) -> JointFit | None:
     """Return a fit that converges; None for others and where there is no likelihood."""
     try:
-        found = fit()
+        joint = fit()
     except np.linalg.LinAlgError:
         return None
-    return found if found.converged else None
+    return joint if joint.converged else None
 
 
 def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit, middle: float) -> JointFit:
@@ -213,19 +213,19 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
     from scipy.optimize import minimize_scalar
 
     place = equations.unknowns
-    found: dict[float, JointFit] = {}
+    fits: dict[float, JointFit] = {}
 
     def profile(logarithm: float) -> float:
         applied = term.apply(float(np.exp(logarithm)), lines, equations)
         inner = fit_joint(*applied, equation_error_start(*applied, fit.parameters))
-        found[logarithm] = inner
+        fits[logarithm] = inner
         return inner.chi2
 
     size = np.log(max(abs(middle), _SMALLEST))
     bounds = (size - _WIDTH, size + _WIDTH)
     minimize_scalar(profile, bounds=bounds, method="bounded", options={"xatol": 1e-2})
-    best = min(found, key=lambda tried: found[tried].chi2)
-    start = np.insert(found[best].parameters, place, np.exp(best))
+    best = min(fits, key=lambda tried: fits[tried].chi2)
+    start = np.insert(fits[best].parameters, place, np.exp(best))
     return fit_joint(lines, equations.with_terms((term,)), start, tolerance=_SETTLED)
 
 

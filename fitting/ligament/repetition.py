@@ -54,7 +54,7 @@ class Repetitions:
         turn = np.eye(DOFS) + lines.maps @ errors
         halves = np.split(wanted, 2, axis=1)
         y = np.concatenate(
-            [half @ np.linalg.inv(one).T for half, one in zip(halves, turn, strict=True)], axis=1
+            [half @ np.linalg.inv(matrix).T for half, matrix in zip(halves, turn, strict=True)], axis=1
         )
         y = y / self._factors
         noise = rng.standard_normal((2, *y.shape)) * np.sqrt(0.5)

@@ -14,8 +14,9 @@ from kinematics.fit.line_sums import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-# Normal equations: smallest eigenvalue over the largest without a solution; conditions solved by QR,
-# improved by one step, hopeless even then; largest ratio of weights that rounding allows.
+# Ratio of the smallest to the largest eigenvalue below which a line has no solution; condition numbers of the
+# Gram matrix above which a line is solved by singular values, is refined by one step, and is given up;
+# largest ratio of weights that rounding allows.
 SINGULAR = 1e-9
 DOUBTFUL = 1e7
 REFINE = 1e2
@@ -167,7 +168,7 @@ def predicted(basis: Array, z: Array) -> Array:
 
 
 def determining(basis: Array, root: Array) -> Array | None:
-    """Return roots of weights (channel,) of a range that can be solved; None when the channels lack rank.
+    """Return roots of weights (channel,) whose range can be solved; None when the channels lack rank.
 
     Parameters
     ----------
@@ -177,8 +178,9 @@ def determining(basis: Array, root: Array) -> Array | None:
 
     Notes
     -----
-    The best channels that determine the motion by themselves are found first. Others that are a million times
-    as precise as the last of these bind the motion as well as exact ones, and are taken to be just so.
+    The most precise channels that together determine the motion are chosen first. A channel that is a million
+    times as precise as the least precise of these constrains the motion as an exact one would: its weight is
+    limited to that ratio, which rounding allows.
     """
     size = basis.shape[1]
     order = np.argsort(-root, kind="stable")

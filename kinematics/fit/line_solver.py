@@ -55,8 +55,8 @@ def factorised(basis: Array, share: Array, used: NDArray[np.bool_]) -> Factor:
     u, s, vt = np.linalg.svd(plain[:, None] * basis, full_matrices=False)
     good = len(s) == size and bool(s[-1] ** 2 > SINGULAR * s[0] ** 2)
     root = plain[:, None]
-    if not good and (found := determining(basis, plain)) is not None:
-        root, good = found[:, None], True
+    if not good and (roots := determining(basis, plain)) is not None:
+        root, good = roots[:, None], True
         u, s, vt = np.linalg.svd(root * basis, full_matrices=False)
     turn = (vt.T / s) if good else np.zeros((size, size))
     u = u if good else np.zeros((len(basis), size))

@@ -71,8 +71,8 @@ def assemble(
     ------
     KinematicsError
         A point without body, position or direction, a position that differs between files, one channel twice,
-        frequencies that nearly meet, responses to different quantities, or an option that has nothing to say:
-        all of one kind together.
+        frequencies that nearly meet, responses to different quantities, or an option that applies to
+        nothing; faults of one kind are reported together.
     """
     options = options or InputOptions()
     raise_all(KinematicsError, check_used(options, [recording.file for recording in files]))

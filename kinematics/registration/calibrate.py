@@ -292,10 +292,10 @@ def _each(
     return information, score
 
 
-def _gram(made: ComplexArray | Array, q: Array) -> Array:
+def _gram(columns: ComplexArray | Array, q: Array) -> Array:
     """Return the real Gram matrix of columns (line, channel, k) off the columns q (line, channel, m)."""
-    seen = q.transpose(0, 2, 1) @ made
-    flat, inside = made.reshape(-1, made.shape[2]), seen.reshape(-1, made.shape[2])
+    seen = q.transpose(0, 2, 1) @ columns
+    flat, inside = columns.reshape(-1, columns.shape[2]), seen.reshape(-1, columns.shape[2])
     return np.real(flat.conj().T @ flat) - np.real(inside.conj().T @ inside)
 
 
@@ -327,26 +327,29 @@ def _against_prior(values: Array, covariance: Array, prior_sd: Array) -> tuple[f
     return chi2, count, float(chdtrc(count, chi2)) if count else 1.0
 
 
-def _notices(made: Calibration) -> tuple[Notice, ...]:
+def _notices(calibration: Calibration) -> tuple[Notice, ...]:
     notices = []
-    unseen = [name for name, seen in zip(made.model.names, made.seen, strict=True) if not seen]
-    said = _grouped(unseen)
+    unseen = [name for name, seen in zip(calibration.model.names, calibration.seen, strict=True) if not seen]
+    groups = _grouped(unseen)
+    seen = f"{int(np.sum(calibration.seen))} of {len(calibration.seen)}"
     text = (
-        f"calibration: the data tell {int(np.sum(made.seen))} of {len(made.seen)} parameters of the geometry"
-        + (f"; as uncertain as before: {said}" if said else "")
+        f"calibration: the data tell {seen} parameters of the geometry"
+        + (f"; as uncertain as before: {groups}" if groups else "")
         + ". No residual shows a shift of all points of a body together, nor a turn of positions and beams "
         "together, nor one gain common to all lasers: those rest on fiducials and references alone."
     )
     notices.append(Notice("calibrated", text))
-    if made.p_value < _UNLIKELY:
-        worst = int(np.argmax(np.abs(made.values) / made.model.prior_sd))
-        name = made.model.names[worst]
-        size = _shown(name, made.values[worst], made.sd[worst], made.model.prior_sd[worst])
+    if calibration.p_value < _UNLIKELY:
+        worst = int(np.argmax(np.abs(calibration.values) / calibration.model.prior_sd))
+        name = calibration.model.names[worst]
+        size = _shown(
+            name, calibration.values[worst], calibration.sd[worst], calibration.model.prior_sd[worst]
+        )
         text = (
             "calibration: the data pull the geometry beyond what the stated errors allow "
-            f"(chi2 {made.chi2:.3g} for {made.n_dof}, p {made.p_value:.1g}), most {size}. Check "
-            f"{named('axes_sd')}, "
-            f"{named('beam_sd')} and sd_mm, and the channels with a verdict."
+            f"(chi2 {calibration.chi2:.3g} for {calibration.n_dof}, p {calibration.p_value:.1g}), "
+            f"most {size}. Check {named('axes_sd')}, {named('beam_sd')} and sd_mm, and the channels with a "
+            "verdict."
         )
         notices.append(Notice("calibration_beyond_priors", text))
     return tuple(notices)

@@ -45,26 +45,26 @@ def calibrated(placed: Measurement, dof: tuple[str, ...], priors: GeometryPriors
     free = [dof if len(dof) == 6 else extended_beams(body, dof).dof for body in placed.bodies]
 
     def weights_of(geometry: Measurement) -> dict[tuple[int, int], Array]:
-        made = {}
+        weights = {}
         for number, body in enumerate(geometry.bodies):
             beams = beam_set(body.body, body.positions_mm, body.directions, free[number])
             for run in range(len(geometry.runs)):
-                made[run, number] = with_noise(geometry, run, body, beams, robust)[0].weights
-        return made
+                weights[run, number] = with_noise(geometry, run, body, beams, robust)[0].weights
+        return weights
 
     stated = all(body.sd is not None and not body.relative for body in placed.bodies)
-    geometry, made = placed, None
+    geometry, calibration = placed, None
     for _ in range(1 if stated else 3):
         weights = weights_of(geometry)
-        made = calibrate(placed, free, priors, weights)
-        geometry = made.measurement
-    if made is None:
+        calibration = calibrate(placed, free, priors, weights)
+        geometry = calibration.measurement
+    if calibration is None:
         raise RuntimeError("a calibration takes at least one round")
-    return made
+    return calibration
 
 
 def calibration_errors(
-    made: Calibration, fits: Mapping[tuple[int, int], LineFit], shape: Sequence[int]
+    calibration: Calibration, fits: Mapping[tuple[int, int], LineFit], shape: Sequence[int]
 ) -> tuple[tuple[str, ...], Array, ComplexArray]:
     """Return the parameters of a calibration as shared errors: names, covariance (p, p) and derivatives.
 
@@ -81,38 +81,40 @@ def calibration_errors(
     Where the derivatives of all parameters would not fit into 128 MB, their joint covariance is rewritten as
     that of the 40 independent combinations that move the motion most.
     """
-    size = len(made.names)
+    size = len(calibration.names)
     if 16 * size * int(np.prod(shape)) <= _NAMED_BYTES:
         derivatives = np.zeros((size, *shape), dtype=complex)
         for (run, number), fit in fits.items():
-            derivatives[:, run, number] = _named(made, fit, number)
-        return made.names, made.covariance, derivatives
-    values, vectors = np.linalg.eigh(made.covariance)
+            derivatives[:, run, number] = _named(calibration, fit, number)
+        return calibration.names, calibration.covariance, derivatives
+    values, vectors = np.linalg.eigh(calibration.covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))
-    combined = half @ _strongest(made, fits, half)
+    combined = half @ _strongest(calibration, fits, half)
     count = combined.shape[1]
     derivatives = np.zeros((count, *shape), dtype=complex)
     for (run, number), fit in fits.items():
-        rows = np.einsum("kp,kcm->pcm", combined, _all_rows(made, fit, number))
+        rows = np.einsum("kp,kcm->pcm", combined, _all_rows(calibration, fit, number))
         derivatives[:, run, number] = fit_derivatives(fit, rows)
     return tuple(f"calibration.{k + 1}" for k in range(count)), np.eye(count), derivatives
 
 
-def _all_rows(made: Calibration, fit: LineFit, number: int) -> Array:
+def _all_rows(calibration: Calibration, fit: LineFit, number: int) -> Array:
     """Return every parameter's change of all rows, (k, channel, m)."""
-    rows = np.zeros((len(made.names), len(made.measurement.bodies[number].points), len(fit.beams.dof)))
-    for change in made.model.changes(number, made.values):
+    rows = np.zeros(
+        (len(calibration.names), len(calibration.measurement.bodies[number].points), len(fit.beams.dof))
+    )
+    for change in calibration.model.changes(number, calibration.values):
         rows[change.parameter, change.channels] = change.rows[:, dof_indices(fit.beams.dof)]
     return rows
 
 
-def _named(made: Calibration, fit: LineFit, number: int) -> ComplexArray:
+def _named(calibration: Calibration, fit: LineFit, number: int) -> ComplexArray:
     """Return d q / d parameter, (k, freq, m), group by group of equal channels."""
-    derivatives = np.zeros((len(made.names), *fit.q.shape), dtype=complex)
+    derivatives = np.zeros((len(calibration.names), *fit.q.shape), dtype=complex)
     places = dof_indices(fit.beams.dof)
-    channels = len(made.measurement.bodies[number].points)
+    channels = len(calibration.measurement.bodies[number].points)
     groups: dict[bytes, list[int]] = {}
-    changes = made.model.changes(number, made.values)
+    changes = calibration.model.changes(number, calibration.values)
     for place, change in enumerate(changes):
         groups.setdefault(change.channels.tobytes(), []).append(place)
     for members in groups.values():
@@ -123,11 +125,11 @@ def _named(made: Calibration, fit: LineFit, number: int) -> ComplexArray:
     return derivatives
 
 
-def _strongest(made: Calibration, fits: Mapping[tuple[int, int], LineFit], half: Array) -> Array:
+def _strongest(calibration: Calibration, fits: Mapping[tuple[int, int], LineFit], half: Array) -> Array:
     """Return the combinations (k, p) of unit-variance errors that move the motion most, against its size."""
     seen = []
     for (_run, number), fit in fits.items():
-        rows = np.einsum("kp,kcm->pcm", half, _all_rows(made, fit, number))
+        rows = np.einsum("kp,kcm->pcm", half, _all_rows(calibration, fit, number))
         step = max(1, fit.q.shape[0] // _SAMPLE_LINES)
         part = np.stack([fit_derivatives(fit, row[None])[0, ::step] for row in rows])
         size = np.sqrt(np.nanmean(np.abs(fit.q) ** 2, axis=0))

@@ -96,8 +96,10 @@ def _by_name(fault: Fault, table: Table, names: Sequence[str]) -> Fault:
     """Return a fault with the name of the one fiducial whose line is at fault."""
     if not isinstance(fault.where, Place) or len(fault.where.numbers) != 1:
         return fault
-    found = [name for name, line in zip(names, table.lines, strict=True) if line == fault.where.numbers[0]]
-    detail = ", ".join(part for part in (fault.where.detail, *(f"fiducial {n}" for n in found if n)) if part)
+    at_fault = [name for name, line in zip(names, table.lines, strict=True) if line == fault.where.numbers[0]]
+    detail = ", ".join(
+        part for part in (fault.where.detail, *(f"fiducial {n}" for n in at_fault if n)) if part
+    )
     return replace(fault, where=replace(fault.where, detail=detail))
 
 

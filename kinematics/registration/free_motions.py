@@ -35,10 +35,10 @@ def undetermined(
     into = np.eye(3) if axes is None else axes.rotation.T
     frame = "scan" if axes is None else axes.source
     place = middle_mm if axes is None else axes.inverse().points(middle_mm)
-    said = []
+    described = []
     for vector in _echelon(vectors[:, values < OPEN**2].T, rotation, into):
-        said.append(_words(vector[:3], vector[3:] / lever, place, frame))
-    return said
+        described.append(_words(vector[:3], vector[3:] / lever, place, frame))
+    return described
 
 
 def open_motions(rows: Array, lever: float) -> tuple[Array, Array]:

@@ -99,11 +99,11 @@ class GeometryModel:
         sd: list[float] = []
         places: dict[tuple[str, int, str], int] = {}
 
-        def add(key: tuple[str, int, str], made: Sequence[str], size: float) -> None:
+        def add(key: tuple[str, int, str], labels: Sequence[str], size: float) -> None:
             if size > 0.0:
                 places[key] = len(names)
-                names.extend(made)
-                sd.extend([size] * len(made))
+                names.extend(labels)
+                sd.extend([size] * len(labels))
 
         add(
             ("axes", 0, ""),
@@ -111,15 +111,15 @@ class GeometryModel:
             np.deg2rad(priors.axes_sd_deg),
         )
         for number in range(len(means)):
-            made = [f"laser{number + 1}.{name}" for name in "ab"]
-            add(("laser", number, ""), made, np.deg2rad(priors.beam_sd_deg))
+            labels = [f"laser{number + 1}.{name}" for name in "ab"]
+            add(("laser", number, ""), labels, np.deg2rad(priors.beam_sd_deg))
         for number in range(len(means)):
             add(("gain", number, ""), [f"gain.laser{number + 1}"], priors.gain_sd_percent / 100.0)
         for number, body in enumerate(measurement.bodies):
             for point, spread in zip(body.points, body.position_sd_mm, strict=True):
                 if np.isfinite(spread) and ("position", number, point) not in places:
-                    made = [f"position.{body.body}.{point}.{axis}" for axis in "xyz"]
-                    add(("position", number, point), made, float(spread) * 1e-3)
+                    labels = [f"position.{body.body}.{point}.{axis}" for axis in "xyz"]
+                    add(("position", number, point), labels, float(spread) * 1e-3)
         return cls(measurement, tuple(names), np.array(sd), lasers, means, places)
 
     def moved(self, values: Array) -> Measurement:

@@ -1,4 +1,4 @@
-"""Are positions and beams in the same axes? Rigid motion shows axes that only one of them has mirrored."""
+"""Check that positions and beams have the same axes: rigid motion shows an axis mirrored in one alone."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def check_axes(
     Returns
     -------
     list of Notice
-        ``mirrored_axes`` when an axis turned round explains the readings no better than a single fault.
+        ``mirrored_axes`` when a reversed axis explains the readings no better than a single fault does.
 
     Raises
     ------
     KinematicsError
-        Turning one axis of all positions round leaves less than a tenth of a misfit that is more than 4 times
-        the noise, and a misfit like noise; or, where the noise is not stated, less than a fiftieth. What a
-        single fault explains without turning an axis round does not count.
+        With one axis of all positions reversed the misfit falls below a tenth, from more than 4 times the
+        noise to the size of the noise; where the noise is not stated, it falls below a fiftieth. The part of
+        the misfit that a single fault explains without a reversed axis does not count.
 
     Notes
     -----
@@ -80,7 +80,7 @@ def check_axes(
         mirrored[best][key] + (given[key] - mirrored[best][key]) * (kept or {}).get(key, 1.0) for key in given
     )
     share = _CURED_SHARE if loud else _CURED_SHARE_UNKNOWN_NOISE
-    # beyond what noise makes of a sum of squares: its mean, and no less than its standard deviation
+    # the excess of chi2 over its mean under noise alone, and at least its standard deviation
     noise, scatter = (float(freedom), float(np.sqrt(2.0 * freedom))) if stated else (0.0, 0.0)
     excess, before_excess, rival_excess = (
         max(size - noise, scatter) for size in (after, sum(given.values()), rival)
@@ -114,7 +114,7 @@ def check_axes(
 
 
 def _changes() -> dict[str, Array]:
-    """Return what may have happened to the positions: an axis turned round, or two axes exchanged."""
+    """Return the changes of positions that are tried: an axis reversed, or two axes exchanged."""
     changes = {axis: np.diag(signs) for axis, signs in MIRRORS.items()}
     for axis_a, two in combinations(range(3), 2):
         order = [0, 1, 2]
@@ -130,7 +130,7 @@ def _words(change: str) -> str:
 def _misfits(
     placed: Measurement, fits: Mapping[tuple[int, int], LineFit], change: Array
 ) -> tuple[dict[tuple[int, int], float], int]:
-    """Return each fit's sum of squared residuals over noise with changed positions, and all freedom."""
+    """Return the chi2 of each fit with changed positions, and the degrees of freedom of all fits."""
     totals: dict[tuple[int, int], float] = {}
     freedom = 0
     for (run, number), fit in fits.items():

@@ -120,7 +120,7 @@ def fit_to_surface(
         refined(cloud, surface, start, None)
         for start in candidates(cloud.points_mm, surface, towards, 0.02 * surface.diagonal_mm)[:8]
     ]
-    for best in sorted(fits, key=lambda one: one.energy)[:2]:
+    for best in sorted(fits, key=lambda fit: fit.energy)[:2]:
         fits += [refined(cloud, surface, start, None) for start in _half_turned(best.pose, surface)]
     fits = _facing(fits, towards)
     chosen, notices = _chosen(fits, cloud, witnesses, surface)
@@ -376,9 +376,7 @@ def _check_mirror(fit: SurfaceFit, cloud: Cloud, surface: TriangleSurface, sourc
         return
     flipped = Cloud(cloud.names, cloud.points_mm * [1.0, 1.0, -1.0], cloud.sd_mm, cloud.kind)
     starts = candidates(flipped.points_mm, surface, None, 0.02 * surface.diagonal_mm)[:3]
-    mirrored = min(
-        (refined(flipped, surface, start, None) for start in starts), key=lambda found: found.energy
-    )
+    mirrored = min((refined(flipped, surface, start, None) for start in starts), key=lambda fit: fit.energy)
     other = float(np.mean(np.minimum(np.abs(mirrored.distance), 0.3)))
     if other > 0.4 * proper or (known and proper < 2.0 * scale):
         return

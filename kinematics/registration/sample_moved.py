@@ -271,7 +271,7 @@ def _shift(rows: Array, seen: Array, distance: Array, joint: Array) -> tuple[Arr
     return seen @ (covariance @ (design.T @ (weight @ distance))), seen @ covariance @ seen.T
 
 
-def _alone(design: Array, distance: Array, joint: Array, chi2: float, made: SurfaceCheck) -> list[str]:
+def _alone(design: Array, distance: Array, joint: Array, chi2: float, check: SurfaceCheck) -> list[str]:
     """Return the one point without which the others agree with the surface, if there is one."""
     from scipy.special import chdtrc
 
@@ -286,7 +286,7 @@ def _alone(design: Array, distance: Array, joint: Array, chi2: float, made: Surf
     best = int(np.argmin(rest))
     fits = float(chdtrc(count - 1, rest[best])) > _PLAUSIBLE
     total = float(distance @ np.linalg.solve(joint, distance)) if np.isnan(chi2) else chi2
-    return [made.points[best]] if fits and rest[best] < 0.6 * total else []
+    return [check.points[best]] if fits and rest[best] < 0.6 * total else []
 
 
 def _size(shift: Array, covariance: Array) -> tuple[float, float]:
@@ -295,26 +295,26 @@ def _size(shift: Array, covariance: Array) -> tuple[float, float]:
     return length, float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
 
 
-def _told(made: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
+def _told(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
     """Put the verdict into words."""
-    if made.p_value >= _UNLIKELY:
-        return made
+    if check.p_value >= _UNLIKELY:
+        return check
     if alone:
-        away = made.distance_mm[made.points.index(alone[0])]
+        away = check.distance_mm[check.points.index(alone[0])]
         text = (
-            f"point {alone[0]} of {made.body} lies {away * 1e3:+.0f} um off the {made.surface} of the scan, "
-            "the others lie on it; check its position."
+            f"point {alone[0]} of {check.body} lies {away * 1e3:+.0f} um off the {check.surface} of the "
+            "scan, the others lie on it; check its position."
         )
-        return replace(made, off=tuple(alone), notices=(Notice("point_off_surface", text),))
-    rms = float(np.sqrt(np.mean(made.distance_mm**2)))
+        return replace(check, off=tuple(alone), notices=(Notice("point_off_surface", text),))
+    rms = float(np.sqrt(np.mean(check.distance_mm**2)))
     turn = ", ".join(
         f"{name} {value:+.2f} ± {sd:.2f}°"
-        for name, value, sd in zip(("alpha", "beta", "gamma"), made.turn_deg, made.turn_sd_deg, strict=True)
+        for name, value, sd in zip(("alpha", "beta", "gamma"), check.turn_deg, check.turn_sd_deg, strict=True)
     )
-    unseen = f"; not seen: {'; '.join(made.open_motions)}" if made.open_motions else ""
+    unseen = f"; not seen: {'; '.join(check.open_motions)}" if check.open_motions else ""
     text = (
-        f"the {len(made.points)} points of {made.body} lie {rms * 1e3:.0f} um rms off the {made.surface} of "
-        f"the scan (p {made.p_value:.1g}): it moved, or the registration is wrong. Best rigid shift in "
-        f"footplate axes: {shift_words(made)}; {turn}{unseen}."
+        f"the {len(check.points)} points of {check.body} lie {rms * 1e3:.0f} um rms off the {check.surface} "
+        f"of the scan (p {check.p_value:.1g}): it moved, or the registration is wrong. Best rigid shift in "
+        f"footplate axes: {shift_words(check)}; {turn}{unseen}."
     )
-    return replace(made, notices=(Notice("sample_moved", text),))
+    return replace(check, notices=(Notice("sample_moved", text),))

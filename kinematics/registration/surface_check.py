@@ -61,10 +61,10 @@ class SurfaceCheck:
     notices: tuple[Notice, ...] = ()
 
 
-def shift_words(made: SurfaceCheck) -> str:
+def shift_words(check: SurfaceCheck) -> str:
     """Write the shift of a check: its size, its sd and its direction in footplate axes."""
-    size, sd = (1e3 * value for value in made.size_mm)
+    size, sd = (1e3 * value for value in check.size_mm)
     if size == 0.0:
         return "none seen"
-    along = ", ".join(f"{value:.2f}" for value in made.shift_mm / made.size_mm[0])
+    along = ", ".join(f"{value:.2f}" for value in check.shift_mm / check.size_mm[0])
     return f"{size:.0f} ± {sd:.0f} µm along ({along})"

@@ -80,7 +80,7 @@ def _rows(table: Table, kind: str) -> np.ndarray:
     return rows
 
 
-def _names(table: Table, rows: np.ndarray, found: list[Fault]) -> tuple[str, ...]:
+def _names(table: Table, rows: np.ndarray, faults: list[Fault]) -> tuple[str, ...]:
     column = table.texts.get("name") or table.texts.get("point")
     if column is None:
         return tuple(f"line {int(table.lines[row])}" for row in rows)
@@ -89,5 +89,5 @@ def _names(table: Table, rows: np.ndarray, found: list[Fault]) -> tuple[str, ...
         if not name or name in names[:place]:
             got = f"{name} again" if name else "an empty cell"
             where = table.where(int(rows[place]))
-            found.append(Fault("the name of a point", "given, and different", got, where, "Name it"))
+            faults.append(Fault("the name of a point", "given, and different", got, where, "Name it"))
     return tuple(names)

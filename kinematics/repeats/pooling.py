@@ -266,10 +266,10 @@ def with_gain_errors(motion: RigidMotion, repeats: Sequence[RunRepeats]) -> Rigi
     return replace(motion, shared=added if motion.shared is None else _joined(motion.shared, added))
 
 
-def _joined(one: SharedErrors, two: SharedErrors) -> SharedErrors:
-    count = len(one.names)
-    covariance = np.zeros((count + len(two.names),) * 2)
-    covariance[:count, :count] = one.covariance
-    covariance[count:, count:] = two.covariance
-    derivatives = np.concatenate([one.derivatives, two.derivatives])
-    return SharedErrors((*one.names, *two.names), covariance, derivatives)
+def _joined(first: SharedErrors, second: SharedErrors) -> SharedErrors:
+    count = len(first.names)
+    covariance = np.zeros((count + len(second.names),) * 2)
+    covariance[:count, :count] = first.covariance
+    covariance[count:, count:] = second.covariance
+    derivatives = np.concatenate([first.derivatives, second.derivatives])
+    return SharedErrors((*first.names, *second.names), covariance, derivatives)

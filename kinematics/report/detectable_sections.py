@@ -81,9 +81,9 @@ def _joint_rows(chances: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
     """Return the rows of turned axes and exchanged points."""
     turn = "-" if np.isnan(chances.axes_rad) else size_of(float(np.rad2deg(chances.axes_rad)), "°")
     rows: list[tuple[str, ...]] = [(body.body, "axes of all beams together", turn, turn, "all points")]
-    for one, two, distance, chance in chances.pairs:
+    for first, second, distance, chance in chances.pairs:
         words = "found in > 99.9 %" if chance > 0.999 else f"found in {100.0 * chance:.3g} %"
-        where = f"{one} and {two}, {distance:.2g} mm apart"
+        where = f"{first} and {second}, {distance:.2g} mm apart"
         rows.append((body.body, "names of two points exchanged", words, words, where))
     return rows
 

@@ -66,7 +66,7 @@ def scenery_of(
 
     Parameters
     ----------
-    frames, found : mapping
+    frames, frame : mapping
         ``frames`` and ``frame`` of mass.json.
     vertices_mm : ndarray, (n, 3)
         Scan coordinates, mm.

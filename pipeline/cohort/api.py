@@ -28,12 +28,11 @@ class Cohort(CohortLaws, Result):
     def summary(self) -> Sequence[tuple[str, str]]:
         """Return the exponents of the planned laws and the number of independent parameters."""
         rows = []
-        for one in (law for law in self.laws if law.family == "primary"):
-            low, high = one.law.interval
-            text = (
-                f"exponent {one.law.exponent:.2f} (95 % {low:.2f} to {high:.2f}), p = {one.law.p_value:.2g}"
-            )
-            rows.append((f"{one.response} ~ {one.predictor}", text))
+        for planned in (law for law in self.laws if law.family == "primary"):
+            low, high = planned.law.interval
+            text = f"exponent {planned.law.exponent:.2f} (95 % {low:.2f} to {high:.2f})"
+            text += f", p = {planned.law.p_value:.2g}"
+            rows.append((f"{planned.response} ~ {planned.predictor}", text))
         if self.components is not None:
             low_count, high_count = self.components.interval
             text = f"{self.components.estimate} (95 % {low_count} to {high_count})"

@@ -40,10 +40,10 @@ def laws_figure(cohort: CohortLaws) -> Any:
     """Draw one panel for each planned law."""
     laws = [law for law in cohort.laws if law.family == "primary"]
     drawing, panels = _panels(len(laws), 3.1)
-    for panel, one in zip(panels, laws, strict=True):
+    for panel, planned in zip(panels, laws, strict=True):
         if cohort.table is not None:
-            pairs = cohort.table.pairs(one.response, one.predictor)[0]
-            _draw_law(panel, one, pairs, cohort.predictor(one))
+            pairs = cohort.table.pairs(planned.response, planned.predictor)[0]
+            _draw_law(panel, planned, pairs, cohort.predictor(planned))
     return drawing
 
 

@@ -75,18 +75,18 @@ def law_sections(cohort: CohortLaws) -> list[Section]:
 _HEADER = ("law", "exponent", "95 %", "p", "q", "scatter (ln)", "95 %", "prediction error (ln)", "ears")
 
 
-def _row(one: CohortLaw) -> tuple[str, ...]:
-    law = one.law
+def _row(entry: CohortLaw) -> tuple[str, ...]:
+    law = entry.law
     low, high = law.sigma_interval
     return (
-        law_name(one),
+        law_name(entry),
         f"{law.exponent:.2f}",
         " to ".join(f"{end:.2f}" if np.isfinite(end) else "open" for end in law.interval),
         f"{law.p_value:.2g}",
-        f"{one.q_value:.2g}",
+        f"{entry.q_value:.2g}",
         f"{law.sigma:.3f}",
         f"{low:.3f} to {high:.3f}",
-        f"{one.left_out.rms:.3f}",
+        f"{entry.left_out.rms:.3f}",
         str(law.n),
     )
 

@@ -64,10 +64,10 @@ def _side_by_side(ears: Sequence[Ear], rows: Sequence[Quantity]) -> list[Any]:
     ]
     for heading, part in _groups(rows):
         if len(ears) <= _FEW:
-            cells = [(_headed(one), *(_cell(one, k) for k in range(len(ears)))) for one in part]
+            cells = [(_headed(row), *(_cell(row, k) for k in range(len(ears)))) for row in part]
             table = page.table(("", *labels(ears)), cells)
         else:
-            cells = [(name, *(_cell(one, k) for one in part)) for k, name in enumerate(labels(ears))]
+            cells = [(name, *(_cell(row, k) for row in part)) for k, name in enumerate(labels(ears))]
             table = page.table(("study", *map(_headed, part)), cells)
         blocks += [page.subheading(heading), table] if len(ears) <= _SOME else [page.folded(heading, table)]
     return blocks
@@ -150,15 +150,17 @@ def _comparison(ears: Sequence[Ear], tests: Sequence[Quantity]) -> list[Any]:
     known = set(sides) <= {"left", "right"}
     right = np.array([side == "right" for side in sides])
     rows = []
-    for one in (quantity.mirrored(right) for quantity in tests):
-        if one.turns and not known:
+    for compared in (quantity.mirrored(right) for quantity in tests):
+        if compared.turns and not known:
             continue
-        q, count, p = one.homogeneity()
-        sd = one.deviations if one.own is None else one.own
+        q, count, p = compared.homogeneity()
+        sd = compared.deviations if compared.own is None else compared.own
         own = float(np.sqrt(np.nanmean(sd**2))) if np.any(np.isfinite(sd)) else np.nan
         test = f"{q:.3g} ({count}), p = {p:.2g}" if count else "–"
-        numbers = (f"{value:.4g}" if np.isfinite(value) else "–" for value in (one.mean, one.spread, own))
-        rows.append((_headed(one), *numbers, test))
+        numbers = (
+            f"{value:.4g}" if np.isfinite(value) else "–" for value in (compared.mean, compared.spread, own)
+        )
+        rows.append((_headed(compared), *numbers, test))
     header = ("quantity", "mean", "sd between ears", "own sd of one ear (rms)", "Q (n − 1)")
     blocks = [
         page.table(header, rows),

@@ -94,7 +94,7 @@ def _follow(client: Any, futures: dict[Any, str], ended: Callable[[str, End], No
     try:
         while waiting:
             lost = client.status not in ("running", "connecting")
-            for future in [one for one in waiting if lost or one.status != "pending"]:
+            for future in [job for job in waiting if lost or job.status != "pending"]:
                 ended(waiting[future], _end_of(future, lost))
                 del waiting[future]
             time.sleep(_POLL_S)

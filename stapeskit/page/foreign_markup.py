@@ -26,24 +26,24 @@ def foreign_markup(html: str) -> str:
     look = _Look()
     look.feed(html)
     look.close()
-    return look.found
+    return look.foreign
 
 
 class _Look(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
-        self.found = ""
+        self.foreign = ""
         self._script: list[str] | None = None
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for name, value in attrs:
             address = (value or "").strip()
             if name.startswith("on"):
-                self.found = self.found or f"the attribute {name}"
+                self.foreign = self.foreign or f"the attribute {name}"
             elif name in _ADDRESSES and not address.startswith(("#", "data:image/")):
-                self.found = self.found or f"an address in {name}"
+                self.foreign = self.foreign or f"an address in {name}"
         if tag in _FORBIDDEN:
-            self.found = self.found or f"the element {tag}"
+            self.foreign = self.foreign or f"the element {tag}"
         if tag == "script" and dict(attrs).get("type") != _JSON:
             self._script = []
 
@@ -54,14 +54,14 @@ class _Look(HTMLParser):
     def handle_endtag(self, tag: str) -> None:
         if tag == "script" and self._script is not None:
             if "".join(self._script).strip() not in _own_scripts():
-                self.found = self.found or "a script"
+                self.foreign = self.foreign or "a script"
             self._script = None
 
     def close(self) -> None:
         """End the look; a script that does not end is foreign."""
         super().close()
         if self._script is not None:
-            self.found = self.found or "a script"
+            self.foreign = self.foreign or "a script"
 
 
 def _own_scripts() -> set[str]:

@@ -295,7 +295,7 @@ def _shortened(svg: bytes) -> bytes:
     """Round the coordinates of paths to hundredths of a point, finer than any screen or printer shows."""
     path = re.compile(rb' d="[^"]*"')
     number = re.compile(rb"(\d+\.\d\d)\d+")
-    return path.sub(lambda found: number.sub(rb"\1", found.group()), svg)
+    return path.sub(lambda match: number.sub(rb"\1", match.group()), svg)
 
 
 def image(data: bytes, caption: str, alt: str, kind: str = "png") -> Markup:

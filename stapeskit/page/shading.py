@@ -160,8 +160,8 @@ def _samples(
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return pixel (k, 2), nearness (k,) and brightness (k,) of samples of triangles facing the reader."""
     corner = flat[faces]
-    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    facing = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] > 0.0
+    edge_a, edge_b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    facing = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0] > 0.0
     faces, corner = faces[facing], corner[facing]
     edges = corner - np.roll(corner, 1, axis=1)
     longest = np.sqrt(np.max(np.sum(edges[:, :, :2] ** 2, axis=2), axis=1)) / pixel
@@ -183,10 +183,10 @@ def _closed(tone: Array, depth: Array) -> tuple[Array, Array]:
     """Fill single empty pixels that have filled ones on opposite sides."""
     padded, deep = np.pad(tone, 1, constant_values=np.nan), np.pad(depth, 1, constant_values=-np.inf)
     empty = np.isnan(tone)
-    for one, two in (((0, 1), (2, 1)), ((1, 0), (1, 2))):
+    for first, second in (((0, 1), (2, 1)), ((1, 0), (1, 2))):
         rows, columns = tone.shape
-        a, b = (padded[r : r + rows, c : c + columns] for r, c in (one, two))
-        near = np.minimum(*(deep[r : r + rows, c : c + columns] for r, c in (one, two)))
+        a, b = (padded[r : r + rows, c : c + columns] for r, c in (first, second))
+        near = np.minimum(*(deep[r : r + rows, c : c + columns] for r, c in (first, second)))
         fill = empty & ~np.isnan(a) & ~np.isnan(b)
         tone = np.where(fill, 0.5 * (a + b), tone)
         depth = np.where(fill, near, depth)

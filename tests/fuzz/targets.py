@@ -93,9 +93,9 @@ def _plan(path: str, *_: str) -> None:
     read_plan(Path(path))
 
 
-def _command(module: str, function: str = "work") -> Callable[..., None]:
+def _command(module: str) -> Callable[..., None]:
     def run(*words: str) -> None:
-        getattr(importlib.import_module(module), function)(list(words))
+        importlib.import_module(module).work(list(words))
 
     return run
 
@@ -123,6 +123,6 @@ TARGETS: dict[str, Callable[..., None]] = {
     "parse_dof2kd": _parse("fitting.cli"),
     "ct2mass": _command("ct_inertia.cli"),
     "points2dof": _command("kinematics.cli"),
-    "dof2kd": _command("fitting.cli", "_work"),
+    "dof2kd": _command("fitting.cli"),
     "scan2kd": _command("pipeline.cli"),
 }

@@ -66,7 +66,7 @@ def read(path: Path) -> Recordings:
         for recording in recordings
     ]
     kept, notices = _one_quantity(named, path.name)
-    axes = {(one.point, one.direction.tobytes()) for one, _ in kept}
+    axes = {(recording.point, recording.direction.tobytes()) for recording, _ in kept}
     if len(axes) > len({point for point, _ in axes}):
         notices.append(axes_notice(path.name))
     units = "positions in stated units" if stated else "positions without unit, as metres"

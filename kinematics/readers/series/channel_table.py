@@ -100,11 +100,13 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
     faults = list(table.faults)
     channels = [_channel(table, row, faults) for row in range(len(table))]
     seen: dict[tuple[str, str, str], Place | str] = {}
-    for one in channels:
-        key = (one.name, one.file, one.point)
+    for channel in channels:
+        key = (channel.name, channel.file, channel.point)
         if key in seen:
-            faults.append(Fault(f"channel {one.name}", "listed once", "it again", one.where, "Keep one row"))
-        seen[key] = one.where
+            faults.append(
+                Fault(f"channel {channel.name}", "listed once", "it again", channel.where, "Keep one row")
+            )
+        seen[key] = channel.where
     if not faults and not any(channel.role == "response" for channel in channels):
         faults.append(Fault("the channel table", "with one response at least", "none", table.file))
     raise_all(KinematicsError, faults)

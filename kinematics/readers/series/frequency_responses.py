@@ -206,10 +206,10 @@ def _alive(series: Series, channels: Sequence[Channel], k: int) -> tuple[list[Ch
     """Leave out channels without any signal in a row: missing points are rows of zeros or NaN."""
     alive: list[Channel] = []
     dead: list[Channel] = []
-    for one in channels:
-        signal = series.channels[one.name][k]
+    for channel in channels:
+        signal = series.channels[channel.name][k]
         good = bool(np.all(np.isfinite(signal)) and np.any(signal != signal[0]))
-        (alive if good else dead).append(one)
+        (alive if good else dead).append(channel)
     if not dead:
         return alive, []
     names = ", ".join(channel.name for channel in dead)

@@ -88,7 +88,7 @@ def meaning(name: str) -> tuple[str, str, str] | None:
 
 def looks_wide(names: Sequence[str]) -> bool:
     """Tell whether names are those of a wide table: frequencies, and a pair of columns at least."""
-    parts = {found[0] for name in names if (found := meaning(name))}
+    parts = {meant[0] for name in names if (meant := meaning(name))}
     if not _TIDY.isdisjoint(name.lower() for name in names):
         return False
     return any(map(is_frequency, names)) and ({"re", "im"} <= parts or {"amp", "phase"} <= parts)
@@ -96,13 +96,13 @@ def looks_wide(names: Sequence[str]) -> bool:
 
 def beams_of(names: Sequence[str]) -> tuple[list[Beam], list[str]]:
     """Return the beams that the names tell, and the names that tell nothing."""
-    found: dict[tuple[str, str], dict[str, int]] = {}
+    by_beam: dict[tuple[str, str], dict[str, int]] = {}
     unknown = []
     for column, name in enumerate(names):
-        told = meaning(name)
-        if told is None or told[0] in found.get(told[1:], {}):
+        parts = meaning(name)
+        if parts is None or parts[0] in by_beam.get(parts[1:], {}):
             if not is_frequency(name):
                 unknown.append(name)
             continue
-        found.setdefault(told[1:], {})[told[0]] = column
-    return [Beam(columns, point, axis) for (point, axis), columns in found.items()], unknown
+        by_beam.setdefault(parts[1:], {})[parts[0]] = column
+    return [Beam(columns, point, axis) for (point, axis), columns in by_beam.items()], unknown

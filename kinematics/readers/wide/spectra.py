@@ -159,9 +159,9 @@ def _unit(sheet: Sheet, beam: Beam, column: int) -> tuple[MotionUnit, str]:
     """Return the unit of a beam, and ``peak`` or ``rms`` where it says so."""
     label = beam.unit or sheet.units[column]
     words = label.replace("_", " ").split()
-    said = {"pk": "peak", "peak": "peak", "rms": "rms"}
-    amplitude = next((said[word.lower()] for word in words if word.lower() in said), "")
-    unit = motion_unit(" ".join(word for word in words if word.lower() not in said))
+    kinds = {"pk": "peak", "peak": "peak", "rms": "rms"}
+    amplitude = next((kinds[word.lower()] for word in words if word.lower() in kinds), "")
+    unit = motion_unit(" ".join(word for word in words if word.lower() not in kinds))
     if unit is None:
         got = shown(label) if label else "none"
         step = f'Write it behind the name, "{sheet.names[column]} [mm/s]", or as unit in {sheet.file}.toml'
@@ -173,14 +173,14 @@ def _unit(sheet: Sheet, beam: Beam, column: int) -> tuple[MotionUnit, str]:
 
 def _direction(beam: Beam, sheet: Sheet) -> Array:
     """Return the unit vector towards the laser head, NaN where nothing says it."""
-    said = beam.direction
-    if said == "":
+    stated = beam.direction
+    if stated == "":
         return unknown_vector()
-    if isinstance(said, str) and said.lower().lstrip("+-") in ("x", "y", "z"):
-        return np.asarray(axis_vector(said.lower()))
-    if isinstance(said, list) and len(said) == 3 and all(isinstance(v, int | float) for v in said):
-        return np.array(said, dtype=float)
+    if isinstance(stated, str) and stated.lower().lstrip("+-") in ("x", "y", "z"):
+        return np.asarray(axis_vector(stated.lower()))
+    if isinstance(stated, list) and len(stated) == 3 and all(isinstance(v, int | float) for v in stated):
+        return np.array(stated, dtype=float)
     step = 'Write direction = "z", or three numbers'
     raise KinematicsError(
-        Fault("the direction of a signal", "x, -y ... or three numbers", said, sheet.file, step)
+        Fault("the direction of a signal", "x, -y ... or three numbers", stated, sheet.file, step)
     )

@@ -55,4 +55,6 @@ def _stack(file: Any, name: str, values: list[Any]) -> None:
     arrays = [None if value is None else np.asarray(value, dtype=float) for value in values]
     known = [array for array in arrays if array is not None]
     if known and len({array.shape for array in known}) == 1:
-        file[name] = np.array([np.full(known[0].shape, np.nan) if one is None else one for one in arrays])
+        file[name] = np.array(
+            [np.full(known[0].shape, np.nan) if array is None else array for array in arrays]
+        )

@@ -60,15 +60,15 @@ def write(folder: Path, cohort: CohortLaws, _content: Mapping[str, Any]) -> None
         [
             name,
             *(
-                plus_minus(float(one.values[k]), float(one.deviations[k]))
-                if np.isfinite(one.deviations[k])
-                else f"{one.values[k]:.4g}"
-                for one in shown
+                plus_minus(float(quantity.values[k]), float(quantity.deviations[k]))
+                if np.isfinite(quantity.deviations[k])
+                else f"{quantity.values[k]:.4g}"
+                for quantity in shown
             ),
         ]
         for k, name in enumerate(labels(cohort.ears))
     ]
-    header = ["ear", *(f"{one.name.replace('_', ' ')} ({one.unit})" for one in shown)]
+    header = ["ear", *(f"{quantity.name.replace('_', ' ')} ({quantity.unit})" for quantity in shown)]
     parts = [r"% \usepackage{booktabs}", _table("Ears with standard deviations, SI units.", header, rows)]
     laws = [law for law in cohort.laws if law.family == "primary"]
     if laws:
