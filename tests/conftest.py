@@ -1,5 +1,9 @@
 """What tests of several rooms share."""
 
+import inspect
+import pkgutil
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,6 +17,23 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.parent != HERE)
 
 
+@cache
+def drawings():
+    """Every function that draws for a report, in each module that knows it."""
+    rooms = [import_module(f"{room}.report") for room in ("ct_inertia", "kinematics", "fitting")]
+    names = [
+        module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")
+    ]
+    return [
+        (module, name)
+        for module in map(import_module, names)
+        for name, value in vars(module).items()
+        if inspect.isfunction(value)
+        and value.__annotations__.get("return") == "Figure"
+        and name != "new_figure"
+    ]
+
+
 def leave_drawing(patch):
     """Leave the drawing away: it takes most of a command's time, and tests of the pages do it."""
 
@@ -20,6 +41,8 @@ def leave_drawing(patch):
         return Markup("<figure><figcaption>{}</figcaption></figure>").format(caption)
 
     patch.setattr("stapeskit.page.page.figure", captioned)
+    for module, name in drawings():
+        patch.setattr(module, name, lambda *_, **__: None)
     patch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
 
 

@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from stapeskit.page.numbers import printed
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
+    from jinja2 import Template
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
@@ -47,11 +49,18 @@ def _whole(cell: object) -> Markup:
     return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(cell))))
 
 
-def _render(template: str, **values: Any) -> Markup:
+@cache
+def _compiled(template: str) -> Template:
+    """Return a template of this program, compiled once: a page of a study has a hundred blocks of ten kinds."""
     from jinja2 import Environment
+
+    return Environment(autoescape=True).from_string(template)
+
+
+def _render(template: str, **values: Any) -> Markup:
     from markupsafe import Markup
 
-    return Markup(Environment(autoescape=True).from_string(template).render(**values))
+    return Markup(_compiled(template).render(**values))
 
 
 @dataclass
