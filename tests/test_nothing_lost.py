@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from markupsafe import Markup
 
 from ct_inertia.cli import work as ct2mass
 from fitting.cli import work as dof2kd
@@ -19,6 +18,7 @@ from pipeline.cli import work as scan2kd
 from stapeskit.faults import StapeskitError
 from stapeskit.own_files import RECORDS
 from stapeskit.records.motion_files import write_motion
+from tests.conftest import leave_drawing
 from tests.fitting.cases import M, paper_motion
 from tests.pipeline.conftest import settle
 from tests.pipeline.ears import make_ear
@@ -85,8 +85,7 @@ def inputs(tmp_path_factory):
 def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     settle(monkeypatch)
-    monkeypatch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    monkeypatch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
+    leave_drawing(monkeypatch)
     monkeypatch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 

@@ -7,12 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from markupsafe import Markup
 
 from ct_inertia.cli import work as ct2mass
 from fitting.cli import work as dof2kd
 from kinematics.cli import work as points2dof
 from pipeline.cli import work as scan2kd
+from tests.conftest import leave_drawing
 from tests.pipeline.conftest import settle
 from tests.pipeline.ears import make_ear
 
@@ -48,8 +48,7 @@ def inputs(tmp_path_factory):
 
 def undraw(patch):
     settle(patch)
-    patch.setattr("stapeskit.page.page.figure", lambda *_, **__: Markup("<figure></figure>"))
-    patch.setattr("ct_inertia.report.pictures.render_scenes", lambda scenes: [b"png" for _ in scenes])
+    leave_drawing(patch)
     patch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 

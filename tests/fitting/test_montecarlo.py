@@ -54,6 +54,7 @@ def test_same_seed_same_result() -> None:
     assert not np.array_equal(monte_carlo(fit, 5, 3).estimates, monte_carlo(fit, 5, 4).estimates)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_writes_the_scatter(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     np.savetxt("M.csv", M, delimiter=",")

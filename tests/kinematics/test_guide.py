@@ -28,7 +28,7 @@ def commands():
     return [shlex.split(line) for line in blocks.splitlines() if line.strip()]
 
 
-def test_the_commands_of_the_guide_run_on_the_exports_of_the_sample(tmp_path, monkeypatch):
+def test_the_commands_of_the_guide_run_on_the_exports_of_the_sample(tmp_path, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(SAMPLE / "exports", tmp_path / "exports")
     (tmp_path / "fiducials.csv").write_bytes((SAMPLE / "fiducials.csv").read_bytes())
@@ -62,7 +62,7 @@ def test_the_sections_of_the_guide_are_those_of_the_page():
         assert (ROOT / "docs" / target).exists()
 
 
-def test_the_notebook_of_the_guide_gives_what_the_command_writes(tmp_path, monkeypatch):
+def test_the_notebook_of_the_guide_gives_what_the_command_writes(tmp_path, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     for name in ("points.csv", "fiducials.csv"):
         (tmp_path / name).write_bytes((SAMPLE / name).read_bytes())
