@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.signal import savgol_filter
 
 from ct_inertia.report.drawn_body import Body
-from ct_inertia.report.pictures import render_views
+from ct_inertia.report.pictures import Scene, render_scenes
 from ct_inertia.surface.surface import read_surface
 from fitting.kd import fit_kd
 from fitting.report.responses import responses
@@ -56,7 +56,8 @@ def _stapes(folder: Path, mass) -> bytes:
         Body(stapes.vertices_mm, stapes.faces),
         Body(plate.vertices_mm, plate.faces, "#9fb8c8", 0.45, "plate", smooth=False),
     ]
-    picture = render_views(bodies, mass.scan_from_footplate, plate_frame, mass.raw["frames"].get("side"))
+    scene = Scene(bodies, mass.scan_from_footplate, plate_frame, mass.raw["frames"].get("side"))
+    (picture,) = render_scenes([scene])
     pixels = matplotlib.image.imread(io.BytesIO(picture))
     stream = io.BytesIO()
     matplotlib.image.imsave(stream, pixels[: pixels.shape[0] * 15 // 16, : pixels.shape[1] * 2 // 3])

@@ -83,17 +83,6 @@ class Scene:
         return names
 
 
-def render_views(
-    bodies: Sequence[Body],
-    frame: RigidTransform,
-    plate_frame: RigidTransform | None = None,
-    side: str | None = None,
-    anterior_known: bool = True,
-) -> bytes:
-    """Draw surfaces from three sides as PNG; see Scene for the arguments."""
-    return render_scenes([Scene(bodies, frame, plate_frame, side, anterior_known)])[0]
-
-
 def render_scenes(scenes: Sequence[Scene]) -> list[bytes]:
     """Draw several pictures as PNG.
 

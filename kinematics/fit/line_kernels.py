@@ -85,29 +85,6 @@ def _filled(rows: Array) -> Array:
     return rows_of_six
 
 
-def projected(rows: Array, value: ComplexArray) -> ComplexArray:
-    """Return rows (m, channel), real, times value (channel, n), complex."""
-    kernels, stride = compiled(), _stride(value, 16)
-    size, lines = len(rows), value.shape[1]
-    if kernels is None or stride is None or size > _SIZE or rows.shape[1] != len(value):
-        return np.asarray(rows @ value)
-    every, given = np.arange(len(value), dtype=np.int64), _filled(rows.T)
-    product, room = np.empty((_SIZE, lines), dtype=complex), np.empty((len(value), 2 * _TILE))
-    kernels.project_lines(
-        value.ctypes.data,
-        stride,
-        every.ctypes.data,
-        len(value),
-        lines,
-        given.ctypes.data,
-        product.ctypes.data,
-        2 * lines,
-        room.ctypes.data,
-        every.ctypes.data,
-    )
-    return product[:size]
-
-
 @dataclass(frozen=True)
 class SharedPass:
     """The compiled fit of lines that share a factorisation.

@@ -13,7 +13,6 @@ _SIGNATURES = {
     "whole": "piii:i",
     "finite": "piii:i",
     "fit_shared": "pipiiiippppppippp:i",
-    "project_lines": "pipiippipp",
     "fit_lines": "piiiipiippippddppppppppi",
     "mix_lines": "piiipipp",
     "medians": "piiip",

@@ -125,25 +125,3 @@ EXPORT CLONES int64_t fit_shared(const double *value, int64_t stride, const int6
     }
     return stop;
 }
-
-/* z (SIZE, 2 lines, `wide` doubles apart) = P y of `lines` lines */
-EXPORT CLONES void project_lines(const double *value, int64_t stride, const int64_t *rows, int64_t count,
-                                 int64_t lines, const double *project, double *z, int64_t wide, double *room,
-                                 const int64_t *own)
-{
-    for (int64_t at = 0; at < lines; at += TILE) {
-        const int64_t here = lines - at < TILE ? lines - at : TILE;
-        vec found[SIZE][PARTS];
-        if (here < TILE) {
-            padded(room, value + 2 * at, stride, rows, count, here);
-            projected(found, room, ROW, own, count, project, 0);
-        } else {
-            projected(found, value + 2 * at, stride, rows, count, project, at + 2 * TILE <= lines ? ROW : 0);
-        }
-        double out[ROW];
-        for (int j = 0; j < SIZE; j++) {
-            for (int k = 0; k < PARTS; k++) AT(out + k * WIDE) = found[j][k];
-            memcpy(z + j * wide + 2 * at, out, sizeof(double) * 2 * (size_t)here);
-        }
-    }
-}

@@ -66,12 +66,6 @@ class SineFit:
     share: Array
     run_hz: float = 0.0
 
-    @property
-    def distortion(self) -> Array:
-        """Total harmonic distortion, (channel,): root sum of squares of the harmonics over the line."""
-        size = np.maximum(np.abs(self.amplitude), np.finfo(float).tiny)
-        return np.sqrt(np.sum(np.abs(self.harmonics) ** 2, axis=1)) / size
-
 
 @dataclass(frozen=True)
 class SteppedSine:

@@ -14,7 +14,6 @@ from ct_inertia.report.pictures import (
     _framing,
     _picture_from_scan,
     render_scenes,
-    render_views,
 )
 from ct_inertia.report.rasterise import rasterise
 from stapeskit.frames import RigidTransform, rotation_from_vector
@@ -132,7 +131,7 @@ def test_anatomy_is_named_only_when_known(scene):
 
 def test_png_of_a_scene_with_a_plate_frame(scene):
     plate = RigidTransform(scene.frame.matrix, "scan", "plate")
-    png = render_views(scene.bodies, scene.frame, plate, "left")
+    (png,) = render_scenes([Scene(scene.bodies, scene.frame, plate, "left")])
     assert png.startswith(b"\x89PNG")
     from matplotlib.image import imread
 
