@@ -52,6 +52,8 @@ class InplaneChoice:
         That entry.
     chi2_without, chi2_with : float or None
         Of the maximum likelihood fit without and with the load.
+    mass_known : bool
+        Whether the mass matrix has the other degrees of freedom, so that the load can be computed.
     """
 
     used: bool
@@ -63,9 +65,17 @@ class InplaneChoice:
     entry: str = ""
     chi2_without: float | None = None
     chi2_with: float | None = None
+    mass_known: bool = True
 
     def notices(self) -> list[Notice]:
-        """Return a warning when significant motion is left out."""
+        """Return a warning when significant motion is left out, or motion whose load is not known."""
+        if not self.mass_known:
+            text = (
+                f"The measured motion {', '.join(self.dof)} loads the structure too, but the mass matrix "
+                "lacks these degrees of freedom: K and D err by what the load comes to. Give mass.json, "
+                f"which has all six, or say by {named('inplane')} ignore that the load is small."
+            )
+            return [Notice("inplane_mass_not_given", text)]
         significant = self.statistic is not None and self.threshold is not None
         if self.used or not significant or (self.statistic or 0.0) <= (self.threshold or 0.0):
             return []
@@ -110,9 +120,8 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
                     next_step="Give {mass} mass.json, or use {inplane} ignore",
                 )
             )
-        return without, InplaneChoice(
-            False, others, "the mass matrix of the other degrees of freedom is not given"
-        )
+        reason = "the mass matrix of the other degrees of freedom is not given"
+        return without, InplaneChoice(False, others, reason, mass_known=choice != AUTO)
     statistic, threshold, effect, entry = significance(problem, without)
     significant = statistic > threshold
     levels = tuple(_chi2(candidate) for candidate in (without, problem))

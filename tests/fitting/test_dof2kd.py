@@ -22,6 +22,7 @@ from fitting.report.kd_json import kd_json
 from fitting.report.sections import kd_page, kd_sections, source_words, summary_rows
 from stapeskit.faults import StapeskitError
 from stapeskit.records.motion_files import write_motion
+from stapeskit.spatial import dof_indices
 from tests.fitting.cases import DOF, D, K, M, paper_motion, six_dof_mass, six_dof_motion
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -314,3 +315,18 @@ def test_every_header_cell_of_m_csv_is_told_at_once(tmp_path: Path) -> None:
         read_mass(tmp_path / "M.csv", DOF)
     assert len(str(fault.value).splitlines()) == 3
     assert "could not convert" not in str(fault.value)
+
+
+def test_motion_whose_load_is_not_known_is_told() -> None:
+    """A matrix of --dof alone cannot carry the motion of the other degrees of freedom; a whole one does."""
+    motion, whole = six_dof_motion(0.01, 0), six_dof_mass().matrix
+    chosen = dof_indices(DOF)
+    codes = [
+        {notice.code for notice in fit_kd(motion, mass, KDOptions(inplane=inplane)).notices}
+        for mass, inplane in (
+            (whole[np.ix_(chosen, chosen)], "auto"),
+            (whole[np.ix_(chosen, chosen)], "ignore"),
+            (whole, "auto"),
+        )
+    ]
+    assert ["inplane_mass_not_given" in found for found in codes] == [True, False, False]
