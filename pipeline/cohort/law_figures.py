@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,13 +15,16 @@ from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
 from stapeskit.page import page
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _BLUE, _GREY, _BAND = "#0b6e99", "#9aa5b1", "#d7e8f0"
 # Ears up to which ellipses are drawn, and columns of panels.
 _MOST_ELLIPSES = 200
 _COLUMNS = 3
 
 
-def _panels(count: int, height: float) -> tuple[Any, list[Any]]:
+def _panels(count: int, height: float) -> tuple[Figure, list[Any]]:
     """Return a figure and its panels in rows of three; panels beyond the count are empty."""
     lines = max(-(-count // _COLUMNS), 1)
     drawing = page.new_figure(10.5, height * lines)
@@ -36,7 +39,7 @@ def _panels(count: int, height: float) -> tuple[Any, list[Any]]:
     return drawing, panels[:count]
 
 
-def laws_figure(cohort: CohortLaws) -> Any:
+def laws_figure(cohort: CohortLaws) -> Figure:
     """Draw one panel for each planned law."""
     laws = [law for law in cohort.laws if law.family == "primary"]
     drawing, panels = _panels(len(laws), 3.1)
@@ -65,7 +68,7 @@ def _draw_law(panel: Any, law: CohortLaw, pairs: LogPairs, predictor: Predictor)
     panel.set(xlabel=label(law.predictor), ylabel=f"{law.response} (SI)")
 
 
-def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
+def exponents_figure(laws: Sequence[CohortLaw]) -> Figure:
     """Draw the exponents of laws with their intervals, one below another."""
     drawing = page.new_figure(7.5, 0.5 + 0.4 * len(laws))
     panel = drawing.subplots()
@@ -92,7 +95,7 @@ def exponents_figure(laws: Sequence[CohortLaw]) -> Any:
     return drawing
 
 
-def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Any:
+def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Figure:
     """Draw the residuals of ears left out, one panel for each law."""
     drawing, panels = _panels(len(laws), 2.4)
     for panel, law in zip(panels, laws, strict=True):
@@ -108,7 +111,7 @@ def residuals_figure(cohort: CohortLaws, laws: Sequence[CohortLaw]) -> Any:
     return drawing
 
 
-def components_figure(names: Sequence[str], components: Components, count: int) -> Any:
+def components_figure(names: Sequence[str], components: Components, count: int) -> Figure:
     """Draw what one standard deviation of each component changes in every quantity."""
     drawing = page.new_figure(7.5, 1.2 + 1.5 * count)
     panels = drawing.subplots(count, 1, squeeze=False, sharex=True).ravel()
@@ -138,7 +141,7 @@ def paired_ears(cohort: CohortLaws) -> list[tuple[str, int, int]]:
     ]
 
 
-def pairs_figure(cohort: CohortLaws, pairs: Sequence[tuple[str, int, int]]) -> Any:
+def pairs_figure(cohort: CohortLaws, pairs: Sequence[tuple[str, int, int]]) -> Figure:
     """Draw left against right ears of the same persons, one panel for each diagonal entry of K and D."""
     table = cohort.table
     names = [] if table is None else [name for name in table.responses if "principal" not in name]

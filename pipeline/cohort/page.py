@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from stapeskit.page import page
 from stapeskit.page.drawings import plain
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Up to so many ears tables have a column for each; up to so many they are not folded.
 _FEW, _SOME = 5, 20
@@ -78,7 +81,7 @@ def _on_diagonal(quantity: Quantity) -> bool:
     return (letter in "KD" and dof[0] == dof[1]) or quantity.name.endswith("frequency")
 
 
-def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Any:
+def _figure(ears: Sequence[Ear], shown: Sequence[Quantity]) -> Figure:
     """Draw one panel per quantity."""
     columns, named = 3, labels(ears)
     lines = -(-len(shown) // columns)

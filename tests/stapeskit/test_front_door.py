@@ -12,6 +12,7 @@ import pytest
 import stapeskit as sk
 from kinematics.options import LdvOptions
 from stapeskit.provenance import content_hash
+from tests.conftest import leave_drawing
 from tests.pipeline.ears import make_ear
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,7 +25,9 @@ def ear(tmp_path_factory):
     folder = tmp_path_factory.mktemp("door")
     study = make_ear(folder / "ear")
     direction = tomllib.loads(study.read_text(encoding="utf-8"))["scan"]["anterior"]
-    return study.parent, sk.scan2kd(study, out=folder / "out"), direction
+    with pytest.MonkeyPatch.context() as patch:
+        leave_drawing(patch)
+        return study.parent, sk.scan2kd(study, out=folder / "out"), direction
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +74,7 @@ def test_files_of_one_step_serve_the_next(ear, chain, tmp_path):
     np.testing.assert_allclose(plain.stiffness, without_load.stiffness, rtol=1e-6)
 
 
-def test_results_write_nothing_over_what_they_read(ear, chain, tmp_path):
+def test_results_write_nothing_over_what_they_read(ear, chain, tmp_path, undrawn):
     folder, _, _ = ear
     mass, motion, fit = chain
     before = content_hash(folder / "stapes.ply")

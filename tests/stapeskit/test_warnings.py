@@ -51,7 +51,9 @@ def codes():
                     if texts is not None:
                         names[alias.asname or alias.name] = texts
         for node in ast.walk(tree):
-            if path == ITSELF or not isinstance(node, ast.Call) or ast.unparse(node.func) != "Notice":
+            if path == ITSELF or not isinstance(node, ast.Call):
+                continue
+            if not isinstance(node.func, ast.Name) or node.func.id != "Notice":
                 continue
             first = node.args[0] if node.args else node.keywords[0].value
             if isinstance(first, ast.Constant):
