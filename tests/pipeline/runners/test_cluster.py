@@ -1,13 +1,16 @@
 """A cluster on loopback: a scheduler and two workers, one of which is killed in the middle of its study."""
 
+import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,13 +21,15 @@ from pipeline.errors import PipelineError
 from pipeline.records import code_hash
 from pipeline.runners import Where, cluster, local
 from pipeline.runners.cluster import _end_of, _Order, _refusal
+from pipeline.runners.process import Task
+from pipeline.several import run_studies
 from tests.pipeline.runners.helpers import Report, results, tasks
 
 ROOT = Path(__file__).parents[3]
 
 
 @contextmanager
-def processes(folder, workers=2):
+def processes(folder, workers=2, memory="auto"):
     """Run a scheduler and workers; yield the address and the processes, the scheduler first."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "DASK_TEMPORARY_DIRECTORY": str(folder)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": folder}
@@ -35,7 +40,8 @@ def processes(folder, workers=2):
         return subprocess.Popen([*common[0], *words, *common[1]], **quiet)
 
     started = [start("scheduler", "--host", "127.0.0.1", "--port", "0")]
-    started += [start("worker", "--nthreads", "1", "--no-nanny", "--name", f"w{k}") for k in range(workers)]
+    one = ("worker", "--nthreads", "1", "--no-nanny", "--memory-limit", memory)
+    started += [start(*one, "--name", f"w{k}") for k in range(workers)]
     try:
         wait_for("scheduler.json", folder)
         yield json.loads(file.read_text())["address"], started
@@ -109,6 +115,27 @@ def test_a_killed_worker_and_a_lost_scheduler(tmp_path, monkeypatch):
     rest = Report()
     local.run(tasks(folder, {"a": "", "c": "", "h": ""}), Where(3), rest.tell, rest.ended)
     assert [rest.ends[name].name for name in "ach"] == ["reused", "reused", "h"]
+
+
+def test_an_ear_beyond_the_memory_of_its_worker_has_its_sentence_in_the_cohort(ear, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.records.code_hash", code_hash)
+    program = "tests.pipeline.runners.heavy_child"
+    monkeypatch.setattr("pipeline.several.Task", partial(Task, program=program))
+    study, out = ear
+    (tmp_path / "all").mkdir()
+    out.rename(tmp_path / "all" / "ear1")
+    heavy = study.parent.with_name("heavy")
+    shutil.copytree(study.parent, heavy)
+    with processes(tmp_path, memory="700 MiB") as (address, _):
+        result = run_studies([study, heavy / "study.toml"], tmp_path / "all", scheduler=address)
+    assert [one.folder for one in result.ears] == ["ear1"]
+    assert result.codes == {"heavy": 2}
+    with (tmp_path / "all" / "cohort.csv").open() as stream:
+        done, failed = csv.DictReader(stream)
+    assert (done["folder"], done["error"]) == ("ear1", "")
+    assert failed["folder"] == "heavy"
+    assert "0.68 GiB that a study may take on this worker. Start workers with more." in failed["error"]
+    assert not (tmp_path / "all" / "heavy").exists()
 
 
 def test_no_scheduler_is_a_fault(tmp_path, monkeypatch):
