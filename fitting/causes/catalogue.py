@@ -83,6 +83,8 @@ class Cause:
         Causes of one family are the same error at different places; the likeliest of them is refitted.
     nuisances : tuple of str
         Shared errors that the cause brings with it; its term sets their effect.
+    usual : float
+        Standard deviation of its size where it is there, in the unit; infinite where any size occurs.
     """
 
     title: str
@@ -97,6 +99,7 @@ class Cause:
     positive: bool = False
     family: str = ""
     nuisances: tuple[str, ...] = ()
+    usual: float = np.inf
 
 
 def title_of(name: str) -> str:
@@ -299,6 +302,12 @@ def _gained(value: float, omega: Array) -> ComplexArray:
     return np.full(len(omega), 1.0 + 0.01 * value, dtype=complex)
 
 
+def _elsewhere(axis: str) -> Cause:
+    title, apply = f"a centre of mass elsewhere along {axis}", _mass(_centre("xyz".index(axis)))
+    usual = calibrated("causes.usual_centre_mm")
+    return Cause(title, "mm", 1e-3, apply, True, example=0.1, usual=usual)
+
+
 CAUSES: dict[str, Cause] = {
     "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delayed), True),
     "phase": Cause(
@@ -330,11 +339,17 @@ CAUSES: dict[str, Cause] = {
         nuisances=(HEAD_PLACE,) * 3,
         positive=True,
     ),
-    "centre_x": Cause("a centre of mass elsewhere along x", "mm", 1e-3, _mass(_centre(0)), True, example=0.1),
-    "centre_y": Cause("a centre of mass elsewhere along y", "mm", 1e-3, _mass(_centre(1)), True, example=0.1),
-    "centre_z": Cause("a centre of mass elsewhere along z", "mm", 1e-3, _mass(_centre(2)), True, example=0.1),
+    "centre_x": _elsewhere("x"),
+    "centre_y": _elsewhere("y"),
+    "centre_z": _elsewhere("z"),
     "inertia": Cause(
-        "moments of inertia of another size", "%", 0.01, _mass(_part(slice(4, 10))), True, example=5.0
+        "moments of inertia of another size",
+        "%",
+        0.01,
+        _mass(_part(slice(4, 10))),
+        True,
+        example=5.0,
+        usual=calibrated("causes.usual_inertia"),
     ),
     "drift": Cause("a ligament that stiffens over the measurement", "%", 0.01, _ligament(_time)),
     "level": Cause("a stiffness that depends on the amplitude", "%", 0.01, _ligament(_level)),

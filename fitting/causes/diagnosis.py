@@ -3,8 +3,8 @@ it.
 
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
 misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the
-criterion of Schwarz (1978), doi:10.1214/aos/1176344136; causes whose refits are nearly as good are its
-look-alikes.
+criterion of Schwarz (1978), doi:10.1214/aos/1176344136, and what a size beyond the usual one costs; causes
+whose refits are nearly as good are its look-alikes.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ class Refit:
         Probability of the chi2 that is left, or a larger one.
     unknowns : float
         By how many the unknowns of the model grow; nuisance parameters count by what the data say of them.
+    strange : float
+        Squared size over the usual one: what a normal distribution of sizes adds to chi2.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Refit:
     effect: Array
     p_value: float
     unknowns: float = 1.0
+    strange: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,8 +98,8 @@ class Diagnosis:
     corrected: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def evidence(self, refit: Refit) -> float:
-        """Return the fall of chi2 less what its unknowns explain by chance."""
-        return refit.fall - self.threshold * refit.unknowns
+        """Return the fall of chi2 less what its unknowns explain by chance and what its size costs."""
+        return refit.fall - self.threshold * refit.unknowns - refit.strange
 
     @property
     def named(self) -> Refit | None:
@@ -229,7 +232,8 @@ def _refit(
     left = float(chdtrc(fit.n_dof, fit.chi2))
     more = lines.errors - ligament.lines.errors
     unknowns = 1.0 + _informed(fit, more) / np.log(2 * equations.n * lines.count)
-    return Refit(name, size, float(start_scores.sd[place]), fall, change, left, unknowns)
+    strange = (size / CAUSES[name].usual) ** 2
+    return Refit(name, size, float(start_scores.sd[place]), fall, change, left, unknowns, strange)
 
 
 def _informed(fit: JointFit, count: int) -> float:

@@ -21,6 +21,8 @@ Expansion = Callable[[Array], tuple[float, Array, Array]]
 _FIRST, _LAST, _GROWTH = 0.1, 1e-2, 20.0
 # Steps under each weight, and at the end; expected fall of the objective that ends it there.
 _FEW, _MOST, _TOLERANCE = 30, 200, 1e-8
+# Least eigenvalue of a start over the largest: at a root of zero nothing pulls an eigenvalue up.
+_INSIDE = 1e-3
 # Smallest eigenvalue, in scaled units, below which a constraint is reported as active.
 _ACTIVE = 1e-4
 
@@ -82,10 +84,19 @@ def minimise(expansion: Expansion, value: Objective, others: Array, n: int) -> t
     while weight > _LAST:
         pulled = _Pulled(expansion, value, usual, weight)
         now, _, count = _descend(pulled.expansion, pulled.value, now, n, _LAST, _FEW)
-        now[: len(usual)] = pull_inside(now[: len(usual)], n, 1e-3)
+        now[: len(usual)] = pull_inside(now[: len(usual)], n, _INSIDE)
         weight, steps = weight / _GROWTH, steps + count
     now, converged, count = _descend(expansion, value, now, n, _TOLERANCE, _MOST)
     return now, converged, steps + count
+
+
+def minimise_near(expansion: Expansion, value: Objective, start: Array, n: int) -> tuple[Array, bool, int]:
+    """Minimise as `minimise` does, from a start (n (n + 1) + k,) alone; its K and D are pulled inside."""
+    entries = n * (n + 1)
+    begin = np.concatenate([pull_inside(start[:entries], n, _INSIDE), start[entries:]])
+    if not np.isfinite(value(begin)):
+        return begin, False, 0
+    return _descend(expansion, value, begin, n, _TOLERANCE, _MOST)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.calibrated import calibrated
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.held_fit import fit_held
@@ -25,6 +24,7 @@ from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semide
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
+from fitting.ligament.misfit import explained, fit_any, fit_with_noise, noise_of
 from fitting.ligament.prior import Prior, coupling_prior
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
@@ -91,15 +91,14 @@ def fit_ligament(
     terms = extend(lines) if extend is not None else ()
     prior = equations.prior.mean[len(begins) :]
     if held:
-        fit, active = fit_held(
-            lines, equations, np.concatenate([begins[len(start) :], prior, np.zeros(lines.errors)])
-        )
+        others = np.concatenate([begins[len(start) :], prior, np.zeros(lines.errors)])
+        fit, active = fit_held(lines, equations, start, others)
         return ligament_in_si(problem, lines, equations, fit, active)
     fitted = None
     if terms and begun is not None:
         first = np.concatenate([begun[0], begins[len(start) :], prior])
         fitted = _prepared(lines, equations, first, terms, begun[1])
-    if fitted is None or not _explained(fitted[2]):
+    if fitted is None or not explained(fitted[2]):
         joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)))
         if not terms:
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
@@ -110,19 +109,13 @@ def fit_ligament(
     return ligament_in_si(problem, *fitted)
 
 
-def _explained(fit: JointFit) -> bool:
-    """Return whether chi2 leaves nothing to be found by further starts."""
-    from scipy.special import chdtrc
-
-    return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
-
-
 def _from_valleys(
     lines: JointLines, equations: Equations, begins: Array, couplings: tuple[Array, ...]
 ) -> JointFit | None:
     """Return the fit from the first coupling that settles; those that lead to one valley are tried once.
 
-    Without shared errors, which costs little, starts show whether they lead to the same valley.
+    Without shared errors, which costs little, starts show whether they lead to the same valley. A misfit is
+    fitted with as much noise.
     """
     joint: JointFit | None = None
     seen: list[float] = []
@@ -134,7 +127,10 @@ def _from_valleys(
         joint = fit_joint(lines, equations, np.concatenate([bare.parameters, np.zeros(lines.errors)]))
         if joint.converged:
             break
-    return joint
+    if joint is not None and joint.converged and explained(joint):
+        return joint
+    start = np.concatenate([begins, couplings[0]])
+    return fit_with_noise(lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin))
 
 
 def _from_all_starts(
@@ -148,7 +144,7 @@ def _from_all_starts(
     best = extended_fit(lines, equations, fit, terms)
     for place, term in enumerate(terms):
         for value in term.starts:
-            if best is not None and _explained(best[2]) and not term.nuisances:
+            if best is not None and explained(best[2]) and not term.nuisances:
                 return best
             begin = np.zeros(len(terms))
             begin[place] = value
@@ -170,7 +166,7 @@ def _prepared(
     for term, value in zip(terms, begin, strict=True):
         applied = term.apply(float(value), *applied)
     try:
-        there = fit_joint(*applied, equation_error_start(*applied, start))
+        there = fit_any(*applied, equation_error_start(*applied, start))
     except np.linalg.LinAlgError:
         return None
     return extended_fit(lines, equations, there, terms, begin)
@@ -189,7 +185,11 @@ def extended_fit(
     start = np.insert(fit.parameters, equations.unknowns, np.zeros(len(terms)) if begin is None else begin)
     value = 0.0 if begin is None else float(begin[0])
     extended = equations.with_terms(terms)
-    joint = _settled(lambda: fit_joint(lines, extended, start, most=most))
+    joint = _settled(
+        lambda: fit_with_noise(
+            lines, extended, start, lambda wide, at: fit_joint(wide, extended, at, most=most), noise_of(fit)
+        )
+    )
     if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
         joint = _settled(lambda: _profiled(lines, equations, terms[0], fit, value))
     return None if joint is None else (lines, extended, joint)
@@ -217,7 +217,7 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
 
     def profile(logarithm: float) -> float:
         applied = term.apply(float(np.exp(logarithm)), lines, equations)
-        inner = fit_joint(*applied, equation_error_start(*applied, fit.parameters))
+        inner = fit_any(*applied, equation_error_start(*applied, fit.parameters))
         fits[logarithm] = inner
         return inner.chi2
 

@@ -129,7 +129,11 @@ def causes_section(fit: KDFit, diagnosis: Diagnosis) -> Section:
         ]
         section.add(page.subheading("Estimated with K and D"), page.table(("", "size"), rows))
     if diagnosis.refits:
-        section.add(page.subheading("Refits"), _refit_table(fit, diagnosis))
+        ranked = (
+            "Best first: by the fall of chi2 less what as many unknowns explain by chance, and less (size / "
+            "usual size)^2 for a mass matrix of another stapes."
+        )
+        section.add(page.subheading("Refits"), page.text(ranked), _refit_table(fit, diagnosis))
     section.add(page.subheading("Scores"), _score_table(diagnosis))
     section.add(
         page.subheading("What an error that is left out does"),

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.ring_ears import ERRORS, PISTON, EarSettings, ear
 from fitting.causes.catalogue import CAUSES, HEAD_PLACE, term_of
-from fitting.causes.diagnosis import setting_of
+from fitting.causes.diagnosis import Refit, setting_of, with_refits
 from fitting.errors import FittingError
 from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
@@ -96,6 +96,16 @@ def test_a_mass_at_the_head_is_undetermined_in_its_place_and_its_intervals_hold(
     assert np.sum(np.array(fit.ligament.lines.sources) == HEAD_PLACE) == 3
 
 
+def test_a_size_that_no_stapes_has_counts_against_a_cause(clean: KDFit) -> None:
+    """A mass at the head looks like a centre of mass 1 mm higher in a larger mass matrix."""
+    likely, far = (
+        Refit("head_mass", 3.0, 0.1, 180.0, np.zeros(12), 0.5, 2.5),
+        Refit("centre_y", 1.0, 0.1, 180.0, np.zeros(12), 0.5, 1.0, (1.0 / CAUSES["centre_y"].usual) ** 2),
+    )
+    assert with_refits(clean.diagnosis, [far, likely]).named is likely
+    assert np.isinf(CAUSES["head_mass"].usual)
+
+
 def test_a_resonance_of_the_holder_is_named_near_its_frequency() -> None:
     fit = fitted(case_of("holder", 1))
     assert fit.diagnosis.named.name in ("holder_2548_hz", "holder_2805_hz")
@@ -112,12 +122,19 @@ def test_fluid_is_found_by_evidence_and_never_silently() -> None:
     assert "M_f" in content["model"]["equation"]
     without = fitted(case, fluid="none")
     assert without.diagnosis.named.name == "fluid"
-    true = case.stiffness[1, 1]
-    assert abs(without.stiffness[0, 0] - true) > 2.0 * abs(fit.stiffness[0, 0] - true)
     contradicted = fitted(case, cochlea="open")
     assert "fluid_contradicts" in codes(contradicted)
     assert not contradicted.fluid.used
     assert "fluid_contradicts" in codes(fitted(case_of(""), cochlea="closed"))
+
+
+@pytest.mark.parametrize(("size", "least", "most"), [(0.5, 0.1, 0.3), (1.5, 0.5, 0.8)])
+def test_fluid_that_is_left_out_lowers_k_by_its_inertia_and_no_more(size, least, most) -> None:
+    """Simulations gave 23 and 61 %. Where the priors are outweighed K11 was 141 and 180 % too large."""
+    case = case_of("fluid", 2, size=size)
+    without = fitted(case, fluid="none")
+    assert "misfit" in codes(without)
+    assert least < 1.0 - without.stiffness[0, 0] / case.stiffness[1, 1] < most
 
 
 def test_fluid_is_found_where_the_fit_without_it_settles_nowhere() -> None:

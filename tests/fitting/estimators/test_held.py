@@ -8,7 +8,7 @@ from scipy import optimize
 
 from fitting.estimators import ml
 from fitting.estimators.base import EstimatorOptions
-from fitting.estimators.interior import inside, minimise, smallest_eigenvalues
+from fitting.estimators.interior import inside, minimise, minimise_near, smallest_eigenvalues
 from fitting.examples.experiment import driven_base, simulated_motion
 from fitting.model.damping import DampingLaw
 from fitting.model.lines import Lines
@@ -45,6 +45,9 @@ def test_the_nearest_semidefinite_matrices_in_closed_form(seed: int) -> None:
     assert converged
     assert found == pytest.approx(np.append(join(*nearest), 5.0), abs=2e-5)
     assert min(smallest_eigenvalues(found[:12], 3)) > -1e-12
+    found, converged, _ = minimise_near(expansion, value, np.append(join(*parts), 0.0), 3)
+    assert converged
+    assert found == pytest.approx(np.append(join(*nearest), 5.0), abs=2e-5)
 
 
 def hysteretic(seed: int) -> Lines:

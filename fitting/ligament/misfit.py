@@ -1,0 +1,111 @@
+"""A joint fit of data that noise and shared errors do not explain: their noise is taken as large as it is.
+
+With the noise as stated a misfit outweighs every prior. The equations B y = 0 have a trivial solution, K, D
+and the inertial load zero, which the plane of the ligament reaches where Y M_c q cancels M_r q, far outside
+its prior; the larger the misfit, the less that costs. The noise is therefore widened until chi2 equals its
+degrees of freedom and neither prior nor shared errors are improbable (the discrepancy principle of Morozov
+1966). It comes down from that of the start, so that the fit stays in the valley of K and D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.calibrated import calibrated
+from fitting.ligament.equations import Equations
+from fitting.ligament.joint_fit import JointFit, expand, fit_joint
+from fitting.ligament.joint_lines import JointLines
+
+Array = NDArray[np.float64]
+Descent = Callable[[JointLines, Array], JointFit]
+# Fits with other noise, the share of it at which chi2 per degree of freedom agrees, and the factor within
+# which the least noise is found; the factor by which it grows where it is too small.
+_ROUNDS, _AGREES, _CLOSE, _GROWS = 10, 0.9, 1.5, 4.0
+
+
+def explained(fit: JointFit) -> bool:
+    """Return whether noise, shared errors and priors explain the data."""
+    from scipy.special import chdtrc
+
+    return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
+
+
+def noise_of(fit: JointFit) -> float:
+    """Return the variance of the noise over the stated one, 1 where the stated one explains the data."""
+    return 1.0 if explained(fit) else fit.level
+
+
+def fit_any(lines: JointLines, equations: Equations, start: Array) -> JointFit:
+    """Fit with the noise as stated or, where that does not explain the data, with as much as there is.
+
+    Parameters and errors are those of `fit_with_noise`.
+    """
+    fit = fit_joint(lines, equations, start)
+    if fit.converged and explained(fit):
+        return fit
+    return fit_with_noise(lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin))
+
+
+def fit_with_noise(
+    lines: JointLines, equations: Equations, start: Array, descent: Descent, noise: float | None = None
+) -> JointFit:
+    """Fit while the noise is lowered until chi2 per degree of freedom agrees with it, or to the stated one.
+
+    Parameters
+    ----------
+    lines : JointLines
+    equations : Equations
+    start : ndarray, (p,) or (p + k,)
+    descent : callable
+        Fits lines from a start.
+    noise : float, optional
+        Variance over the stated one to begin with; 1: the stated one, whatever comes of it. Chi2 per degree
+        of freedom at the start when left out.
+
+    Returns
+    -------
+    JointFit
+        Its chi2 is that with the stated noise.
+
+    Raises
+    ------
+    LinAlgError
+        The start has no likelihood.
+    """
+    if noise == 1.0:
+        return descent(lines, start)
+    free = 2 * equations.n * lines.count - equations.prior.free
+    if noise is None:
+        whole = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
+        noise = 2.0 * expand(lines, equations, whole, np.empty(0)).value / free
+    noise, low, best = max(noise, 1.0), 1.0, None
+    for _ in range(_ROUNDS):
+        fit = descent(replace(lines, covariance=noise * lines.covariance), start)
+        if fit.converged and _probable(equations, fit.parameters):
+            best, start = fit, fit.parameters
+            left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
+            if noise <= _CLOSE * low or left > _AGREES * noise:
+                break
+            noise = max(left, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
+        elif best is None:
+            low, noise = noise, _GROWS * noise
+        else:
+            break
+    best = best or fit
+    at = expand(lines, equations, best.parameters)
+    return JointFit(best.parameters, 2.0 * at.value, best.n_dof, best.converged, best.iterations, at)
+
+
+def _probable(equations: Equations, parameters: Array) -> bool:
+    """Return whether what is known beforehand, and the shared errors, allow the parameters."""
+    from scipy.special import chdtrc
+
+    prior, errors = equations.prior, parameters[equations.unknowns :]
+    off = prior.root @ (parameters[: equations.unknowns] - prior.mean)
+    known = len(prior.mean) - prior.free
+    least = calibrated("causes.misfit_p")
+    return bool(chdtrc(known, off @ off) > least and chdtrc(max(len(errors), 1), errors @ errors) > least)
