@@ -28,7 +28,6 @@ Field = NDArray[np.float32]
 # Standard deviation of the point spread, its standard uncertainty (mm), and where it comes from.
 Blur = tuple[float, float, str]
 
-_WELL_SEEN = calibrated("measure.well_seen")
 _SAME_BLUR = calibrated("measure.same_blur")
 _OTHER_BLUR = calibrated("measure.other_blur")
 _PLATE_DOUBT = calibrated("measure.plate_doubt")
@@ -155,8 +154,7 @@ def bare_bone(
     -----
     In turn: the plate by its fitted face; the coat by its image, as stated or as the usual one where edges
     look coated; fluid in closed voids; then what is left and neither air nor bone. A plate without a face is
-    subtracted like something soft. Something soft is looked for only where bone is well seen: thin walls that
-    blur fills look the same.
+    subtracted like something soft.
     """
     spacing = volume.spacing_mm
     air, distance, reach = ready.air, ready.distance_mm, ready.reach_mm
@@ -181,7 +179,7 @@ def bare_bone(
     soft: Soft | None = None
     if unfitted:
         soft = taken_off(cut, distance, reach, spacing, (air, bone.level), blur[0])
-    elif bone.seen > _WELL_SEEN:
+    else:
         known = (air, bone.level, guess.between)
         soft = without_soft(cut, (distance, away), reach, spacing, known, blur[0])
     if soft is not None:
