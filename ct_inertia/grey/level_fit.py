@@ -51,8 +51,6 @@ class BodyFit:
         Standard uncertainty of the contrast, relative.
     sigma_mm : float
         Standard deviation of the point spread, voxel included.
-    residual : float
-        Root mean square of what the model leaves, relative to the contrast.
     body : ndarray of float32, [z, y, x]
         Share of each voxel that lies in a body, before blur.
     """
@@ -60,7 +58,6 @@ class BodyFit:
     contrast: float
     relative_sd: float
     sigma_mm: float
-    residual: float
     body: NDArray[np.float32]
 
 
@@ -116,29 +113,32 @@ def fit_bodies(
     for k in range(rounds):
         share = data / np.float32(contrast)
         body = body_share(calm / np.float32(contrast), level, own)
+        if not fit_contrast and k == rounds - 1:
+            break
         model = blurred(body, sigma_mm, spacing)
+        width = 1.5 * sigma_mm / spacing
+        if fit_contrast:
+            inner = own & (model > _INNER)
+            if np.count_nonzero(inner) < 50:
+                break
+            slope = float((share[inner] @ model[inner]) / (model[inner] @ model[inner]))
+            history.append(slope)
+            contrast *= 1.0 + 1.2 * (slope - 1.0)
+            if k in (4, 8):
+                sigma_mm = _best_blur(data / np.float32(contrast), body, own, sigma_mm, spacing)
+            if k == rounds - 1 or (k > 9 and abs(slope - 1.0) < _SETTLED):
+                break
         rest = np.where(own, share - model, np.float32(0.0))
         near = (model > 0.05) & (model < 0.95) & own
-        width = 1.5 * sigma_mm / spacing
         shift = _smoothed(rest, near, width, side)
         level = np.clip(level - np.float32(step) * shift, _LOW, _HIGH).astype(np.float32)
-        if not fit_contrast:
-            continue
-        inner = own & (model > _INNER)
-        if np.count_nonzero(inner) < 50:
-            break
-        slope = float((share[inner] @ model[inner]) / (model[inner] @ model[inner]))
-        history.append(slope)
-        contrast *= 1.0 + 1.2 * (slope - 1.0)
-        if k in (4, 8):
-            sigma_mm = _best_blur(data / np.float32(contrast), body, own, sigma_mm, spacing)
-        if k > 9 and abs(slope - 1.0) < _SETTLED:
-            break
+    core = tuple(slice(_PAD, -_PAD) for _ in range(3))
+    if not fit_contrast:
+        return BodyFit(contrast, 0.0, sigma_mm, body[core])
     rest = (data / np.float32(contrast) - model)[own]
     residual = float(np.sqrt(np.mean(rest.astype(float) ** 2)))
-    sd = _uncertainty(model, own, noise / contrast, residual, history) if fit_contrast else 0.0
-    core = tuple(slice(_PAD, -_PAD) for _ in range(3))
-    return BodyFit(contrast, sd, sigma_mm, residual, body[core])
+    sd = _uncertainty(model, own, noise / contrast, residual, history)
+    return BodyFit(contrast, sd, sigma_mm, body[core])
 
 
 def _smoothed(

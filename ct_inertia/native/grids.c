@@ -218,56 +218,112 @@ static int64_t mirrored(int64_t k, int64_t n)
     return k < n ? k : 2 * n - 1 - k;
 }
 
+/* So many neighbouring sums stay in registers, and are left out together where nothing but zeros adds to them. */
+#define BLOCK 16
+
+static uint8_t not_zero(const float *block)
+{
+    uint64_t bits[BLOCK / 2], found = 0;
+    memcpy(bits, block, sizeof bits);
+    for (int k = 0; k < BLOCK / 2; k++)
+        found |= bits[k];
+    return found != 0;
+}
+
+/* Sums of up to BLOCK places: weights[0] times the middle row and, from the outermost pair inward, weights[j] times
+ * the two rows at the distance j; rows[radius] is the middle one. With `used`, rows that hold zeros there are not
+ * added. */
+static void weighted_sums(const float *const *rows, const uint8_t *const *used, int64_t radius, const double *weights,
+                          int64_t at, int64_t count, float *to)
+{
+    double sum[BLOCK];
+    const int64_t block = at / BLOCK;
+    if (count < BLOCK) {
+        for (int64_t k = at; k < at + count; k++) {
+            double total = (double)rows[radius][k] * weights[0];
+            for (int64_t j = radius; j > 0; j--)
+                total += ((double)rows[radius - j][k] + (double)rows[radius + j][k]) * weights[j];
+            to[k] = (float)total;
+        }
+        return;
+    }
+    for (int k = 0; k < BLOCK; k++)
+        sum[k] = (double)rows[radius][at + k] * weights[0];
+    for (int64_t j = radius; j > 0; j--) {
+        const float *a = rows[radius - j] + at, *b = rows[radius + j] + at;
+        if (used && !(used[radius - j][block] | used[radius + j][block]))
+            continue;
+        for (int k = 0; k < BLOCK; k++)
+            sum[k] += ((double)a[k] + (double)b[k]) * weights[j];
+    }
+    for (int k = 0; k < BLOCK; k++)
+        to[at + k] = (float)sum[k];
+}
+
+/* Convolve rows along x; `line` holds one with what is mirrored beyond it. */
+static void smooth_rows(const float *in, int64_t many, int64_t n, int64_t radius, const double *weights,
+                        const float **rows, float *line, float *out)
+{
+    for (int64_t j = 0; j <= 2 * radius; j++)
+        rows[j] = line + j;
+    for (int64_t o = 0; o < many; o++, in += n, out += n) {
+        int64_t seen = 0, last = -1;
+        for (int64_t k = -radius; k < n + radius; k++)
+            line[k + radius] = in[k >= 0 && k < n ? k : mirrored(k, n)];
+        for (int64_t at = 0; at < n; at += BLOCK) {
+            const int64_t count = least(BLOCK, n - at);
+            for (; seen < at + count + 2 * radius; seen++)
+                last = line[seen] != 0.0f ? seen : last;
+            if (last < at)
+                memset(out + at, 0, (size_t)count * sizeof *out);
+            else
+                weighted_sums(rows, NULL, radius, weights, at, count, out);
+        }
+    }
+}
+
 /* Convolve with a symmetric kernel, weights[0] in the middle, along one axis; d c b a | a b c d | d c b a beyond
- * the border. The sums are in double precision, from the outermost pair inward. */
+ * the border. The sums are in double precision, from the outermost pair inward. Of bodies in air most grey values
+ * are zeros, which add nothing. */
 API int64_t smooth_axis(const float *in, const int64_t *shape, int64_t axis, int64_t radius, const double *weights,
                         float *out)
 {
-    const int64_t n = shape[axis];
+    const int64_t n = shape[axis], many = 2 * radius + 1;
     int64_t outer = 1, inner = 1;
     for (int64_t a = 0; a < axis; a++)
         outer *= shape[a];
     for (int64_t a = axis + 1; a < 3; a++)
         inner *= shape[a];
-    const int64_t width = inner == 1 ? n + 2 * radius : least(inner, 512);
-    double *sum = malloc((size_t)width * sizeof *sum);
-    if (!sum)
-        return -1;
-    for (int64_t o = 0; o < outer; o++) {
+    const int64_t blocks = (inner + BLOCK - 1) / BLOCK;
+    const float **rows = malloc((size_t)many * sizeof *rows);
+    const uint8_t **used = malloc((size_t)many * sizeof *used);
+    float *line = malloc((size_t)(n + 2 * radius) * sizeof *line);
+    uint8_t *any = malloc((size_t)(n * blocks));
+    const int room = rows && used && line && any;
+    if (room && inner == 1)
+        smooth_rows(in, outer, n, radius, weights, rows, line, out);
+    for (int64_t o = 0; room && inner > 1 && o < outer; o++) {
         const float *from = in + o * n * inner;
         float *to = out + o * n * inner;
-        if (inner == 1) {
-            for (int64_t k = -radius; k < n + radius; k++)
-                sum[k + radius] = from[k >= 0 && k < n ? k : mirrored(k, n)];
+        for (int64_t k = 0; k < n; k++)
+            for (int64_t b = 0; b < blocks; b++)
+                any[k * blocks + b] = b * BLOCK + BLOCK > inner || not_zero(from + k * inner + b * BLOCK);
+        for (int64_t start = 0; start < inner; start += 32 * BLOCK) /* rows that stay in the cache */
             for (int64_t k = 0; k < n; k++) {
-                const double *at = sum + radius + k;
-                double total = at[0] * weights[0];
-                for (int64_t j = radius; j > 0; j--)
-                    total += (at[-j] + at[j]) * weights[j];
-                to[k] = (float)total;
-            }
-            continue;
-        }
-        for (int64_t start = 0; start < inner; start += width) {
-            const int64_t count = least(width, inner - start);
-            for (int64_t k = 0; k < n; k++) {
-                const float *middle = from + k * inner + start;
-                for (int64_t i = 0; i < count; i++)
-                    sum[i] = (double)middle[i] * weights[0];
-                for (int64_t j = radius; j > 0; j--) {
-                    const float *a = from + mirrored(k - j, n) * inner + start;
-                    const float *b = from + mirrored(k + j, n) * inner + start;
-                    const double w = weights[j];
-                    for (int64_t i = 0; i < count; i++)
-                        sum[i] += ((double)a[i] + (double)b[i]) * w;
+                for (int64_t j = 0; j < many; j++) {
+                    const int64_t row = mirrored(k + j - radius, n);
+                    rows[j] = from + row * inner;
+                    used[j] = any + row * blocks;
                 }
-                for (int64_t i = 0; i < count; i++)
-                    to[k * inner + start + i] = (float)sum[i];
+                for (int64_t at = start; at < least(start + 32 * BLOCK, inner); at += BLOCK)
+                    weighted_sums(rows, used, radius, weights, at, least(BLOCK, inner - at), to + k * inner);
             }
-        }
     }
-    free(sum);
-    return 0;
+    free(rows);
+    free(used);
+    free(line);
+    free(any);
+    return room ? 0 : -1;
 }
 
 /* Grey values at places (n, 3; z, y, x) by linear interpolation, those of the border beyond it. */

@@ -142,7 +142,7 @@ def test_the_level_of_bone_one_voxel_thick_is_found():
     grey = (1000.0 + 5000.0 * body + rng.normal(0.0, 50.0, body.shape)).astype(np.float32)
     nothing = np.zeros(body.shape, dtype=bool)
     around = Surroundings(grey, body > 0.5, nothing, np.full(3, H))
-    fit = BodyFit(5000.0, 1e-3, 0.2 * H, 0.0, body)
+    fit = BodyFit(5000.0, 1e-3, 0.2 * H, body)
     whole = tuple(slice(0, n) for n in body.shape)
     found = thin_bone(fit, around, ~nothing, whole, Air(1000.0, 50.0, 1.0, 1.0, 0.0))
     assert found is not None
