@@ -29,6 +29,15 @@ _MOST_LAG = 8
 _STANDS_OUT = calibrated("levels.stands_out")
 _UNSEEN_SHADING = calibrated("levels.unseen_shading")
 _CLIPPED_SD = calibrated("levels.clipped_sd")
+# Edge of the cells, voxels, whose means are compared to find what is no air; how many voxels are looked at,
+# and at least of a cell, whose mean has 0.18 of their noise.
+_CELL_VOXELS = 8
+_LOOKED_AT = 300_000
+_LEAST_CELL = 30
+# Standard deviations that one of a million means exceeds: a box has some ten thousand cells.
+_NO_NOISE = 5.0
+# Fewer bright cells are dust or the corner of a plate, which the mean of thousands hardly feels.
+_LEAST_CELLS = 3
 
 
 @dataclass(frozen=True)
@@ -122,8 +131,9 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
     -----
     The mean is taken, and where noise is clipped at 0 the level from before the clipping. Its uncertainty
     comes from the scatter between the eight octants of the box, so that shading and streaks count, not
-    from the noise alone.
+    from the noise alone. Fluid that is as faint as the noise of a voxel shows in the means over cells.
     """
+    shell = _alike(around.grey, shell)
     seen = int(np.count_nonzero(shell))
     if seen < _LEAST_AIR:
         values = around.grey[shell]
@@ -156,6 +166,32 @@ def measure_air(around: Surroundings, shell: NDArray[np.bool_], guess: float) ->
         single if around.single is None else noise * single / max(float(ones[air].std(dtype=float)), 1e-12)
     )
     return Air(level, noise, sd + _CLIPPED_SD * pile * single, correlation, pile, least, single)
+
+
+def _alike(grey: NDArray[np.float32], shell: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out of a shell [z, y, x] the cells that are brighter than air is anywhere by its own scatter.
+
+    The scatter is that of the darker half, which holds no fluid as long as most of the shell is air.
+    """
+    index = every_nth(shell, max(1, int(np.count_nonzero(shell)) // _LOOKED_AT))
+    cells = tuple(-(-n // _CELL_VOXELS) for n in shell.shape)
+    place = [k // _CELL_VOXELS for k in np.unravel_index(index, shell.shape)]
+    number = np.ravel_multi_index(place, cells)
+    count = np.bincount(number, minlength=int(np.prod(cells)))
+    used = count >= _LEAST_CELL
+    if not np.any(used):
+        return shell
+    mean = np.bincount(number, grey.ravel()[index], minlength=len(count))[used] / count[used]
+    middle = float(np.median(mean))
+    scaled = (mean - middle) * np.sqrt(count[used])
+    scatter = 1.4826 * float(np.median(-scaled[scaled <= 0.0]))
+    bright = np.zeros(cells, dtype=bool)
+    bright.ravel()[used] = scaled > _NO_NOISE * scatter
+    if np.count_nonzero(bright) < _LEAST_CELLS:
+        return shell
+    for axis, size in enumerate(shell.shape):
+        bright = np.repeat(bright, _CELL_VOXELS, axis=axis).take(range(size), axis=axis)
+    return shell & ~bright
 
 
 def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, float]:

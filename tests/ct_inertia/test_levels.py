@@ -156,6 +156,22 @@ def test_the_correlation_of_noise_is_that_of_sums_of_it(width):
     assert abs(air.level - 100.0) < 4.0 * air.sd
 
 
+def test_fluid_as_faint_as_noise_is_no_air():
+    rng = np.random.default_rng(3)
+    noise = gaussian_filter(rng.standard_normal((64, 64, 64)), 1.0, mode="wrap")
+    noise *= 30.0 / noise.std()
+    wet = np.zeros((64, 64, 64))
+    wet[48:, :, 20:] = 150.0
+    for fluid in (0.0, 1.0):
+        around = surroundings(1000.0 + noise + fluid * wet)
+        shell = air_shell(around, capped_distance(around.bone, SPACING, 20 * H), 3 * H)
+        air = measure_air(around, shell, 1000.0)
+        # Taken for air, a fifth of the shell would shift the level by 30 and look like long correlation.
+        assert abs(air.level - 1000.0) < 2.0
+        assert air.noise == pytest.approx(30.0, rel=0.02)
+        assert air.correlation == pytest.approx((2.0 * np.sqrt(np.pi)) ** 3, rel=0.2)
+
+
 def test_a_slope_of_the_air_is_told_and_noise_is_not():
     rng = np.random.default_rng(6)
     grey = 1000.0 + 40.0 * rng.standard_normal((64, 64, 64))
