@@ -184,7 +184,7 @@ class KDOptions(OptionTable):
         unknown = [name for name in self.causes if name not in CORRECT]
         if unknown:
             return [Fault("{correct}", f"names out of {', '.join(CORRECT)}", ", ".join(unknown))]
-        joint = self.estimator == "ml" and self.robust == "none" and self.inplane == "auto"
+        joint = estimator(self.estimator).likelihood and self.robust == "none" and self.inplane == "auto"
         if joint and tuple(self.dof) == ("y", "alpha", "gamma"):
             return []
         step = "Leave the other choices at their defaults, or leave causes and fluid out"

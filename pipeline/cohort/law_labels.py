@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from pipeline.cohort.cohort_laws import CohortLaw
+from stapeskit.page.quantities import AREA, INERTIA, LENGTH, MASS
 
-# Quantities for people: label, factor from SI.
-SHOWN = {
-    "mass_kg": ("mass (mg)", 1e6),
-    "J1_kg_m2": ("J1 (mg mm²)", 1e12),
-    "J2_kg_m2": ("J2 (mg mm²)", 1e12),
-    "J3_kg_m2": ("J3 (mg mm²)", 1e12),
-    "footplate_area_m2": ("footplate area (mm²)", 1e6),
-    "footplate_length_m": ("footplate length (mm)", 1e3),
-    "footplate_width_m": ("footplate width (mm)", 1e3),
-    "height_m": ("height (mm)", 1e3),
-    "gap_m": ("gap (mm)", 1e3),
+_UNITS = {
+    "mass_kg": ("mass", MASS),
+    "J1_kg_m2": ("J1", INERTIA),
+    "J2_kg_m2": ("J2", INERTIA),
+    "J3_kg_m2": ("J3", INERTIA),
+    "footplate_area_m2": ("footplate area", AREA),
+    "footplate_length_m": ("footplate length", LENGTH),
+    "footplate_width_m": ("footplate width", LENGTH),
+    "height_m": ("height", LENGTH),
+    "gap_m": ("gap", LENGTH),
 }
+# Quantities for people: label, factor from SI.
+SHOWN = {name: (f"{words} ({unit.symbol})", unit.per_si) for name, (words, unit) in _UNITS.items()}
 
 
 def label(quantity: str) -> str:

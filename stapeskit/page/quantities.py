@@ -60,6 +60,7 @@ class ShownUnit:
 MASS = ShownUnit("mg", 1e6)
 VOLUME = ShownUnit("mm³", 1e9)
 LENGTH = ShownUnit("mm", 1e3)
+AREA = ShownUnit("mm²", 1e6)
 SMALL_LENGTH = ShownUnit("µm", 1e6)
 STIFFNESS = ShownUnit("N/m", 1.0)
 ROTATION_STIFFNESS = ShownUnit("N mm/rad", 1e3)
