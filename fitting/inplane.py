@@ -124,8 +124,8 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         return without, InplaneChoice(False, others, reason, mass_known=choice != AUTO)
     statistic, threshold, effect, entry = significance(problem, without)
     significant = statistic > threshold
-    levels = tuple(_chi2(candidate) for candidate in (without, problem))
-    needed = _misfit(without, levels[0]) and levels[0] - levels[1] > threshold
+    chi2_without, chi2_with = _chi2(without), _chi2(problem)
+    needed = _misfit(without, chi2_without) and chi2_without - chi2_with > threshold
     used = choice == LOAD or (choice == AUTO and (significant or needed))
     words = "significant" if significant else "not significant"
     reason = f"its effect on K and D is {words} against its noise"
@@ -133,8 +133,10 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
         reason += ", but the fit needs it"
     if choice != AUTO:
         reason = f"asked for with {named('inplane')} {choice}; {reason}"
-    inplane_choice = InplaneChoice(used, others, reason, statistic, threshold, effect, entry, *levels)
-    return (problem if used else without), inplane_choice
+    decision = InplaneChoice(
+        used, others, reason, statistic, threshold, effect, entry, chi2_without, chi2_with
+    )
+    return (problem if used else without), decision
 
 
 def _chi2(problem: Problem) -> float:
