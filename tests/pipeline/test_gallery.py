@@ -30,6 +30,11 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 
 @pytest.fixture
+def undrawn():
+    """Leave nothing away here: the scripts draw."""
+
+
+@pytest.fixture
 def results(finished):
     """The folder of a finished study."""
     return finished[1]
