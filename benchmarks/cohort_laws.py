@@ -1,10 +1,13 @@
 """Laws over simulated cohorts with a planted exponent, compared with the regressions that laboratories use.
 
     python benchmarks/cohort_laws.py [--cohorts 240 120 120] [--page docs/cohort_coverage.md]
+    python benchmarks/cohort_laws.py --ranges 160
 
 Coverage of the 95 % intervals of exponent, scatter and predictions, median bias in standard errors, and the
 coverage of least squares, orthogonal and York's regression (no scatter) on the same cohorts; then the number
-of components, and findings where there is no law.
+of components, and findings where there is no law. ``--ranges`` prints instead how often the normal range of a
+response and the prediction of a further ear hold its true value, from so many cohorts a row, and the bias of
+the exponent at n = 8 from five times as many.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +100,50 @@ def law_row(name, scene, n, count):
     return [name, n, count, shares[0], f"{bias:+.2f}", *shares[1:], f"{1e3 * seconds / count:.0f}"]
 
 
+def range_row(name, scene, n, count):
+    """Return how often range and prediction of a further ear hold, with the shared errors and without them.
+
+    The error that all ears have in common is in what is measured of the further ear, too.
+    """
+    scene = dict(scene)
+    shift = scene.pop("common", 0.0)
+    rng = np.random.default_rng([n, 15])
+    hits, widths = np.zeros((count, 4)), []
+    for k in range(count):
+        pairs, (x, y) = cohort(rng, n, **scene)
+        error = shift * rng.standard_normal()
+        pairs = replace(pairs, x=pairs.x + error, y=pairs.y + error)
+        predictor, own = Predictor(pairs), float(pairs.own[0, 0, 0])
+        seen = x + error + np.sqrt(own) * rng.standard_normal()
+        found = [predictor.tolerance(), predictor.predict(seen, own).interval]
+        shared = shift**2 + float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
+        found += [predictor.tolerance(shared), predictor.predict(seen, own, shared).interval]
+        hits[k] = [low <= y <= high for low, high in found]
+        widths.append([0.5 * (high - low) for low, high in found[2:]])
+    shares = [f"{share:.3f}" for share in hits.mean(axis=0)]
+    return [
+        name,
+        n,
+        count,
+        shares[0],
+        shares[2],
+        shares[1],
+        shares[3],
+        *(f"{width:.2f}" for width in np.median(widths, 0)),
+    ]
+
+
+def bias_row(name, scene, count):
+    """Return the median bias of the exponent over its sd at n = 8 and its standard error."""
+    truth, rng = scene.get("exponent", EXPONENT), np.random.default_rng([8, 15])
+    found = []
+    for _ in range(count):
+        pairs, _ = cohort(rng, 8, **scene)
+        found.append(Profile(pairs.centred().without_common_errors()).best.point[1])
+    spread = np.subtract(*np.percentile(found, [75, 25])) / 1.349
+    return [name, count, f"{(np.median(found) - truth) / spread:+.2f}", f"{1.253 / np.sqrt(count):.2f}"]
+
+
 def component_row(n, count):
     """Return how often two planted components of six quantities are counted."""
     rng = np.random.default_rng(n)
@@ -137,8 +185,14 @@ LAWS = ("population", "n", "cohorts", "exponent", "bias / sd", "scatter", "predi
 LAWS = (*LAWS, "least squares", "orthogonal", "York", "ms a law")
 
 
+def kept(path):
+    """Return the part of a page that another command makes."""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return "\n" + text[text.index(MARK) :] if MARK in text else ""
+
+
 def page(counts, laws, components, discoveries):
-    """Return docs/cohort_coverage.md."""
+    """Return docs/cohort_coverage.md without what `kept` returns."""
     few, tests = counts
     return "\n".join(
         [
@@ -171,6 +225,31 @@ def page(counts, laws, components, discoveries):
     )
 
 
+RANGES = ("population", "n", "cohorts", "range", "range, true", "prediction", "prediction, true")
+RANGES = (*RANGES, "half width of the range (ln)", "of the prediction")
+
+
+RANGES_TEXT = """Share of further ears whose true response lies in the 95 % normal range of the cohort ("is
+this ear normal") and in the prediction from the ear's scan alone, on other cohorts than above. "True" adds
+the errors that ears share, as `cohort.json` and `predict` do; without them the interval is one of what these
+laboratories would measure."""
+BIAS_TEXT = "Median bias of the exponent over its sd at n = 8, from more cohorts, the same draws in every row (meant: 0.15)."
+MARK = "<!-- python benchmarks/cohort_laws.py --ranges"
+
+
+def ranges(count):
+    """Print the tables of normal ranges and predictions, and of the bias at n = 8."""
+    print(RANGES_TEXT, "", sep="\n")
+    print(*table(RANGES, []), sep="\n", flush=True)
+    for n in (8, 16, 40):
+        for name, scene in SCENES.items():
+            print(*table(RANGES, [range_row(name, scene, n, count)])[2:], sep="\n", flush=True)
+    print("", BIAS_TEXT, sep="\n")
+    print("", *table(("population", "cohorts", "bias / sd", "standard error"), []), sep="\n", flush=True)
+    for name, scene in SCENES.items():
+        print(*table([0] * 4, [bias_row(name, scene, 5 * count)])[2:], sep="\n", flush=True)
+
+
 def main() -> None:
     """Print the page, or write it as it grows."""
     given = argparse.ArgumentParser(description=__doc__)
@@ -178,7 +257,11 @@ def main() -> None:
         "--cohorts", type=int, nargs=3, default=(60, 60, 60), help="for n = 8, 16 and 40; 0 leaves n out"
     )
     given.add_argument("--page", type=Path)
+    given.add_argument("--ranges", type=int, default=0, help="cohorts a row of the table of ranges")
     options = given.parse_args()
+    if options.ranges:
+        ranges(options.ranges)
+        return
     laws, components, discoveries = [], [], []
     sizes = [(n, count) for n, count in zip((8, 16, 40), options.cohorts, strict=True) if count]
     counts = max(sizes[-1][1] // 2, 20), max(sizes[-1][1] // 3, 10)
@@ -190,7 +273,8 @@ def main() -> None:
         rows.append(work(*arguments))
         print(*rows[-1], sep="\t", flush=True)
         if options.page is not None:
-            options.page.write_text(page(counts, laws, components, discoveries), encoding="utf-8")
+            text = page(counts, laws, components, discoveries) + kept(options.page)
+            options.page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from pipeline.cohort.false_discovery import false_discovery
 from pipeline.cohort.law import Law, fit_law
 from pipeline.cohort.log_table import LogTable, log_table
 from pipeline.cohort.mass_content import mass_content
+from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import LeftOut, Prediction, Predictor, left_out
 from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all
@@ -166,14 +167,18 @@ class CohortLaws:
         # What the ear shares with the cohort is in its law; what it shares with none of it is its own error.
         foreign = [k for k, source in enumerate(alone.sources) if source not in table.sources]
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
-        shared = float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
         columns = table.covariates.of_ear(stated(ear)) if table.covariates.names else None
         x = float(alone.values[0, column])
-        return self.predictor(law).predict(x, float(variance), shared, columns)
+        return self.predictor(law).predict(x, float(variance), _shared_variance(pairs), columns)
 
     def tolerance(self, response: str, predictor: str = "mass") -> tuple[float, float]:
-        """Return the 95 % range of ln of a response over ears of this population: "is this ear normal"."""
-        return self.predictor(self.law(response, predictor)).tolerance()
+        """Return the 95 % range of ln of a response over ears of this population: "is this ear normal".
+
+        It is one of true values, and is wider by the errors that the ears share.
+        """
+        law = self.law(response, predictor)
+        pairs, _ = self._table().pairs(law.response, law.predictor)
+        return self.predictor(law).tolerance(_shared_variance(pairs))
 
     def predictor(self, law: CohortLaw) -> Predictor:
         """Return the predictive distribution of a law, computed once."""
@@ -289,6 +294,11 @@ def cohort_laws_or_notice(ears: Sequence[Ear], failed: Mapping[str, str], **choi
         reason = str(fault).replace("\n", " ")
         notice = Notice("cohort_mixed", f"No laws: {reason}")
         return CohortLaws(tuple(ears), tuple(failed.items()), None, (), None, (notice,))
+
+
+def _shared_variance(pairs: LogPairs) -> float:
+    """Return the mean variance of ln y by errors that ears share."""
+    return float(np.mean(np.sum(pairs.shared[:, 1] ** 2, axis=1)))
 
 
 def planned_law(text: str) -> tuple[str, str]:

@@ -109,10 +109,14 @@ class Predictor:
         low, median, high = (self._quantile(mean, sd, p) for p in (0.025, 0.5, 0.975))
         return Prediction(median + self._origin[1], (low + self._origin[1], high + self._origin[1]))
 
-    def tolerance(self) -> tuple[float, float]:
-        """Return the 95 % range of ln y of ears of this population, whatever their predictor."""
+    def tolerance(self, shared_variance: float = 0.0) -> tuple[float, float]:
+        """Return the 95 % range of ln y of ears of this population, whatever their predictor.
+
+        ``shared_variance`` is that of `predict`: with it the range is one of true y, without it one of what
+        these laboratories would measure.
+        """
         _, means, extra = self._mean_ear
-        sd = np.sqrt(self._psi[:, 1, 1] + extra[:, 1, 1])
+        sd = np.sqrt(self._psi[:, 1, 1] + extra[:, 1, 1] + shared_variance)
         low, high = (self._quantile(means[:, 1], sd, p) for p in (0.025, 0.975))
         return low + self._origin[1], high + self._origin[1]
 

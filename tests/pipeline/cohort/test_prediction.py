@@ -36,6 +36,8 @@ def test_an_error_of_the_ear_widens_its_prediction():
     assert widths[0] < widths[1] < widths[2]
     low, high = predictor.tolerance()
     assert high - low > widths[0]
+    wide = predictor.tolerance(0.04)
+    assert wide[0] < low < high < wide[1]
 
 
 def test_leaving_out_many_and_few_agree(monkeypatch):
