@@ -233,7 +233,8 @@ RANGES_TEXT = """Share of further ears whose true response lies in the 95 % norm
 this ear normal") and in the prediction from the ear's scan alone, on other cohorts than above. "True" adds
 the errors that ears share, as `cohort.json` and `predict` do; without them the interval is one of what these
 laboratories would measure."""
-BIAS_TEXT = "Median bias of the exponent over its sd at n = 8, from more cohorts, the same draws in every row (meant: 0.15)."
+BIAS_TEXT = """Median bias of the exponent over its sd at n = 8, from more cohorts, the same draws in every
+row (meant: 0.15)."""
 MARK = "<!-- python benchmarks/cohort_laws.py --ranges"
 
 

@@ -244,6 +244,15 @@ def _matrices(fit: KDFit) -> Section:
                 f"{100.0 * rise:.0f} % over the band. Compare fractional and relaxation damping."
             )
         )
+    if fit.law.estimated:
+        slowest_us = 1e6 / (2.0 * np.pi * float(freq.min()))
+        section.add(
+            page.text(
+                "This law describes what relaxes within the band. A part that takes some "
+                f"{slowest_us:.0f} µs (1 / 2πf of the lowest line) or longer is a spring there: it is in K, "
+                "which is smaller at rest, and the data cannot show it."
+            )
+        )
     if len(fit.laws) > 1:
         rows = [
             (

@@ -17,6 +17,7 @@ from fitting.model.damping import DampingLaw
 from fitting.model.principal_axes import principal_axes
 from fitting.model.symmetric import entry_names, entry_units, join, split
 from fitting.options import KDOptions
+from fitting.report.sections import kd_page
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import (
@@ -70,6 +71,7 @@ def test_comparison_picks_the_true_damping_law(name: str) -> None:
         assert abs(fit.law.exponent - law.exponent) < 3.0 * next(
             one.exponent_sd for one in fit.laws if one.law == fit.law
         )
+        assert "398 µs (1 / 2πf of the lowest line)" in kd_page(fit, {}).html()
     assert len(fit.laws) == 4
 
 
