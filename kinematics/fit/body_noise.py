@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.fit.beams import BeamSet
+from kinematics.fit.laser_groups import group_lasers, noise_shares
 from kinematics.fit.line_noise import LineNoise, blocks
 from kinematics.fit.rigid_fit import LineFit, fit_noise, pooled_scale
 from kinematics.measurement import BodyChannels, Measurement
@@ -17,6 +18,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 # Rounds of the restricted likelihood.
 _ROUNDS = 3
+# Lines for each factor that faults could have, lines looked at, and the least share of its own noise that the
+# residual of a channel must hold.
+_LINES_PER_FACTOR, _MOST_LINES, _LEAST_OWN = 4, 2048, 1e-9
 # Readings whose median gives one noise factor: known to about 5 %.
 _MEDIAN_VALUES = 400
 # Least variance, as a share of the largest or absolutely: exact data have none.
@@ -58,6 +62,8 @@ def with_noise(
         )
         unknown = replace(fit, covariance=np.full_like(fit.covariance, np.nan), chi2=np.zeros_like(fit.chi2))
         return unknown, False, [Notice("noise_unknown", text)]
+    if body.sd is None:
+        fit = _by_laser(fit, body.directions)
     fit = _scaled(fit, rate, robust)
     what = "relative noise only" if body.sd is not None else "no noise"
     text = (
@@ -130,6 +136,48 @@ def _floor_binds(fit: LineFit, rate: Array) -> bool:
 def least_sd(largest: float, rate: Array) -> Array:
     """Return the least sd (freq,), m: 1e-12 of the largest measured amplitude, in the measured quantity."""
     return np.asarray((_FLOOR * largest or _LEAST) / rate)
+
+
+def _by_laser(fit: LineFit, directions: Array) -> LineFit:
+    """Return the fit with the noise of each laser in the proportions that the residuals show.
+
+    Variance components in turn with the motion (Foerstner 1979, Zeitschrift fuer Vermessungswesen 104:446).
+    """
+    (laser,), _ = group_lasers([directions])
+    before, shares = fit, np.ones(len(laser))
+    for _ in range(_ROUNDS):
+        energy = _unexplained_energy(fit)
+        found = None if energy is None else noise_shares(laser, shares**2 * energy)
+        if found is None:
+            return fit
+        shares = found
+        noise = replace(before.noise, stated=shares[:, None] * before.noise.stated)
+        fit = fit_noise(before.beams, before.value, noise)
+    return fit
+
+
+def _unexplained_energy(fit: LineFit) -> Array | None:
+    """Return the energy (channel,) that no constant or drifting fault explains, over that of the noise.
+
+    Such a fault leaves the motion times a factor in the residuals, however large it is. None where lines are
+    too few to tell, values are missing, or residuals are rounding errors.
+    """
+
+    good = np.flatnonzero(fit.solution.good)
+    if not fit.complete or len(good) < _LINES_PER_FACTOR * len(fit.solution.z) or fit.is_rounding():
+        return None
+    lines = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), _MOST_LINES)).astype(int))]
+    sd = fit.noise.at(lines)
+    motion = fit.solution.z[:, lines] * np.sqrt(np.mean(sd**-2.0, axis=0))
+    if len(lines) >= 2 * _LINES_PER_FACTOR * len(motion):
+        motion = np.vstack([motion, motion * np.linspace(-1.0, 1.0, len(lines))])
+    vectors = np.linalg.svd(motion, full_matrices=False)[2]
+    white = fit.value[:, lines] / sd
+    rest = white - (white @ vectors.conj().T) @ vectors
+    own = 1.0 - np.mean(fit.leverage(lines), axis=1)
+    with np.errstate(divide="ignore"):
+        energy = 0.5 * np.sum(np.abs(rest) ** 2, axis=1) / ((len(lines) - len(motion)) * own)
+    return np.asarray(np.where(own > _LEAST_OWN, energy, np.nan))
 
 
 def _scaled(fit: LineFit, rate: Array, robust: str) -> LineFit:

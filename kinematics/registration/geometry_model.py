@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from kinematics.fit.laser_groups import group_lasers
 from kinematics.measurement import BodyChannels, Measurement
-from kinematics.registration.lasers import group_lasers
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
 from stapeskit.spatial import point_rows, shifted_point_rows

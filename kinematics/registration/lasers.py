@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.fit import symmetric_batches
+from kinematics.fit.laser_groups import group_lasers
 from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
@@ -19,10 +20,6 @@ from stapeskit.faults import Fault, raise_all
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
-# Beams closer than this belong to one laser: heads of a 3D vibrometer stand farther apart.
-_ONE_LASER_DEG = 8.0
-# Directions are compared in pairs: more of them than this are gathered in cells of this width (rad) before.
-_MOST_PAIRED, _CELL = 1000, 0.04
 
 
 @dataclass(frozen=True)
@@ -217,40 +214,3 @@ def channel_part(fit: LineFit, mine: NDArray[np.bool_]) -> ComplexArray:
         out[part] = (beams.to_dof @ solved).T
     out[~np.isfinite(fit.q[:, 0].real)] = np.nan
     return out
-
-
-def group_lasers(directions: Sequence[Array]) -> tuple[tuple[Index, ...], Array]:
-    """Group beams into lasers: neighbours within 8 degrees belong together.
-
-    Parameters
-    ----------
-    directions : sequence of ndarray, (channel, 3)
-        By body.
-
-    Returns
-    -------
-    lasers : tuple of ndarray
-        By body: the laser (from 0) of each channel.
-    means : ndarray, (laser, 3)
-        Mean direction of each laser.
-    """
-    every = np.concatenate(directions)
-    distinct, owner = np.unique(np.round(every, 9), axis=0, return_inverse=True)
-    owner = owner.reshape(-1)
-    if len(distinct) > _MOST_PAIRED:
-        cells, cell = np.unique(np.round(distinct / _CELL), axis=0, return_inverse=True)
-        distinct, owner = cells / np.linalg.norm(cells, axis=1)[:, None], cell.reshape(-1)[owner]
-    group = np.arange(len(distinct))
-    near = distinct @ distinct.T > np.cos(np.deg2rad(_ONE_LASER_DEG))
-    for _ in range(len(distinct)):
-        lowest = np.array([np.min(group[near[row]]) for row in range(len(distinct))])
-        if np.array_equal(lowest, group):
-            break
-        group = lowest
-    labels = group[owner]
-    first = list(dict.fromkeys(labels.tolist()))
-    numbers = np.array([first.index(label) for label in labels.tolist()])
-    means = np.stack([every[numbers == k].mean(axis=0) for k in range(len(first))])
-    means /= np.linalg.norm(means, axis=1)[:, None]
-    ends = np.cumsum([len(part) for part in directions])[:-1]
-    return tuple(np.split(numbers, ends)), means

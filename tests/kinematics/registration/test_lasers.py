@@ -9,11 +9,12 @@ import pytest
 
 from kinematics.errors import KinematicsError
 from kinematics.fit.beams import beam_set
+from kinematics.fit.laser_groups import group_lasers
 from kinematics.fit.rigid_fit import fit_lines
 from kinematics.fit_options import Options
 from kinematics.measurement import from_arrays
 from kinematics.points2dof import points2dof
-from kinematics.registration.lasers import LaserPriors, Lasers, group_lasers, laser_parts
+from kinematics.registration.lasers import LaserPriors, Lasers, laser_parts
 from tests.kinematics.simulated import scene
 
 FREQ = np.linspace(400.0, 5000.0, 40)
