@@ -14,25 +14,6 @@ from stapeskit.spatial import parameter_basis
 
 Array = NDArray[np.float64]
 
-SOURCES = {
-    "levels": "grey levels of air and bone",
-    "noise": "voxel noise",
-    "psf": "blur of the scan",
-    "coat": "soft coat on the bone",
-    "surroundings": "fluid or tissue around the stapes",
-    "separation": "cut between stapes and what touches it",
-    "plate": "face of the plate",
-    "inhomogeneity": "uneven bone",
-    "cupping": "cupping of bone",
-    "threshold": "threshold that made the scan",
-    "voxel_size": "voxel size",
-    "density": "density",
-    "mass": "measured mass",
-    "calibration": "grey-to-density calibration",
-    "added_mass": "added masses",
-    "frame": "footplate frame",
-}
-
 
 def budget(matrix: MassMatrix) -> dict[str, dict[str, Any]]:
     """Return the standard deviations that each source adds, and the total.
@@ -65,11 +46,6 @@ def _row(matrix: MassMatrix, covariance: Array) -> dict[str, Any]:
 
 def _root(values: Array) -> list[float]:
     return [float(value) for value in np.sqrt(np.maximum(values, 0.0))]
-
-
-def described(source: str) -> str:
-    """Return the words for a source."""
-    return SOURCES.get(source, source.replace("_", " "))
 
 
 _MASS_SOURCES = {

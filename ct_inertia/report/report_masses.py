@@ -61,7 +61,7 @@ def masses_section(content: Mapping[str, Any]) -> page.Section | None:
         "bone (kg/m³)",
         "Δ mass (%)",
         "Δ centre x, y, z (µm)",
-        "Δ M(α, α), (β, β), (γ, γ) (%)",
+        "Δ M(alpha), M(beta), M(gamma) (%)",
     )
     blocks = [page.text(_METHOD[lead]), page.table(header, rows)]
     blocks += [

@@ -6,7 +6,7 @@ result read back gives the same report as a fresh one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import PLATE
-from ct_inertia.mass.budget import described, mass_sd_missing
+from ct_inertia.mass.budget import mass_sd_missing
 from ct_inertia.report.colours import BODY_COLOURS
 from ct_inertia.report.report_evidence import evidence_rows
 from ct_inertia.report.report_found import found_section
@@ -23,8 +23,8 @@ from ct_inertia.report.report_masses import cross_check_section, files_blocks, m
 from ct_inertia.surface.surface import Surface
 from stapeskit.frames import RigidTransform
 from stapeskit.page import page
-from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, MASS, SMALL_LENGTH, ShownUnit
-from stapeskit.spatial import DOF_NAMES
+from stapeskit.page.quantities import SMALL_LENGTH, matrix_units
+from stapeskit.records.mass_record import mass_source_words
 from stapeskit.vocabulary import named
 from stapeskit.warnings import from_json
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 # Of an entry of the mass matrix, by how many of its two degrees of freedom are rotations.
-_UNITS = (MASS, FIRST_MOMENT, INERTIA)
 
 
 @dataclass(frozen=True)
@@ -257,23 +256,10 @@ def _matrix_section(content: Mapping[str, Any]) -> page.Section:
     ):
         block = content[key]
         if block is not None:
-            units = _entry_units(block["dof"])
-            per_si = np.array([[unit.per_si for unit in row] for row in units])
-            section.add(
-                page.matrix(
-                    np.array(block["matrix_si"], dtype=float) * per_si + 0.0,
-                    block["dof"],
-                    words,
-                    None if missing else np.array(block["standard_deviation_si"], dtype=float) * per_si,
-                    [[unit.symbol for unit in row] for row in units],
-                )
-            )
+            sd = None if missing else block["standard_deviation_si"]
+            units = matrix_units("M", block["dof"])
+            section.add(page.quantity_matrix(block["matrix_si"], units, block["dof"], words, sd))
     return section
-
-
-def _entry_units(dof: Sequence[str]) -> list[list[ShownUnit]]:
-    turns = [int(name not in DOF_NAMES[:3]) for name in dof]
-    return [[_UNITS[row + column] for column in turns] for row in turns]
 
 
 def _budget_section(content: Mapping[str, Any]) -> page.Section:
@@ -284,14 +270,14 @@ def _budget_section(content: Mapping[str, Any]) -> page.Section:
     for source, row in content["uncertainty"].items():
         if not isinstance(row, Mapping):
             continue
-        name = "total of these" if source == "total" and missing else described(source)
+        name = "total of these" if source == "total" and missing else mass_source_words(source)
         shares = [
             f"{100.0 * sd / value:.3f}"
             for sd, value in zip(row["mass_matrix_diagonal_si"][2:], diagonal[2:], strict=True)
         ]
         com = ", ".join(f"{SMALL_LENGTH.of(value):.2f}" for value in row["center_of_mass_m"])
         rows.append((name, com, *shares))
-    header = ("source", "centre of mass (µm)", "mass (%)", "M(α, α) (%)", "M(β, β) (%)", "M(γ, γ) (%)")
+    header = ("source", "centre of mass (µm)", "mass (%)", "M(alpha) (%)", "M(beta) (%)", "M(gamma) (%)")
     section = page.Section(
         "Uncertainty budget",
         [

@@ -176,5 +176,9 @@ def _sensitivity_table(fit: KDFit, diagnosis: Diagnosis) -> Markup:
     rows = []
     for _, title, size, unit, change in sensitivities(fit, diagnosis):
         relative = 100.0 * relative_effect(change, fit.stiffness, fit.damping)
-        rows.append((f"{title}: {size:g} {unit}", *(f"{value:+.2g}" for value in relative)))
+        rows.append((f"{title}: {size:g} {unit}", *map(_percent, relative)))
     return page.table(("error", *fit.parameters), rows)
+
+
+def _percent(value: float) -> str:
+    return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.2g}"

@@ -10,10 +10,11 @@ from fitting.kd_fit import KDFit
 from fitting.laws import LawFit
 from fitting.ligament.inplane_stiffness import INPLANE_DOF
 from fitting.ligament.ligament_fit import LigamentFit
-from fitting.model.symmetric import entry_units, join, split
+from fitting.model.symmetric import join, split
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
+from stapeskit.page.quantities import diagonal_unit, matrix_units
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -29,8 +30,6 @@ def ligament_section(fit: KDFit, ligament: LigamentFit) -> Section:
         shown = plus_minus(value, sd) if np.isfinite(value) and sd < 45.0 else "undetermined"
         rows.append((f"tilt about {name} (degrees)", shown))
     stiffness_sd, damping_sd = split(np.sqrt(np.diag(ligament.plane_covariance)), len(fit.dof))
-    units = entry_units(fit.dof)
-    damping_units = [[fit.law.unit(unit) for unit in row] for row in units]
     section = Section("Plane of the ligament").add(
         page.text(
             "A ligament whose plane does not hold the footplate centre couples in-plane motion (x, z, beta) "
@@ -38,30 +37,33 @@ def ligament_section(fit: KDFit, ligament: LigamentFit) -> Section:
             "shared errors of motion and mass."
         ),
         page.table(("", "value"), rows),
-        page.matrix(
-            ligament.plane_stiffness, fit.dof, "K about the plane of the ligament, ± sd.", stiffness_sd, units
+        page.quantity_matrix(
+            ligament.plane_stiffness,
+            matrix_units("K", fit.dof),
+            fit.dof,
+            "K about the plane of the ligament, ± sd.",
+            stiffness_sd,
         ),
-        page.matrix(
+        page.quantity_matrix(
             ligament.plane_damping,
+            matrix_units("D", fit.dof, fit.law.time_power),
             fit.dof,
             "D about the plane of the ligament, ± sd.",
             damping_sd,
-            damping_units,
         ),
     )
     inplane = [
-        (f"stiffness {name}", plus_minus(ligament.inplane.stiffness[place, place], sd), unit)
-        for place, (name, sd, unit) in enumerate(
+        (f"stiffness {name}", diagonal_unit("K", name).with_sd(ligament.inplane.stiffness[place, place], sd))
+        for place, (name, sd) in enumerate(
             zip(
                 INPLANE_DOF,
                 np.sqrt(np.diag(split(np.diag(ligament.inplane.covariance), len(INPLANE_DOF))[0])),
-                ("N/m", "N/m", "N m/rad"),
                 strict=True,
             )
         )
     ]
     origin = "from the in-plane equations" if ligament.inplane.determined else "assumed: not determined"
-    section.add(page.subheading(f"In the plane ({origin})"), page.table(("", "value", "unit"), inplane))
+    section.add(page.subheading(f"In the plane ({origin})"), page.table(("", "value"), inplane))
     if fit.plain is not None:
         section.add(page.subheading("Without in-plane motion"), _plain_table(fit, fit.plain))
     return section

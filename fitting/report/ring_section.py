@@ -12,6 +12,7 @@ from fitting.model.principal_axes import PRINCIPAL_DOF
 from fitting.model.ring import RingTest, Value, ring_test
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
+from stapeskit.page.quantities import ROTATION_STIFFNESS, STIFFNESS
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -86,10 +87,11 @@ def _finite(value: float) -> float | None:
 def ring_parts(test: RingTest) -> tuple[Markup, ...]:
     """Return heading, words and table of the ring test."""
     measured, expected = test.measured, test.expected
-    names = ("piston (N/m)", "about x′ (N m/rad)", "about z′ (N m/rad)")
+    names = ("piston", "about x′", "about z′")
+    units = (STIFFNESS, ROTATION_STIFFNESS, ROTATION_STIFFNESS)
     rows = [
-        (name, f"{own:.4g}", f"{ring:.4g}", f"{own / ring:.3g}")
-        for name, own, ring in zip(names, measured.stiffness, expected.stiffness, strict=True)
+        (f"{name} ({unit.symbol})", f"{unit.of(own):.4g}", f"{unit.of(ring):.4g}", f"{own / ring:.3g}")
+        for name, unit, own, ring in zip(names, units, measured.stiffness, expected.stiffness, strict=True)
     ]
     for name, own, ring in (
         ("origin x (mm)", 1e3 * measured.origin_x_m, 1e3 * expected.origin_x_m),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.causality import causal_rise
-from fitting.model.symmetric import entry_units, join
+from fitting.model.symmetric import join
 from fitting.report.causes import causes_section
 from fitting.report.figures import (
     correlation_figure,
@@ -31,8 +31,8 @@ from stapeskit.option_values import WithSd
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Page, Section
-from stapeskit.page.quantities import MASS, diagonal_unit
-from stapeskit.spatial import DOF_UNITS
+from stapeskit.page.quantities import MASS, ROTATION_STIFFNESS, STIFFNESS, diagonal_unit, matrix_units
+from stapeskit.records.mass_record import mass_source_words
 
 Array = NDArray[np.float64]
 # Runs drawn, and points up to which a figure is SVG: beyond it would be larger than its picture.
@@ -208,24 +208,25 @@ def _frequency(dependence: FrequencyDependence) -> Section:
 
 def _matrices(fit: KDFit) -> Section:
     stiffness_sd, damping_sd = fit.standard_deviation
-    units = entry_units(fit.dof)
+    exponent = fit.law.time_power
     section = Section("Stiffness and damping", key="stiffness_and_damping")
     place = "about the footplate centre, footplate axes"
     section.add(
-        page.matrix(fit.stiffness, fit.dof, f"K, {place}, ± sd of all sources.", stiffness_sd, units),
-        page.matrix(
+        page.quantity_matrix(
+            fit.stiffness,
+            matrix_units("K", fit.dof),
+            fit.dof,
+            f"K, {place}, ± sd of all sources.",
+            stiffness_sd,
+        ),
+        page.quantity_matrix(
             fit.damping,
+            matrix_units("D", fit.dof, exponent),
             fit.dof,
             f"D, {place}, ± sd of all sources; dynamic stiffness {fit.law.formula}.",
             damping_sd,
-            [[fit.law.unit(unit) for unit in row] for row in units],
         ),
-        page.matrix(
-            fit.mass,
-            fit.dof,
-            f"M as used, {place}.",
-            units=[[_mass_unit(a, b) for b in fit.dof] for a in fit.dof],
-        ),
+        page.quantity_matrix(fit.mass, matrix_units("M", fit.dof), fit.dof, f"M as used, {place}."),
         page.figure(
             correlation_figure(fit.covariance, fit.parameters),
             "Correlations of the errors of K and D, all sources, in percent: entries that are strongly "
@@ -271,10 +272,6 @@ def _matrices(fit: KDFit) -> Section:
     return section
 
 
-def _mass_unit(row: str, column: str) -> str:
-    return {2: "kg", 1: "kg m", 0: "kg m²"}[[DOF_UNITS[row], DOF_UNITS[column]].count("m")]
-
-
 def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Section | None:
     axes = principal_axes_json(fit)
     values, sd = fit.derived.principal, fit.derived.principal_sd
@@ -283,7 +280,8 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
     mass = fit.mass
     centre = (1e3 * mass[0, 2] / mass[0, 0], -1e3 * mass[0, 1] / mass[0, 0])
     stiffness = zip(
-        ("y′ (N/m)", "about x′ (N m/rad)", "about z′ (N m/rad)"),
+        ("y′", "about x′", "about z′"),
+        (STIFFNESS, ROTATION_STIFFNESS, ROTATION_STIFFNESS),
         axes["stiffness_si"],
         axes["stiffness_sd_si"],
         strict=True,
@@ -292,7 +290,7 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
         ("origin x (mm)", plus_minus(axes["origin_x_mm"], axes["origin_x_sd_mm"])),
         ("origin z (mm)", plus_minus(axes["origin_z_mm"], axes["origin_z_sd_mm"])),
         ("rotation about +y (degrees)", plus_minus(axes["angle_deg"], axes["angle_sd_deg"])),
-        *((f"stiffness {name}", plus_minus(value, spread)) for name, value, spread in stiffness),
+        *((f"stiffness {name}", unit.with_sd(value, sd)) for name, unit, value, sd in stiffness),
     ]
     drawn = "over the footplate's outline " if outline_mm is not None else ""
     test = ring_of(fit, outline_mm, gap_mm)
@@ -351,7 +349,7 @@ def _leading(fit: KDFit, shares: Mapping[str, Mapping[str, float]]) -> list[str]
 def source_words(source: str) -> str:
     """Return a source of error in words."""
     if source.startswith("mass."):
-        return f"mass matrix: {source.removeprefix('mass.').replace('_', ' ')}"
+        return f"mass matrix: {mass_source_words(source.removeprefix('mass.'))}"
     return SOURCE_WORDS.get(source, source.replace("_", " "))
 
 

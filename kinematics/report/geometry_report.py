@@ -157,7 +157,7 @@ def _surfaces(checks: tuple[SurfaceCheck, ...]) -> Section:
     head = (
         "points",
         "number",
-        "distance, rms (um)",
+        "distance, rms (µm)",
         "expected",
         "p",
         "best rigid shift, footplate axes",

@@ -7,7 +7,8 @@ import re
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PLUS_MINUS = re.compile(r" \+- (?=[\d.])")
-_MICRO = re.compile(r"(?<=[\d ])u(?=(?:m|rad)\b)")
+# um and urad behind a number, a blank or a bracket; us, which is a word too, behind a number or alone.
+_MICRO = re.compile(r"(?<=[\d (])u(?=(?:m|rad)\b)|(?<=\d )u(?=s\b)|^u(?=s$)")
 
 
 def plus_minus(value: float, sd: float | None) -> str:
@@ -21,16 +22,16 @@ def plus_minus(value: float, sd: float | None) -> str:
 
     Examples
     --------
-    >>> plus_minus(1736.4, 17.2), plus_minus(3.0531e-08, 7.2e-10)
-    ('1736 ± 17', '(3.053 ± 0.072)·10⁻⁸')
+    >>> plus_minus(1736.4, 17.2), plus_minus(13379, 2762), plus_minus(3.0531e-08, 7.2e-10)
+    ('1736 ± 17', '13400 ± 2800', '(3.053 ± 0.072)·10⁻⁸')
     """
     if sd is None or not 0.0 < sd < math.inf:
         return f"{value:.4g} ± {'0' if sd == 0.0 else 'unknown'}"
     power = math.floor(math.log10(max(abs(value), sd)))
     power = 0 if -3 < power < 6 else power
     value, sd = value * 10.0**-power, sd * 10.0**-power
-    digits = max(0, 1 - math.floor(math.log10(sd)))
-    text = f"{value:.{digits}f} ± {sd:.{digits}f}"
+    digits = 1 - math.floor(math.log10(sd))
+    text = " ± ".join(f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sd))
     return text if power == 0 else f"({text})·10{str(power).translate(_RAISED)}"
 
 
@@ -39,7 +40,7 @@ def printed(text: str) -> str:
 
     Examples
     --------
-    >>> printed("factor 1.08 +- 0.01, 0.2 urad per nm; density RHO+-SD")
-    'factor 1.08 ± 0.01, 0.2 µrad per nm; density RHO+-SD'
+    >>> printed("factor 1.08 +- 0.01, 0.2 urad per nm, 3 us, rms (um); density RHO+-SD")
+    'factor 1.08 ± 0.01, 0.2 µrad per nm, 3 µs, rms (µm); density RHO+-SD'
     """
     return _MICRO.sub("µ", _PLUS_MINUS.sub(" ± ", text))

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stapeskit.page.numbers import printed
+from stapeskit.page.numbers import plus_minus, printed
+from stapeskit.page.quantities import ShownUnit
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -32,9 +33,13 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inl
 
 
 _PARTS = Path(__file__).with_name("parts")
-# Numbers within words, which no line may break: 3.1e-09, 1734 ± 17, (1.38 ± 0.03)·10⁻³
+# Tables of so few rows are not broken between two printed pages.
+_FEW_ROWS = 14
+# Numbers within words, which no line may break: 3.1e-09, 1734 ± 17 N/m, (1.38 ± 0.03)·10⁻³, 0.11 %
+_UNIT = r" (?:%|°|[µm]?m|Hz|mg|N/m)(?!\w)"
 _NUMBER = re.compile(
-    r"(?<![\w.])(\([-+]?\d[\d.]* ± \d[\d.]*\)·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|[-+]?\d[\d.]* ± \d[\d.]*|[-+]?\d[\d.]*e[-+]\d+)"
+    r"(?<![\w.])(\([-+]?\d[\d.]* ± \d[\d.]*\)·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|[-+]?\d[\d.]*e[-+]\d+"
+    rf"|[-+]?\d[\d.]* ± \d[\d.]*(?:{_UNIT})?|[-+]?\d[\d.]*{_UNIT})"
 )
 
 
@@ -46,7 +51,12 @@ def _whole(cell: object) -> Markup:
     """Return the text of a cell whose numbers stay in one line."""
     from markupsafe import Markup, escape
 
-    return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(cell))))
+    return Markup(_NUMBER.sub(r'<span class="n">\1</span>', str(escape(_printed(cell)))))
+
+
+def _printed(cell: object) -> object:
+    """Return a cell with the letters that a page has; marked-up cells and numbers as they are."""
+    return printed(cell) if type(cell) is str else cell
 
 
 @cache
@@ -184,14 +194,16 @@ def table(
 
     Of a table of numbers the first ``named_by`` columns, 1 or 2, are names and stand to the left.
     """
+    listed = list(rows)
     return _render(
-        '<div class="scroll"><table{% if words %} class="text"{% elif two %} class="two"{% endif %}><thead><tr>{% for h in header %}'
+        '<div class="scroll{% if few %} few{% endif %}"><table{% if words %} class="text"{% elif two %} class="two"{% endif %}><thead><tr>{% for h in header %}'
         '<th scope="col">{{ h }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
-        header=header,
-        rows=[[_whole(cell) if words else cell for cell in row] for row in rows],
+        header=[printed(name) for name in header],
+        rows=[[_whole(cell) if words else _printed(cell) for cell in row] for row in listed],
         words=words,
         two=named_by == 2,
+        few=len(listed) <= _FEW_ROWS,
     )
 
 
@@ -227,26 +239,45 @@ def matrix(
     """
     numbers = np.asarray(values, dtype=float)
     sds = None if deviations is None else np.asarray(deviations, dtype=float)
-    cells = [
-        [
-            {
-                "value": f"{numbers[i, j]:.4g}",
-                "sd": "" if sds is None or sds[i, j] == numbers[i, j] == 0.0 else f"± {sds[i, j]:.2g}",
-                "unit": "" if units is None else units[i][j],
-            }
-            for j in range(len(names))
-        ]
-        for i in range(len(names))
-    ]
+    cells = []
+    for i, row in enumerate(numbers):
+        shown = [_value_and_sd(value, None if sds is None else sds[i, j]) for j, value in enumerate(row)]
+        marks = [""] * len(names) if units is None else units[i]
+        cells.append(
+            [{"value": value, "sd": sd, "unit": unit} for (value, sd), unit in zip(shown, marks, strict=True)]
+        )
     return _render(
-        '<div class="scroll"><table><tr><th></th>{% for n in names %}<th>{{ n }}</th>{% endfor %}</tr>'
-        "{% for row in cells %}<tr><th>{{ names[loop.index0] }}</th>{% for c in row %}<td>{{ c.value }}"
+        '<figure class="matrix"><div class="scroll"><table><tr><td></td>{% for n in names %}<th scope="col">{{ n }}</th>{% endfor %}</tr>'
+        '{% for row in cells %}<tr><th scope="row">{{ names[loop.index0] }}</th>{% for c in row %}<td>{{ c.value }}'
         "{% if c.unit %} <small>{{ c.unit }}</small>{% endif %}{% if c.sd %}<br><small>{{ c.sd }}</small>{% endif %}"
-        "</td>{% endfor %}</tr>{% endfor %}</table></div><figcaption>{{ caption }}</figcaption>",
+        "</td>{% endfor %}</tr>{% endfor %}</table></div><figcaption>{{ caption }}</figcaption></figure>",
         names=list(names),
         cells=cells,
         caption=caption,
     )
+
+
+def _value_and_sd(value: float, sd: float | None) -> tuple[str, str]:
+    """Return a number to the digits of its standard deviation, and that with ±; four digits without one."""
+    if sd is None or sd == value == 0.0:
+        return f"{value:.4g}", ""
+    shown, _, spread = plus_minus(value, sd).partition(" ± ")
+    return (shown, f"± {spread}") if "(" not in shown else (f"{value:.4g}", f"± {sd:.2g}")
+
+
+def quantity_matrix(
+    values_si: ArrayLike,
+    units: Sequence[Sequence[ShownUnit]],
+    names: Sequence[str],
+    caption: str,
+    deviations_si: ArrayLike | None = None,
+) -> Markup:
+    """Return a square matrix in SI units, shown in units for people; see ``matrix``."""
+    per_si = np.array([[unit.per_si for unit in row] for row in units])
+    sds = None if deviations_si is None else np.asarray(deviations_si, dtype=float) * per_si
+    # A zero has no sign.
+    shown = np.asarray(values_si, dtype=float) * per_si + 0.0
+    return matrix(shown, names, caption, sds, [[unit.symbol for unit in row] for row in units])
 
 
 def figure(
@@ -331,10 +362,15 @@ def folded(summary: str, *blocks: Markup) -> Markup:
 def inputs_table(provenance: dict[str, Any]) -> Markup:
     """Return the inputs of a result with size, date and hash."""
     rows = [
-        (role, entry["file"], f"{entry['size_bytes']:,}", entry["modified"], entry["hash"])
+        (role, entry["file"], f"{entry['size_bytes']:,}", _date(entry["modified"]), entry["hash"])
         for role, entry in provenance.get("inputs", {}).items()
     ]
     return table(("role", "file", "bytes", "modified", "content hash"), rows, words=True)
+
+
+def _date(moment: str) -> str:
+    """Return a date of ISO 8601 as people write it: to the minute."""
+    return re.sub(r"^(\d{4}-\d\d-\d\d)T(\d\d:\d\d):\d\d(\.\d+)?\+00:00$", r"\1 \2 UTC", moment)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -66,6 +67,8 @@ STIFFNESS = ShownUnit("N/m", 1.0)
 ROTATION_STIFFNESS = ShownUnit("N mm/rad", 1e3)
 DAMPING = ShownUnit("mN s/m", 1e3)
 ROTATION_DAMPING = ShownUnit("µN mm s/rad", 1e9)
+COUPLING_STIFFNESS = ShownUnit("N", 1.0)
+COUPLING_DAMPING = ShownUnit("µN s", 1e6)
 FIRST_MOMENT = ShownUnit("mg mm", 1e9)
 INERTIA = ShownUnit("mg mm²", 1e12)
 
@@ -91,11 +94,31 @@ def diagonal_unit(letter: str, dof: str, exponent: float = 1.0) -> ShownUnit:
     >>> [diagonal_unit(*entry).symbol for entry in (("K", "y"), ("D", "gamma"), ("D", "y", 0.5))]
     ['N/m', 'µN mm s/rad', 'N s^0.5/m']
     """
-    turns = dof not in "xyz"
-    if letter == "D" and exponent == 1.0:
-        return ROTATION_DAMPING if turns else DAMPING
-    unit = ROTATION_STIFFNESS if turns else STIFFNESS
-    if letter == "K":
-        return unit
+    return _entry_unit(letter, 2 * (dof not in "xyz"), exponent)
+
+
+def matrix_units(letter: str, dof: Sequence[str], exponent: float = 1.0) -> list[list[ShownUnit]]:
+    """Return the unit in which each entry of K, D or M is shown, (n, n).
+
+    Examples
+    --------
+    >>> [unit.symbol for unit in matrix_units("D", ("y", "alpha"))[1]]
+    ['µN s', 'µN mm s/rad']
+    """
+    turns = [name not in "xyz" for name in dof]
+    return [[_entry_unit(letter, row + column, exponent) for column in turns] for row in turns]
+
+
+_BY_TURNS = {
+    "K": (STIFFNESS, COUPLING_STIFFNESS, ROTATION_STIFFNESS),
+    "D": (DAMPING, COUPLING_DAMPING, ROTATION_DAMPING),
+    "M": (MASS, FIRST_MOMENT, INERTIA),
+}
+
+
+def _entry_unit(letter: str, turns: int, exponent: float) -> ShownUnit:
+    if letter != "D" or exponent == 1.0:
+        return _BY_TURNS[letter][turns]
+    unit = _BY_TURNS["K"][turns]
     numerator, slash, denominator = unit.symbol.partition("/")
     return ShownUnit(numerator + time_unit(exponent) + slash + denominator, unit.per_si)

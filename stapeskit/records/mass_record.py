@@ -27,6 +27,29 @@ from stapeskit.warnings import Notice, from_json
 Array = NDArray[np.float64]
 SCHEMA = "stapeskit.mass/1"
 FRAME_SOURCE = "frame"
+_SOURCE_WORDS = {
+    "levels": "grey levels of air and bone",
+    "noise": "voxel noise",
+    "psf": "blur of the scan",
+    "coat": "soft coat on the bone",
+    "surroundings": "fluid or tissue around the stapes",
+    "separation": "cut between stapes and what touches it",
+    "plate": "face of the plate",
+    "inhomogeneity": "uneven bone",
+    "cupping": "cupping of bone",
+    "threshold": "threshold that made the scan",
+    "voxel_size": "voxel size",
+    "density": "density",
+    "mass": "measured mass",
+    "calibration": "grey-to-density calibration",
+    "added_mass": "added masses",
+    "frame": "footplate frame",
+}
+
+
+def mass_source_words(source: str) -> str:
+    """Return the words for a source of error of a mass matrix."""
+    return _SOURCE_WORDS.get(source, source.replace("_", " "))
 
 
 @dataclass(frozen=True)

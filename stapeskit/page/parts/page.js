@@ -45,10 +45,14 @@
   all(".scroll").forEach((box) => {
     if (box.scrollWidth > box.clientWidth + 1) { box.tabIndex = 0; box.setAttribute("role", "region"); box.setAttribute("aria-label", "table, scrolls sideways"); }
   });
+  all("figure").forEach((box) => {
+    if (box.scrollWidth <= box.clientWidth + 1) return;
+    box.classList.add("wide"); box.tabIndex = 0; box.setAttribute("aria-label", "figure, scrolls sideways");
+  });
   all("figure > img").forEach((image, place) => {
     const kind = (/^data:image\/(\w+)/.exec(image.src) || [])[1];
     if (!kind) return;
-    image.after(button(kind.toUpperCase(), "save this figure", () => save(image.src, name(image) + "_" + (place + 1) + "." + kind)));
+    image.after(button(kind.toUpperCase(), "save this figure as " + kind.toUpperCase(), () => save(image.src, name(image) + "_" + (place + 1) + "." + kind)));
   });
   const links = all("nav.side a"), fold = document.querySelector("nav.side details");
   if (fold && window.matchMedia("(max-width: 1179px)").matches) fold.open = false;
