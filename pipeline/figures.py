@@ -1,6 +1,6 @@
 """The figures of a page as files and its tables as CSV and LaTeX: ``stapeskit figures PAGE.html DIR``.
 
-The files are those that the buttons of the page save (stapeskit/page/parts/page.js).
+The files are those that the buttons of the page save (stapeskit/page/parts/page.js), and each figure as PDF.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import ParseError
 
+from pipeline.figure_pdf import figure_pdf
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.own_files import OutputSet
 from stapeskit.tables.text_cells import as_text_cell
@@ -89,7 +91,7 @@ class _Parts(HTMLParser):
 
 
 def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Path, ...]:
-    """Write every figure of a page (SVG, or PNG where it holds pixels) and every table (CSV, LaTeX).
+    """Write every figure of a page (PDF, and SVG, or PNG where it is pixels) and every table (CSV, LaTeX).
 
     Parameters
     ----------
@@ -113,6 +115,7 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
     parts = _Parts()
     parts.feed(text)
     files = {f"{name}.{kind}": content for name, kind, content in parts.figures}
+    files |= {f"{name}.pdf": _pdf(page, kind, content) for name, kind, content in parts.figures}
     for name, rows in parts.tables:
         files[f"table_{name}.csv"] = _csv(rows)
         files[f"table_{name}.tex"] = _latex(rows)
@@ -125,6 +128,14 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
         for name, content in files.items():
             (stage / name).write_bytes(content)
     return tuple(outputs.folder / name for name in files)
+
+
+def _pdf(page: Path, kind: str, content: bytes) -> bytes:
+    try:
+        return figure_pdf(kind, content)
+    except (ParseError, KeyError, ValueError, OSError) as fault:
+        step = "Give report.html, dof.html or kd.html as the command wrote it"
+        raise StapeskitError(Fault("a figure", "one that a command drew", kind, page.name, step)) from fault
 
 
 def _csv(rows: Sequence[Sequence[str]]) -> bytes:

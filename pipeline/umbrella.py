@@ -31,7 +31,7 @@ its three steps:
 to begin, and to publish:
   sample DIR    copy a complete simulated study into DIR
   figures PAGE DIR
-                write the figures of a page as SVG or PNG, its tables as CSV
+                write the figures of a page as PDF and SVG, its tables as CSV
                 and LaTeX into DIR
   completion    print the completion for bash, zsh or fish
 
