@@ -4,8 +4,9 @@
 
 Each ear draws a stapes, a pose, a voxel size, a noise, and one condition of its scan; its measurement is then
 made several times, each time with another condition of the measurement. A study is wrong when the mass, or
-an entry on the diagonal of K or D, lies more than 4 stated standard deviations from the truth. Printed: how
-many studies of each verdict are wrong, for each condition, and for each warning. ``--records`` keeps every
+an entry on the diagonal of K or D, lies more than 4 stated standard deviations from the truth; it is of no
+use when a stated standard deviation or a true error of such a number is above 30 % of the truth. Printed: how
+many studies of each verdict are so, for each condition, and for each warning. ``--records`` keeps every
 study in a file (JSON lines); ears that are in it are not made again.
 """
 
@@ -33,6 +34,8 @@ Draw = np.random.Generator
 # A number is wrong beyond this many of its sd: of 30 numbers of each of 144 studies, 0.3 pass it by chance
 # (6e-5 each).
 MOST_SD = 4.0
+# Beyond this share of the truth a standard deviation or an error leaves a number of no use.
+MOST_SHARE = 0.3
 # What is true of every ear here, and says nothing about errors: its only measured stapes is larger than most.
 _OF_ALL = ("outside_published_sizes",)
 REFUSED = "refused"
@@ -302,6 +305,11 @@ def wrong(row: Mapping[str, Any]) -> bool:
     return any(abs(error) > MOST_SD * sd for error, sd, _ in row["errors"].values())
 
 
+def of_no_use(row: Mapping[str, Any]) -> bool:
+    """Tell whether a number of a study is too uncertain, or too far off, to be used for anything."""
+    return any(max(abs(error), sd) > MOST_SHARE * abs(true) for error, sd, true in row["errors"].values())
+
+
 def main() -> None:
     """Make the studies and print the tables."""
     parser = argparse.ArgumentParser(
@@ -354,11 +362,14 @@ def tables(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _share(group: Sequence[Mapping[str, Any]], level: str) -> str:
-    """Return how many studies of a group have a verdict and how many of these are wrong."""
+    """Return how many studies of a group have a verdict, how many are wrong, and how many else of no use."""
     own = [row for row in group if row["level"] == level]
     if not own:
         return ""
-    return f"{len(own)}" if level == REFUSED else f"{len(own)}, {sum(map(wrong, own))} wrong"
+    if level == REFUSED:
+        return f"{len(own)}"
+    useless = sum(of_no_use(row) and not wrong(row) for row in own)
+    return f"{len(own)}, {sum(map(wrong, own))} wrong" + (f", {useless} of no use" if useless else "")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,8 +13,9 @@ from stapeskit.warnings import Notice
 
 BELIEVE, CHECK, DO_NOT_USE = "believe", "check", "do not use"
 _ORDER = (BELIEVE, CHECK, DO_NOT_USE)
-# Above this share of its value a standard deviation leaves a diagonal entry of K or D nearly unknown.
-_MOST_RELATIVE_SD = 0.3
+# Above this share of its value a standard deviation leaves a diagonal entry of K or D nearly unknown; a
+# stiffness whose standard deviation exceeds it is undetermined.
+_MOST_RELATIVE_SD, _UNDETERMINED = 0.3, 1.0
 
 
 @dataclass(frozen=True)
@@ -44,12 +45,16 @@ class Verdict:
 
 
 @cache
-def levels() -> dict[str, str]:
-    """Return what each listed warning code makes of a study."""
-    text = Path(__file__).with_name("verdict.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)
-    listed = dict.fromkeys(table["information"], BELIEVE)
-    return listed | dict.fromkeys(table["do_not_use"], DO_NOT_USE)
+def _lists() -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name("verdict.toml").read_text(encoding="utf-8"))
+
+
+def levels(codes: Collection[str] = ()) -> dict[str, str]:
+    """Return what each listed warning code makes of a study, where these codes stand beside each other."""
+    lists = _lists()
+    together = [code for pair in lists["do_not_use_together"] if set(pair) <= set(codes) for code in pair]
+    listed = dict.fromkeys(lists["information"], BELIEVE)
+    return listed | dict.fromkeys([*lists["do_not_use"], *together], DO_NOT_USE)
 
 
 def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
@@ -61,27 +66,34 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
         Content of kd.json.
     notices : iterable of Notice
     """
-    reasons = [Reason(levels().get(notice.code, CHECK), notice.code, notice.text) for notice in notices]
-    codes = {reason.code for reason in reasons}
+    notices = list(notices)
+    codes = {notice.code for notice in notices}
+    level_of = levels(codes)
+    reasons = [Reason(level_of.get(notice.code, CHECK), notice.code, notice.text) for notice in notices]
     if not kd["stable"] and "unstable" not in codes:
         reasons.append(Reason(DO_NOT_USE, "", "The system of M, K and D is unstable."))
     if not all(kd["passive"].values()) and "not_passive" not in codes:
         reasons.append(
             Reason(CHECK, "", "K or D is not positive semidefinite: energy would come from nowhere.")
         )
-    vague = [
-        f"{letter}({dof})"
-        for letter, key in (("K", "stiffness"), ("D", "damping"))
-        for place, dof in enumerate(kd["dof"])
-        if not _known(kd[f"{key}_si"][place][place], kd[f"{key}_sd_si"][place][place])
-    ]
-    if vague:
-        reasons.append(Reason(CHECK, "", f"Known to no better than 30 percent: {', '.join(vague)}."))
+    lost, vague = _beyond(kd, "K", _UNDETERMINED), [*_beyond(kd, "K"), *_beyond(kd, "D")]
+    if lost:
+        text = f"Undetermined, with a standard deviation above the value: {', '.join(lost)}."
+        reasons.append(Reason(DO_NOT_USE, "", text))
+    if rest := [name for name in vague if name not in lost]:
+        reasons.append(Reason(CHECK, "", f"Known to no better than 30 percent: {', '.join(rest)}."))
     shown = tuple(reason for reason in reasons if reason.level != BELIEVE)
     shown = tuple(sorted(shown, key=lambda reason: -_ORDER.index(reason.level)))
     level = max((reason.level for reason in shown), key=_ORDER.index, default=BELIEVE)
     return Verdict(level, shown)
 
 
-def _known(value: float, sd: float | None) -> bool:
-    return sd is None or sd <= _MOST_RELATIVE_SD * abs(value)
+def _beyond(kd: Mapping[str, Any], letter: str, share: float = _MOST_RELATIVE_SD) -> list[str]:
+    """Return the entries on the diagonal whose standard deviation is above a share of their value."""
+    key = {"K": "stiffness", "D": "damping"}[letter]
+    found = []
+    for place, dof in enumerate(kd["dof"]):
+        value, sd = kd[f"{key}_si"][place][place], kd[f"{key}_sd_si"][place][place]
+        if sd is not None and sd > share * abs(value):
+            found.append(f"{letter}({dof})")
+    return found

@@ -24,7 +24,12 @@ KD = {
         ((), BELIEVE, 0),
         (("dc_line",), BELIEVE, 0),
         (("handedness_unconfirmed", "dc_line"), CHECK, 1),
-        (("handedness_unconfirmed", "flexible"), DO_NOT_USE, 2),
+        (("handedness_unconfirmed", "sample_moved"), DO_NOT_USE, 2),
+        (("misfit",), CHECK, 1),  # noise stated too small does it too, and widens the standard deviations
+        (("flexible",), CHECK, 1),
+        (("frequency_dependent",), CHECK, 1),
+        (("misfit", "frequency_dependent"), DO_NOT_USE, 2),
+        (("handedness_unconfirmed", "flexible", "frequency_dependent"), DO_NOT_USE, 3),
     ],
 )
 def test_the_worst_warning_decides(codes, level, reasons):
@@ -40,6 +45,8 @@ def test_the_worst_warning_decides(codes, level, reasons):
         ({"passive": {"stiffness": True, "damping": False}}, CHECK),
         ({"damping_sd_si": [[0.01]]}, CHECK),
         ({"stiffness_sd_si": [[None]]}, BELIEVE),
+        ({"stiffness_sd_si": [[600.0]]}, CHECK),
+        ({"stiffness_sd_si": [[1800.0]]}, DO_NOT_USE),
     ],
 )
 def test_numbers_decide_too(change, level):
@@ -47,4 +54,4 @@ def test_numbers_decide_too(change, level):
 
 
 def test_every_listed_code_is_a_warning():
-    assert set(levels()) <= set(table())
+    assert set(levels(table())) <= set(table())
