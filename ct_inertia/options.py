@@ -45,6 +45,8 @@ _OUTPUT = "output"
 
 # Voxels in which a stapes of 3 mm would have 30 000 voxels a side, or less than one.
 _SPACING_MM = (1e-4, 3.0)
+# Thinner than a cell: a thickness in mm. Mucosa of the middle ear has 20 to 50 um.
+_LEAST_COAT_UM = 1.0
 
 
 def _plausible_spacing(spacing_mm: tuple[float, ...]) -> bool:
@@ -116,6 +118,13 @@ class MassOptions(OptionTable):
             f"the voxel size in mm, {_SPACING_MM[0]:g} to {_SPACING_MM[1]:g}",
             next_step="Divide a size in um by 1000; multiply a size in m by 1000",
             shows="spacing",
+        ),
+        Rule(
+            lambda v: v.coat_um is not None and 0.0 < v.coat_um[0] < _LEAST_COAT_UM,
+            "{coat}",
+            f"0, or a thickness in um, {_LEAST_COAT_UM:g} at least",
+            next_step="Multiply a thickness in mm by 1000",
+            shows="coat_um",
         ),
         *(_half_a_layout(name) for name in ("shape", "dtype")),
         *(needs(name, "labels", "whose numbers it names") for name in ("stapes_label", "plate_label")),

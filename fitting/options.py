@@ -238,7 +238,7 @@ class KDFiles(OptionTable):
             "DOF and {mass}",
             "given",
             "one or none of them",
-            "dof2kd --help shows an example",
+            "points2dof writes dof.csv, ct2mass writes mass.json; dof2kd --help shows an example",
         ),
         Rule(
             lambda v: v.mass and v.mass.suffix.lower() != ".json" and v.dof.reordered,

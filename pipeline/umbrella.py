@@ -121,7 +121,9 @@ def _sample(words: Sequence[str]) -> None:
     folders = [word for word in words if word != "--force"]
     if len(folders) != 1 or folders[0].startswith("-"):
         got = " ".join(words) or "nothing"
-        raise StapeskitError(Fault("stapeskit sample", "given one folder", got, "", "stapeskit sample ear"))
+        raise StapeskitError(
+            Fault("stapeskit sample", "given one folder", got, "", "Write for example stapeskit sample ear")
+        )
     from pipeline.sample import copy_sample
 
     target = Path(folders[0])
@@ -140,7 +142,7 @@ def _figures(words: Sequence[str]) -> None:
 
     names = [word for word in words if word != "--force"]
     if len(names) != 2 or any(name.startswith("-") for name in names):
-        step = "stapeskit figures results/report.html figures"
+        step = "Write for example stapeskit figures results/report.html figures"
         got = " ".join(words) or "nothing"
         raise StapeskitError(Fault("stapeskit figures", "given a page and a folder", got, "", step))
     from pipeline.figures import write_figures

@@ -91,10 +91,12 @@ FLAG = Kind("true or false", "", read_flag, is_flag=True)
 TEXT = Kind("text", "TEXT", read_text)
 NUMBER = Kind("a number", "NUMBER", read_number)
 VALUE_WITH_SD = Kind(
-    'a positive number, or text with its standard deviation like "1900+-60"', "VALUE[+-SD]", read_with_sd
+    "a positive number without its unit, or with its standard deviation behind it, VALUE+-SD",
+    "VALUE[+-SD]",
+    read_with_sd,
 )
 VALUE_OR_ZERO_WITH_SD = Kind(
-    '0, a positive number, or text with its standard deviation like "35+-12"',
+    "0, a positive number without its unit, or with its standard deviation behind it, VALUE+-SD",
     "VALUE[+-SD]",
     read_zero_or_with_sd,
 )

@@ -128,7 +128,7 @@ def observe(
     observation = _gather(
         motion, dof, load_dof, structure, base, _inside(motion.freq_hz, band_hz, exclude_hz)
     )
-    _check_lines(observation, band_hz, exclude_hz)
+    _check_lines(observation, band_hz, exclude_hz, motion.freq_hz)
     return observation
 
 
@@ -225,13 +225,17 @@ def _check_motion(motion: RigidMotion, dof: tuple[str, ...], structure: str, bas
 
 
 def _check_lines(
-    observation: Observation, band_hz: tuple[float, float] | None, exclude_hz: Sequence[tuple[float, float]]
+    observation: Observation,
+    band_hz: tuple[float, float] | None,
+    exclude_hz: Sequence[tuple[float, float]],
+    measured_hz: Array,
 ) -> None:
     lines, n = len(observation.freq_hz), len(observation.dof)
     if lines == 0:
         where = f"{observation.dropped} lines have missing values" if observation.dropped else ""
         if band_hz is not None or exclude_hz:
-            step = f"Widen {named('band')}, exclude less or use another file"
+            ends = f"{np.min(measured_hz):.6g} to {np.max(measured_hz):.6g} Hz"
+            step = f"Lines were measured from {ends}: widen {named('band')} or exclude less"
         else:
             step = "Measure structure and base at common frequencies"
         raise FittingError(Fault("the band", "one with measured lines of both bodies", "none", where, step))

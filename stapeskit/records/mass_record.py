@@ -226,7 +226,8 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         raw = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
-        raise StapeskitError(Fault("the mass file", "JSON", f"{fault}", path.name, MADE_BY)) from fault
+        got = f"text that is none ({fault})"
+        raise StapeskitError(Fault("the mass file", "JSON", got, path.name, MADE_BY)) from fault
     if not isinstance(raw, dict):
         raise StapeskitError(Fault("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY))
     return raw

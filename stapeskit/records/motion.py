@@ -130,10 +130,7 @@ class RigidMotion:
         if name not in self.bodies:
             raise StapeskitError(
                 Fault(
-                    "the body",
-                    f"one of {', '.join(self.bodies)}",
-                    name,
-                    next_step=f"Name one with {option}, or measure {name}",
+                    "the body", f"one of {', '.join(self.bodies)}", name, next_step=f"Name one with {option}"
                 )
             )
         return self.bodies.index(name)

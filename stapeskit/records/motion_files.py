@@ -232,7 +232,8 @@ def _read_csv(path: Path, notice: Notice) -> RigidMotion:
             missing = ["x_re_m or another degree of freedom"]
         if missing:
             place = Place(name, "line", (1,))
-            raise StapeskitError(Fault("a motion file", "complete", f"no column {', '.join(missing)}", place))
+            got, step = f"no column {', '.join(missing)}", "Give dof.csv or dof.h5 of points2dof"
+            raise StapeskitError(Fault("a motion file", "complete", got, place, step))
         numbers = {*columns.needed, *(column.name for column in STORED)} - {"body"}
         return numbers & set(header), {"run", "body"} & set(header)
 
