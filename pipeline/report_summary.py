@@ -27,8 +27,8 @@ _TEMPLATE = """<div class="verdict {{ css }}" id="verdict">
 <li>{% if one.code %}<code>{{ one.code }}</code> {% endif %}
 <span class="short">{{ one.text }}</span></li>{% endfor %}
 </ul><a class="more" href="#warnings">the whole texts</a>{% endif %}</div>
-<div class="cards" id="summary">{% for title, rows in cards %}<div><h3>{{ title }}</h3><table>
-{% for row in rows %}<tr>{% for cell in row %}<td>
+<div class="cards" id="summary">{% for title, rows in cards %}<div><table><caption>{{ title }}</caption>
+{% for row in rows %}<tr><th scope="row">{{ row[0] }}</th>{% for cell in row[1:] %}<td>
 {%- for words in cell.split(", ") %}<span class="n">{{ words }}
 {%- if not loop.last %},{% endif %}</span> {% endfor %}</td>{% endfor %}</tr>
 {% endfor %}</table></div>{% endfor %}</div>"""
@@ -99,7 +99,7 @@ def summary_block(
     """Return the verdict with its reasons and the key numbers in the units of people."""
     return page.template(
         _TEMPLATE,
-        level=results.level.capitalize(),
+        level=f"Verdict: {results.level}",
         css=results.level.replace(" ", "-"),
         sentence=_SENTENCES[results.level],
         reasons=[type(reason)(reason.level, reason.code, printed(reason.text)) for reason in results.reasons],

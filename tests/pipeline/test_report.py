@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from itertools import pairwise
 
 import pytest
 
@@ -68,6 +69,23 @@ def test_sections_stand_in_their_order(page):
     found = [heading for heading in page[1].headings if heading in HEADINGS]
     assert tuple(found) == HEADINGS
     assert len(set(page[1].headings)) == len(page[1].headings)
+
+
+def test_a_screen_reader_finds_its_way(page):
+    """Headings without jumps, a name for every picture, table and control, and captions where they belong."""
+    text, _ = page
+    levels = [int(level) for level in re.findall(r"<h([1-6])[ >]", text)]
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert all(re.search(r'alt="[^"]+"', image) for image in re.findall(r"<img [^>]*>", text))
+    assert all("aria-label=" in canvas for canvas in re.findall(r"<canvas[^>]*>", text))
+    for table in re.findall(r"<table.*?</table>", text, re.DOTALL):
+        heads = re.findall(r"<th[ >][^>]*", table)
+        assert heads
+        assert all("scope=" in head for head in heads)
+    for caption in re.finditer("<figcaption>", text):
+        before = text[: caption.start()]
+        assert before.rfind("<figure") > before.rfind("</figure>")
 
 
 def test_nothing_comes_from_the_network(page):
