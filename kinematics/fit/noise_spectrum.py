@@ -17,8 +17,9 @@ _MOST_LINES, _MOST_VALUES = 2048, 400_000
 # Lines a motion, from which on the course of the noise is not absorbed by the motions.
 _DRIFTING = 8
 _LEAST_RESIDUAL_SHARE: float = calibrated("noise_spectrum.least_residual_share")
-# Rounds of factors and motions where values are missing, with so many lines a motion.
-_TURNS, _FREE = 3, 3
+# Most rounds of factors and motions where values are missing, with so many lines a motion; they end earlier
+# once the energy falls by less than 2 %.
+_TURNS, _FREE = 12, 2
 # Share of the trace, or size, that keeps channels and lines solvable that do not determine their factors.
 _RIDGE, _LEAST = 1e-12, 1e-100
 _LEAST_EVIDENCE: float = calibrated("noise_spectrum.least_evidence")
@@ -67,7 +68,7 @@ def noise_course(fit: LineFit, freq_hz: Array) -> Array | None:
         flat = np.exp(-course[lines] - loud)
         energy, taken, z = _unexplained(white * flat, z * flat, own, turn)
         z = z / flat
-        left = 1.0 - (1.0 - len(z) / len(white)) * taken / number
+        left = 1.0 - taken / number
         some = (left > _LEAST_RESIDUAL_SHARE) & (energy > 0.0)
         if np.sum(some) < _LEAST_LINES // 2:
             return None
@@ -92,8 +93,9 @@ def _whitened(fit: LineFit, lines: NDArray[np.intp]) -> tuple[ComplexArray, Comp
         weight = np.where(used, factor / sd, 0.0)
     line = np.sqrt(np.sum(weight**2, axis=0) / np.maximum(np.sum(used, axis=0), 1))
     white = np.where(used, fit.value[:, lines], 0.0) * weight
-    # All lines of complete data leave the same share.
-    own = used.astype(float) if np.all(used) else np.where(used, 1.0 - fit.leverage(lines), 0.0)
+    # All lines of complete data leave the same share in the mean over the channels.
+    share = 1.0 - len(fit.solution.z) / len(used)
+    own = share * used if np.all(used) else np.where(used, 1.0 - fit.leverage(lines), 0.0)
     return white, fit.solution.z[:, lines] * line, own, np.sum(np.abs(residual * weight) ** 2, axis=0)
 
 
@@ -123,15 +125,20 @@ def _unexplained(
     used = white != 0.0
     complete = bool(np.all(used))
     free = np.mean(used) * white.shape[1] >= _FREE * len(motion)
+    energy = np.inf
     for _ in range(_TURNS if free and not complete else 0):
         factors = _solved(_gram(motion, used), white, motion)
         rest = np.where(used, white - factors @ motion, 0.0)
         motion = motion + _solved(_gram(factors.T, used.T), rest.T, factors.T).T
+        before, energy = energy, float(np.sum(np.abs(rest) ** 2))
+        if not energy < (1.0 - _SETTLED) * before:
+            break
     rows = motion if turn is None else np.vstack([motion, motion * turn])
     if complete:
         vectors = np.linalg.svd(rows, full_matrices=False)[2]
         rest = white - (white @ vectors.conj().T) @ vectors
-        return np.sum(np.abs(rest) ** 2, axis=0), len(white) * np.sum(np.abs(vectors) ** 2, axis=0), motion
+        taken = np.sum(own, axis=0) * np.sum(np.abs(vectors) ** 2, axis=0)
+        return np.sum(np.abs(rest) ** 2, axis=0), taken, motion
     gram = _gram(rows, used)
     rest = np.where(used, white - _solved(gram, white, rows) @ rows, 0.0)
     inverse = np.linalg.inv(gram).reshape(len(white), -1)

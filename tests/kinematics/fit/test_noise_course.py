@@ -59,6 +59,18 @@ def test_a_fault_however_large_is_no_course_of_the_noise(power: float, size: flo
     assert np.std(np.log(found * FREQ**-power)) < 0.15
 
 
+@pytest.mark.parametrize("missing", [0.04, 0.2])
+def test_lines_of_a_resonance_with_gaps_are_no_quiet_part_of_the_band(missing: float) -> None:
+    rng = np.random.default_rng(6)
+    places, beams = np.repeat(stapes_points(rng), 3, axis=0), np.tile(three_beams(20.0), (9, 1))
+    resonance = 1.0 / (1.0 - (FREQ / 95.0) ** 2 + 0.1j)
+    value = readings(places, beams, smooth_motion(rng, FREQ) * resonance[:, None])
+    value = value + 1e-3 * np.median(np.abs(value)) * rng.normal(size=(27, 2 * len(FREQ))).view(complex)
+    value[rng.random(value.shape) < missing] = np.nan
+    course = noise_course(fit_lines(beam_set("s", places, beams, DOF_NAMES), value, np.array(1e-10)), FREQ)
+    assert course is None or np.ptp(np.log(course)) < 0.3
+
+
 @pytest.mark.parametrize("missing", [0.0, 0.03])
 @pytest.mark.parametrize("seed", [5001, 5003])
 def test_a_beam_of_the_wrong_sign_is_named_where_no_noise_is_stated(seed: int, missing: float) -> None:
