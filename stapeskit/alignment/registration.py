@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stapeskit.alignment.fiducial_faults import (
     check_size,
+    clearly_below,
     explanations,
     fault_notices,
     inconsistent,
@@ -179,15 +180,16 @@ def _checked(
     notices = [_coplanar_notice(len(a), flat)] if coplanar else []
     if len(a) > 3:
         suspects = explanations(a, b, weights)
-        if mirrored and not coplanar:
+        least = {
+            kind: min(explanation.energy for explanation in suspects if explanation.kind == kind)
+            for kind in ("wrong", "mirrored")
+        }
+        flipped = mirrored and not coplanar
+        rivals = [least["wrong"]] * (len(a) > 4) + [clearly_below(least["mirrored"], stated)] * flipped
+        refuse_exchanged(a, b, weights, energy, stated, names, min(rivals, default=np.inf))
+        if flipped:
             frames = (transform.to, transform.source)
             refuse_mirrored(suspects, energy, float(np.sum(weights)), stated, frames, names)
-        single = (
-            min(explanation.energy for explanation in suspects if explanation.kind == "wrong")
-            if len(a) > 4
-            else np.inf
-        )
-        refuse_exchanged(a, b, weights, energy, stated, names, single)
         notices += fault_notices(suspects, transform.rotation, energy, names, stated)
     elif stated and inconsistent(energy, n_dof):
         notices.append(_three_notice(energy, n_dof))

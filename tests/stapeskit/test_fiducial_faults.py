@@ -71,6 +71,16 @@ def test_exchanged_fiducials_are_refused_by_name(moved, stated, count):
         assert all(step in said for step in (pair if len(cycle) == 2 else steps))
 
 
+@pytest.mark.parametrize("sd", [0.02, None])
+def test_two_pairs_exchanged_on_a_nearly_flat_plate_are_no_mirror_image(sd):
+    rng = np.random.default_rng(4)
+    corners = [[-2.2, 0.0, -1.5], [2.4, 0.1, -1.4], [2.3, 0.2, 1.7], [-2.1, 0.1, 1.4], [0.3, 1.5, 2.0]]
+    known = np.array([*corners, [1.0, 0.9, -2.1]])
+    seen = POSE.inverse().points(known) + 0.01 * rng.normal(size=known.shape)
+    with pytest.raises(StapeskitError, match="got a and b exchanged; c and d exchanged"):
+        fit(seen, known[[1, 0, 3, 2, 4, 5]], sd, names=tuple("abcdef"))
+
+
 def test_the_order_of_a_symmetric_plate_moves_fewest_points():
     square = np.array([[1.0, 0, 1], [-1, 0, 1], [-1, 0, -1], [1, 0, -1], [0.3, 0.7, 0.0]])
     order, energy = best_order(square, square, np.ones(5))
