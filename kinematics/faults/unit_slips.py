@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -31,6 +33,14 @@ _LARGEST_RATIO = 100.0
 # Over a factor of two in frequency damping turns the motion by more than pi degrees; radians never pass pi.
 _LEAST_VALUES, _WIDE_BAND, _LEAST_PHASE, _MIDDLE_PHASE = 50, 2.0, 1.0, 0.3
 _SAMPLE = 100_000
+# Decibels of what moves in an ear over 1 nm/s, 1 um/s or so; units of the header, in SI.
+_LEAST_DB, _MOST_DB = 20.0, 200.0
+_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
+# Lines on which a rigid motion is tried; shares of the energy that no rigid motion makes: of readings that
+# are not rigid, and what the right unit leaves of that.
+_TRIED_LINES, _NOT_RIGID, _CURED = 40, 1e-3, 0.1
+# Motions that beams see with less than this share of the lever of the strongest count as unseen.
+_SEEN = 1e-6
 
 
 def unit_slips(measurement: Measurement) -> list[Notice]:
@@ -80,6 +90,8 @@ def _velocities(measurement: Measurement) -> Iterator[str]:
     if small and quiet:
         what += f" with a noise of {noise:.2g} m/s, below that of any vibrometer"
     finer = f"{'mun'[min(power, 3) - 1]}{unit}"
+    if _LEAST_DB < size < _MOST_DB:
+        finer = f"decibels or {finer}"
     pair = f"{unit} under a header in {finer}" if small else f"{finer} under a header in {unit}"
     yield (
         f"{'bodies' if len(names) > 1 else 'body'} {', '.join(names)} {what}; ears in experiments move by "
@@ -156,6 +168,43 @@ def _phases(measurement: Measurement) -> Iterator[str]:
             )
 
 
+def _decibels(measurement: Measurement) -> Iterator[str]:
+    """Hold the readings against a rigid motion as they are, and taken as decibels."""
+    step = max(1, len(measurement.freq_hz) // _TRIED_LINES)
+    rate = (2j * np.pi * measurement.freq_hz[::step]) ** measurement.order
+    for body in measurement.bodies:
+        value = body.displacement[0, :, ::step] * rate
+        value = value[:, np.all(np.isfinite(value) & (value != 0.0), axis=0)]
+        arms = (body.positions_mm - np.mean(body.positions_mm, axis=0)) * 1e-3
+        size = max(float(np.max(np.linalg.norm(arms, axis=1))), 1e-9)
+        basis, strength, _ = np.linalg.svd(point_rows(arms / size, body.directions), full_matrices=False)
+        basis = basis[:, strength > _SEEN * strength[0]]
+        if not value.size or basis.shape[1] == len(value):
+            continue
+        given = _not_rigid(value, basis)
+        amplitude = np.abs(value)
+        for unit in _UNITS if given > _NOT_RIGID else ():
+            level = amplitude / unit
+            if not _LEAST_DB < np.median(level) < _MOST_DB:
+                continue
+            linear = 10.0 ** ((level - np.max(level)) / 20.0)
+            after = _not_rigid(linear * np.exp(1j * np.angle(value)), basis)
+            if after < _CURED * given:
+                yield (
+                    f"body {body.body} moves as a rigid body only when its amplitudes are taken as decibels "
+                    f"({100.0 * np.sqrt(after):.2g} % of them are no rigid motion then, "
+                    f"{100.0 * np.sqrt(given):.2g} % as given). Give amplitudes, 10^(dB/20) times the "
+                    "reference."
+                )
+
+
+def _not_rigid(value: NDArray[Any], basis: Array) -> float:
+    """Return the median share of the energy of readings (channel, line) outside the span of a basis."""
+    whole = np.sum(np.abs(value) ** 2, axis=0)
+    inside = np.sum(np.abs(basis.T @ value) ** 2, axis=0)
+    return float(np.median(np.maximum(1.0 - inside / whole, 0.0)))
+
+
 def _some(body: BodyChannels, turn: NDArray[np.complex128] | None = None) -> NDArray[np.complex128]:
     """Return finite readings that are not zero, of some lines of large data, times a factor (freq,)."""
     value = body.displacement
@@ -164,4 +213,10 @@ def _some(body: BodyChannels, turn: NDArray[np.complex128] | None = None) -> NDA
     return np.asarray(part[np.isfinite(part) & (part != 0.0)])
 
 
-SLIPS: tuple[Callable[[Measurement], Iterator[str]], ...] = (_points, _frequencies, _ratios, _phases)
+SLIPS: tuple[Callable[[Measurement], Iterator[str]], ...] = (
+    _points,
+    _frequencies,
+    _ratios,
+    _phases,
+    _decibels,
+)

@@ -86,6 +86,17 @@ def test_noise_below_that_of_vibrometers_is_seen():
         assert [notice.code for notice in unit_slips(changed(data, sd=sd))] == seen
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-6])
+def test_decibels_under_a_linear_header_are_named(unit):
+    data = right()
+    rate = 2j * np.pi * data.freq_hz
+    velocity = data.bodies[0].displacement * rate
+    size = np.abs(velocity)
+    level = 20.0 * np.log10(size / np.median(size)) + 90.0
+    notices = unit_slips(changed(data, displacement=unit * level * velocity / size / rate))
+    assert ["taken as decibels" in notice.text for notice in notices] == [True]
+
+
 def test_right_units_are_not_named():
     for seed in range(10):
         assert unit_slips(right(seed)) == []
