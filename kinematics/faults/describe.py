@@ -51,5 +51,7 @@ def _described(finding: Finding, body: BodyChannels) -> tuple[str, str]:
     if finding.kind == "noise":
         return "noise", f"noise {finding.size:.3g} times that of its sd"
     if finding.kind == "flexible" or finding.fit is None:
+        if not finding.size > 0.0:
+            return "flexible", "non-rigid motion of a size that these data do not determine"
         return "flexible", f"non-rigid motion {100.0 * finding.size:.2g} % of the motion"
     return KINDS[finding.kind].sentence(finding.fit, body)

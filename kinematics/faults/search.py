@@ -342,13 +342,15 @@ class Search:
     def _blame(self, sets: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
         """Return minus what leaving out each set of channels takes of the residual energy."""
         made, every = dict[tuple[int, ...], float](), list(sets)
+        # Faults of many channels are judged by all lines.
+        whole = self.given.energy + float(np.sum(np.abs(self.given.rest) ** 2))
         for size in {len(own) for own in every}:
             same = [own for own in every if len(own) == size]
             if 2 * size < len(self.live):
                 fall = self.given.left_out(np.array(same, dtype=np.intp))
                 made |= dict(zip(same, (-fall).tolist(), strict=True))
             else:
-                made |= dict.fromkeys(same, -self.given.energy)
+                made |= dict.fromkeys(same, -whole)
         return made
 
     def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:

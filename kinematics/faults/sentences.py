@@ -111,6 +111,8 @@ def axes(fit: Fitted, body: BodyChannels) -> tuple[str, str]:
     vectors = body.file_from_here @ vectors
     seen = (values > 0.0) & (values < _TURN_SEEN**2)
     turn = vectors[:, seen] @ (vectors[:, seen].T @ (body.file_from_here @ fit.parameters))
+    size = float(np.linalg.norm(turn))
+    turn = turn * (np.remainder(size + np.pi, 2.0 * np.pi) - np.pi) / max(size, 1e-300)
     angle = float(np.linalg.norm(turn))
     covariance = (vectors[:, seen] * values[seen]) @ vectors[:, seen].T
     spread = float(np.sqrt(np.maximum(turn @ covariance @ turn, 0.0))) / max(angle, 1e-300)

@@ -18,7 +18,6 @@ ComplexArray = NDArray[np.complex128]
 # lines, two turns of the beam, three shifts of the point, three turns of all beams.
 REAL, IMAGINARY, DELAY, DRIFT, DRIFT_IMAGINARY = range(5)
 TURNS, SHIFTS, AXES = (5, 6), (7, 8, 9), (10, 11, 12)
-TANGENTS = 13
 # Numbers that are held at once.
 _HELD = 4_000_000
 

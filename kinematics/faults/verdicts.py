@@ -135,6 +135,7 @@ def fault_notices(run: str, body: BodyChannels, diagnosis: Diagnosis, several: b
             text = (
                 f"body {body.body}{where} does not move as a rigid body: {estimate}{_bent(body, diagnosis)}."
             )
+            text += f" {finding.step}." if finding.step else ""
         elif finding.owner == "laser":
             text = f"{_laser(finding, body)}{where}: {verdict}, {estimate}; correct it or leave them out."
         elif finding.kind == "position" and finding.fit is None:

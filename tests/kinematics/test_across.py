@@ -77,10 +77,11 @@ def test_rows_of_a_point_under_another_run_are_named_in_both():
     assert found["2", "stapes"][2] == {"rows of point 2 of body stapes under run 2 are those of run 1"}
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("channels", [[7], [6, 7, 8]])
 @pytest.mark.parametrize("number", [0, 1])
-def test_conjugated_rows_of_a_channel_or_point_are_named(number, channels):
-    found = accused(altered(study(7), number, channels, np.conj))
+def test_conjugated_rows_of_a_channel_or_point_are_named(number, channels, sign):
+    found = accused(altered(study(7), number, channels, lambda value: sign * value.conj()))
     ((key, entry),) = found.items()
     assert key == ("1", ("stapes", "base")[number])
     assert entry[:2] == (channels, {"sign"})

@@ -26,13 +26,17 @@ _MARGIN = 10.0
 
 @dataclass(frozen=True)
 class _Place:
-    """Where rows could belong: another motion, another point's position, or another reading of the same."""
+    """Where rows could belong: another motion, another point's position, or another reading of the same.
+
+    ``sign`` is that of conjugates: of velocities, i w times displacements, these are the opposite.
+    """
 
     kind: str
     at: Cleared
     arms_m: Array
     partner: tuple[int, ...] = ()
     shift: int = 0
+    sign: int = 1
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cle
 def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[_Place]:
     if len(home.lines) == 2:
         return [_Place("lines", home, arms)]
-    made = [_Place("conjugate", home, arms)]
+    made = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
     made += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
     for (run, number), other in motions.items():
         if number == home.number and run != home.run:
@@ -162,7 +166,7 @@ def _expected(
         here = here[same]
     directions = home.body.directions[list(channels)]
     rows = at.rows(place.arms_m, directions)
-    q = at.q[here].conj() if place.kind == "conjugate" else at.q[here]
+    q = place.sign * at.q[here].conj() if place.kind == "conjugate" else at.q[here]
     variance = np.einsum("ka,fab,kb->kf", rows, at.covariance[here], rows, optimize=True)
     prior = home.body.position_sd_mm[channels[0]] * 1e-3
     if np.isfinite(prior) and prior > 0.0:

@@ -45,7 +45,8 @@ class Label:
     shift : int
         For ``frequency``: at which line later the rows of the base belong.
     factor : float
-        For ``amplitude``: by what the rows of the base are to be multiplied.
+        For ``amplitude`` and ``conjugate``: by what the rows of the base are to be multiplied. Conjugates of
+        velocities are those of displacements with the opposite sign.
     """
 
     kind: str
@@ -125,7 +126,7 @@ def _whole() -> list[Label]:
 
 
 def _labels(runs: int, lines: int) -> Iterator[Label]:
-    yield Label("conjugate")
+    yield from (Label("conjugate", factor=sign) for sign in (1.0, -1.0))
     if runs <= _MOST_RUNS:
         for order in permutations(range(runs)):
             if order != tuple(range(runs)):
@@ -147,7 +148,7 @@ class _Pair:
         s, b, spread = self.structure, self.base, self.sd
         freq = np.broadcast_to(self.freq_hz, s.shape[:2])
         if label.kind == "conjugate":
-            b = b.conj()
+            b = label.factor * b.conj()
         elif label.kind == "sign":
             b = -b
         elif label.kind == "amplitude":

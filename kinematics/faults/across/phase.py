@@ -171,7 +171,7 @@ def _relabelled(
             f"and {peak} in peak values. Name the columns of {rms} amp_rms or give all in peak values.",
         )
     if label.kind == "conjugate":
-        test = phase_test(_conjugated(motion, base), mass, structure, base)
+        test = phase_test(_conjugated(motion, base, label.factor), mass, structure, base)
         which = structure if test is not None and test.deviations < 0.0 else base
         return Notice(
             "phase_convention",
@@ -201,10 +201,10 @@ def _relabelled(
     return Notice("label_swap", f"{left}: {text}.")
 
 
-def _conjugated(motion: RigidMotion, body: str) -> RigidMotion:
+def _conjugated(motion: RigidMotion, body: str, factor: float) -> RigidMotion:
     q = motion.q.copy()
     number = motion.bodies.index(body)
-    q[:, number] = q[:, number].conj()
+    q[:, number] = factor * q[:, number].conj()
     return replace(motion, q=q)
 
 

@@ -15,8 +15,15 @@ _MOST = 0.5
 
 
 def conjugated(suspect: Suspect) -> Iterator[Explanation]:
-    """Yield the laser whose conjugate fits the others best."""
+    """Yield the laser whose conjugate fits the others best.
+
+    Notes
+    -----
+    What stands in the file is the conjugate: of velocities, i w times displacements, that turns the sign of
+    the displacements too.
+    """
     value, fit = suspect.value, suspect.plain
+    sign = (-1.0) ** suspect.placed.order
     groups = lasers_of(suspect.body.directions, list(range(len(value))))
     if not 1 < len(groups) <= 8:
         return
@@ -24,14 +31,14 @@ def conjugated(suspect: Suspect) -> Iterator[Explanation]:
     left = {}
     for number, own in enumerate(groups):
         turned = value.copy()
-        turned[own] = turned[own].conj()
+        turned[own] = sign * turned[own].conj()
         left[number] = float(np.nansum(fit_noise(fit.beams, turned, fit.noise).chi2))
     best = min(left, key=lambda number: (left[number], len(groups[number])))
     if left[best] > _MOST * before:
         return
     own = groups[best]
     turned = value.copy()
-    turned[own] = turned[own].conj()
+    turned[own] = sign * turned[own].conj()
     name = suspect.body.channel_name(own[0]).split(" ", 1)[1]
     text = (
         f"all {len(own)} beams along that of channel {name} read the conjugate of what the others show "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kinematics.faults.causes.conjugated import conjugated
 from kinematics.faults.causes.gains import gains
 from kinematics.faults.causes.mains import mains
-from kinematics.faults.causes.outliers import likely_outliers, outliers
+from kinematics.faults.causes.outliers import likely_outliers, outliers, with_far_values
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.faults.diagnose import Diagnosis, diagnosed
 from kinematics.faults.findings import Finding
@@ -58,12 +58,12 @@ def explained(
     bends = found.bends
     if fit.is_rounding() or (known and not found.findings):
         return None
-    if not found.findings and np.any(found.offsets_m):
-        # Errors of positions within their stated sd are no outliers.
-        body = replace(body, positions_mm=body.positions_mm + 1e3 * found.offsets_m)
-    suspect = Suspect(placed, run, body, fit.beams, known)
+    # Errors of positions within their stated sd are no outliers.
+    offsets = found.offsets_m if not found.findings and np.any(found.offsets_m) else None
+    suspect = Suspect(placed, run, body, fit.beams, known, offsets)
     if not bends and not likely_outliers(suspect.plain, found.course):
         return None
+    suspect = with_far_values(suspect)
     p_value = min((finding.p_value for finding in found.findings), default=_CERTAIN)
     for cause in CAUSES if bends else (outliers,):
         for made in cause(suspect):
@@ -75,11 +75,19 @@ def explained(
                 continue
             if left.findings and cause is gains:
                 continue
+            if made.alike:
+                return replace(found, findings=tuple(map(_or(made), found.findings))), fit
             if not bends and found.findings and len(left.findings) >= len(found.findings):
                 continue
             finding = _finding(made, p_value, None if cause is gains else made.remedied.displacement[run])
             return replace(left, findings=(*left.findings, finding), kept=1.0), again
     return None
+
+
+def _or(made: Explanation) -> Callable[[Finding], Finding]:
+    """Return what says of a body that bends that a cause would look alike."""
+    step = f"So few channels do not tell this from another cause: {made.text}. {made.step}"
+    return lambda finding: replace(finding, step=step) if finding.kind == "flexible" else finding
 
 
 def _finding(made: Explanation, p_value: float, remedied: NDArray[np.complex128] | None) -> Finding:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from kinematics.faults.causes.suspect import Explanation, Suspect
 from kinematics.faults.noise import channel_noise
-from kinematics.faults.packing import Factor, Packed, Source, initial
+from kinematics.faults.nuisance import Marginal, Nuisance
+from kinematics.faults.packing import Factor, Packed
 from kinematics.faults.scatter import information_of, likeliest_size
 from kinematics.faults.state import IMAGINARY, REAL, State
 from stapeskit.vocabulary import named
@@ -43,22 +44,20 @@ class Scatter:
 
 def gains(suspect: Suspect) -> Iterator[Explanation]:
     """Yield gains scattered over channels, and complex factors scattered over points, the likelier first."""
-    source = Source.of(suspect.plain, suspect.body, suspect.freq_hz, False, suspect.placed.line_spread)
-    data = initial(source, suspect.body)
+    data = suspect.packed(suspect.plain, False)
+    nuisance = Nuisance.of(data, suspect.position_sd_m)
     live, size = data.live, data.size
-    if len(live) - size < _REDUNDANT * size or len(live) > _MOST_CHANNELS:
+    if len(live) > _MOST_CHANNELS:
         return
+    alike = len(live) - size < _REDUNDANT * size
     points: dict[str, list[int]] = {}
     for channel in live:
         points.setdefault(data.points[channel], []).append(channel)
-    channels = [[channel] for channel in live]
-    tried = [(channels, False)]
-    if len(points) < len(live):
-        tried += [(list(points.values()), True)]
-    found = [(owners, turned, _scatter(data, owners, turned)) for owners, turned in tried]
-    for owners, _turned, scatter in sorted(found, key=lambda entry: -entry[2].gain):
+    tried = [([[channel] for channel in live], False), (list(points.values()), True)]
+    fits = [(owners, _scatter(data, nuisance, owners, turned)) for owners, turned in tried]
+    for owners, scatter in sorted(fits, key=lambda entry: -entry[1].gain):
         if len(owners) >= _LEAST_OWNERS and scatter.gain > _GAIN and scatter.sd > _WORTH:
-            yield _explanation(suspect, data, owners, scatter)
+            yield replace(_explanation(suspect, data, owners, scatter), alike=alike)
 
 
 def _explanation(suspect: Suspect, data: Packed, owners: list[list[int]], scatter: Scatter) -> Explanation:
@@ -70,7 +69,8 @@ def _explanation(suspect: Suspect, data: Packed, owners: list[list[int]], scatte
     most = owners[int(np.argmax(np.abs(scatter.error)))][0]
     factor = abs(1.0 + scatter.error[int(np.argmax(np.abs(scatter.error)))])
     per_point = any(len(own) > 1 for own in owners)
-    if per_point and abs(_rank_correlation(np.abs(1.0 + scatter.error))) > _IN_ORDER:
+    of_points = len(owners) == len(set(data.points))
+    if of_points and abs(_rank_correlation(np.abs(1.0 + scatter.error))) > _IN_ORDER:
         first, last = abs(1.0 + scatter.error[0]), abs(1.0 + scatter.error[-1])
         text = (
             f"the readings change from point to point in the order of the file, by a factor of "
@@ -96,13 +96,14 @@ def _explanation(suspect: Suspect, data: Packed, owners: list[list[int]], scatte
     return Explanation(code, verdict, channels, text, step, scatter.sd, suspect.with_value(value))
 
 
-def _scatter(data: Packed, owners: list[list[int]], turned: bool) -> Scatter:
+def _scatter(data: Packed, nuisance: Nuisance, owners: list[list[int]], turned: bool) -> Scatter:
     """Return the likeliest relative errors of groups of channels, independent and of one common size.
 
     Notes
     -----
     At the likeliest size sd of the errors they are the means (N + 1 / 2 sd^2)^-1 g, with score g and
-    information N; repeated with the errors undone, as the motion is found anew.
+    information N, next to errors of positions with a stated sd; repeated with the errors undone, as the
+    motion is found anew.
     """
     which = (REAL, IMAGINARY) if turned else (REAL,)
     error, sd, gain = np.zeros(len(owners), dtype=complex), 0.0, 0.0
@@ -112,6 +113,9 @@ def _scatter(data: Packed, owners: list[list[int]], turned: bool) -> Scatter:
         score, information = information_of(state, owners, which)
         level = channel_noise(state).level
         score, information = score / level, information / level
+        if len(nuisance.sd):
+            taken, lost = _positions(Marginal(state, nuisance), owners, which, level)
+            score, information = score - taken, information - lost
         if turn == 0:
             sizes = np.geomspace(_SMALLEST, _LARGEST, 80)
             sd, gain = likeliest_size(score, information, sizes)
@@ -120,6 +124,20 @@ def _scatter(data: Packed, owners: list[list[int]], turned: bool) -> Scatter:
         error = (1.0 + error) * (1.0 + step) - 1.0
         current = data.under(replace(data.assumed, factors=tuple(map(_constant, owners, error))))
     return Scatter(error, sd, gain)
+
+
+def _positions(
+    near: Marginal, owners: list[list[int]], which: tuple[int, ...], level: float
+) -> tuple[Array, Array]:
+    """Return what errors of positions with a stated sd take of score (n k,) and information (n k, n k)."""
+    shared = []
+    for own in owners:
+        group = np.array([own], dtype=np.intp)
+        t = near.state.tangents(group[0], which)[:, :, None]
+        shared.append(near.common(group, t, near.state.sums(group, t).taken)[0])
+    held = np.concatenate(shared) / level
+    solved = np.linalg.solve(near.information / level + np.diag(0.5 / near.nuisance.sd**2), held.T).T
+    return solved @ near.score / level, solved @ held.T
 
 
 def _constant(channels: list[int], error: complex) -> tuple[list[int], Factor]:

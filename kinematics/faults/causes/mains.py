@@ -28,19 +28,19 @@ def mains(suspect: Suspect) -> Iterator[Explanation]:
 
     Notes
     -----
-    chi2 of a line over the median of all lines is tested by its degrees of freedom, the number of loud lines
-    near multiples by the hypergeometric distribution.
+    The residuals of a line over those that most have, as chi2 of its degrees of freedom over the median of
+    all lines, and the number of loud lines near multiples by the hypergeometric distribution.
     """
     from scipy.special import chdtrc
     from scipy.stats import hypergeom
 
-    fit, freq = suspect.plain, suspect.freq_hz
-    free = fit.n_dof > 0
+    freedom, freq = suspect.robust.n_dof, suspect.freq_hz
+    free = (freedom > 0) & np.any(np.isfinite(suspect.size), axis=0)
     if np.sum(free) < 5:
         return
-    level = float(np.median(fit.chi2[free] / fit.n_dof[free]))
+    mean = np.nanmean(suspect.size[:, free], axis=0)
     loud = np.zeros(len(freq), dtype=bool)
-    loud[free] = chdtrc(fit.n_dof[free], fit.chi2[free] / max(level, 1e-300)) < _LOUD
+    loud[free] = chdtrc(freedom[free], freedom[free] * mean / max(float(np.median(mean)), 1e-300)) < _LOUD
     best: tuple[float, float, NDArray[np.bool_]] | None = None
     for base in _MAINS_HZ:
         for width in _WIDTHS_HZ:

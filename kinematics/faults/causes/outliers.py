@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +43,7 @@ def outliers(suspect: Suspect) -> Iterator[Explanation]:
     |residual / sd|^2 / 2 of complex noise is exponential with mean 1; its scale is that of the median, which
     outliers hardly move.
     """
-    fit = suspect.robust
-    far, size = _far(suspect)
+    fit, far, size = suspect.robust, suspect.far, suspect.size
     used = np.isfinite(size)
     number, most = int(np.sum(far)), max(int(np.sum(used)), 1)
     lines = np.any(far, axis=0)
@@ -92,30 +92,41 @@ def _in_runs(far: NDArray[np.bool_]) -> bool:
     return float(np.sum(far & beside)) > _WITH_NEIGHBOUR * float(np.sum(far))
 
 
-def _far(suspect: Suspect) -> tuple[NDArray[np.bool_], Array]:
-    """Return which values (channel, freq) are outliers, and the squares of all residuals over noise.
+def with_far_values(suspect: Suspect) -> Suspect:
+    """Return a suspect with its most probable positions and the values that lie far off the motion.
 
-    The course of noise that is not stated is found without the outliers, and these by its course.
+    Positions with a stated sd and the course of noise that is not stated are found without these values, and
+    these by them.
     """
-    fit, every = suspect.robust, np.arange(suspect.value.shape[1])
+    every = np.arange(suspect.value.shape[1])
+    exact = not np.any(suspect.position_sd_m > 0.0)
     course: Array | None = None
-    far = np.zeros(suspect.value.shape, dtype=bool)
-    for _ in range(1 if suspect.known else _ROUNDS):
-        size = _sizes(fit, every, course)
+    far, size = np.zeros(suspect.value.shape, dtype=bool), suspect.size
+    for _ in range(1 if suspect.known and exact else _ROUNDS):
+        unsure = None if exact else suspect.position_variance(suspect.robust, every)
+        size = _sizes(suspect.robust, every, course, unsure)
         with np.errstate(invalid="ignore"):
             before, far = far, size > -np.log(_CHANCE)
-        if suspect.known or np.array_equal(far, before):
+        if np.array_equal(far, before):
             break
-        course = noise_course(suspect.without(far), suspect.freq_hz)
-    return far, size
+        if not exact:
+            suspect = suspect.settled(far)
+        if not suspect.known:
+            course = noise_course(suspect.without(far), suspect.freq_hz)
+    return replace(suspect, far=far, size=size)
 
 
-def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None) -> Array:
-    """Return |residual / sd|^2 / 2 over its mean for most values of the channel, NaN where missing."""
+def _sizes(fit: LineFit, lines: NDArray[np.intp], course: Array | None, unsure: Array | None = None) -> Array:
+    """Return |residual / sd|^2 / 2 over its mean for most values of the channel, NaN where missing.
+
+    ``unsure`` (channel, line), m^2, is the variance of complex residuals besides noise.
+    """
     residual, sd, _weights = fit.at(lines)
     if course is not None:
         held = np.isfinite(sd)
         sd = np.where(held, LineNoise(fit.noise.stated, course).at(lines), sd)
+    if unsure is not None:
+        sd = np.sqrt(sd**2 + 0.5 * unsure)
     # A line with too few channels has no motion, and no residual of one.
     size = np.where(np.isfinite(sd) & fit.solution.good[lines], 0.5 * np.abs(residual / sd) ** 2, np.nan)
     if not np.all(np.isfinite(sd)):

@@ -9,6 +9,8 @@ import pytest
 
 from benchmarks.fault_scenes import measured, scene
 from benchmarks.points_faults import judged
+from kinematics.measurement import BodyChannels, Measurement
+from kinematics.points2dof import points2dof
 
 STAPES = "stapes, 10 points 3D"
 CAUSES = {
@@ -73,15 +75,19 @@ SPOILED = {
 }
 
 
-def found(seed, spoil=None, *, stated=True, fault=""):
+def found(seed, spoil=None, *, stated=True, fault="", position_um=0.0, geometry=STAPES):
     """Return the codes of causes, and the finding that has one."""
-    made = scene(830_000 + seed, STAPES, fault)
+    made = scene(830_000 + seed, geometry, fault)
+    if position_um:
+        off = np.random.default_rng(seed).normal(0.0, 1e-3 * position_um, (len(set(made.points)), 3))
+        number = np.unique(made.points, return_inverse=True)[1]
+        made = replace(made, reported=made.reported + off[number])
     if spoil is hum:
         made = replace(made, freq_hz=400.0 + 12.5 * np.arange(len(made.freq_hz)))
     value = measured(made, seed)
     if spoil is not None:
         spoil(made, value, np.random.default_rng(seed))
-    result = judged(made, seed, stated, 0.0, value)
+    result = judged(made, seed, stated, 1e-3 * position_um, value)
     causes = [finding for finding in result.diagnoses[0, 0].findings if finding.code]
     return {notice.code for notice in result.notices} & CAUSES, causes, result
 
@@ -93,6 +99,32 @@ def test_cause_is_found_by_its_code(code, spoil, stated):
     assert codes == {code}
     assert causes[0].step
     assert {verdict.verdict for verdict in result.channels} <= {"ok", "noise", "gain", "drift", "sign"}
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_conjugates_of_what_was_measured_are_found(order):
+    made = scene(830_001, STAPES, "")
+    value = measured(made, 1)
+    own = np.abs(made.directions @ made.directions[1]) > 0.9
+    rate = (2j * np.pi * made.freq_hz) ** order
+    value[own] = (value[own] * rate).conj() / rate
+    body = BodyChannels("stapes", made.points, made.reported, made.directions, value[None], made.sd[None])
+    result = points2dof(Measurement("footplate", ("1",), made.freq_hz, (body,), order))
+    assert [finding.code for finding in result.diagnoses[0, 0].findings] == ["conjugated_laser"]
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(("code", "spoil"), [(code, one) for code, many in SPOILED.items() for one in many])
+def test_cause_is_found_beside_errors_of_positions(code, spoil, stated):
+    assert found(3, spoil, stated=stated, position_um=20.0)[0] == {code}
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_scatter_of_few_channels_is_said_beside_a_body_that_bends(stated):
+    codes, _causes, result = found(1, gains, stated=stated, geometry="footplate, 5 points 3D")
+    assert codes == {"flexible"}
+    text = next(notice.text for notice in result.notices if notice.code == "flexible")
+    assert "do not tell this from another cause: the gains of the channels scatter by about" in text
 
 
 def test_outliers_are_counted():
