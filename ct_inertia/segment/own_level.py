@@ -40,10 +40,9 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
         None where the threshold hardly changes, or where no body holds the chosen one at the other.
     """
     own = sight.pieces == sight.stapes.label
-    deep = sight.scan.grey[eroded(own)]
-    if deep.size < _LEAST_DEEP:
+    bone = _bone_of(sight)
+    if bone is None:
         return None
-    bone = float(np.percentile(deep, _INTERIOR_PERCENTILE))
     plastic = None if sight.plastic is None or sight.plastic >= bone else sight.plastic
     between = between_levels(sight.air, plastic, bone)
     if not bone > sight.air or abs(between - sight.between) < _SAME_THRESHOLD * (bone - sight.air):
@@ -60,3 +59,18 @@ def at_own_level(sight: Sight, find_pieces: Callable[[list[Piece]], list[Piece]]
     return replace(
         sight, pieces=pieces, stapes=same[0], others=others, bone=bone, plastic=plastic, between=between
     )
+
+
+def takes_soft_for_bone(sight: Sight) -> bool:
+    """Say whether the material that was taken for bone lies below the middle level of the body's own bone.
+
+    No bone is half as dense as another: the body holds plastic, or fluid that fills its gaps.
+    """
+    bone = _bone_of(sight)
+    return bone is not None and bool(sight.bone < 0.5 * (sight.air + bone))
+
+
+def _bone_of(sight: Sight) -> float | None:
+    """Return the grey level of the chosen body's own bone; None where too little of it is deep."""
+    deep = sight.scan.grey[eroded(sight.pieces == sight.stapes.label)]
+    return float(np.percentile(deep, _INTERIOR_PERCENTILE)) if deep.size >= _LEAST_DEEP else None

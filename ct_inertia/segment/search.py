@@ -12,7 +12,7 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
 from ct_inertia.segment.doubts import RIVAL, USUAL, doubts, refuse_rivals
 from ct_inertia.segment.not_found import nothing_found
-from ct_inertia.segment.own_level import at_own_level
+from ct_inertia.segment.own_level import at_own_level, takes_soft_for_bone
 from ct_inertia.segment.parting import CoarseGrid, partings
 from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
@@ -64,7 +64,8 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         if not usual or (chosen is not None and chosen.stapes.at_border):
             parted = _parted(volume, sight, options)
             better = parted is not None and (chosen is None or _better(parted, chosen.stapes))
-            if parted is not None and better and _takes_in(parted, doubtful):
+            soft = parted is not None and options.threshold is None and takes_soft_for_bone(parted)
+            if parted is not None and better and not soft and _takes_in(parted, doubtful):
                 return parted
         if chosen is None:
             continue
