@@ -21,6 +21,7 @@ _WIDENS_WITHIN_MM = calibrated("necks.widens_within_mm")
 _LEAST_BEYOND_MM3 = calibrated("necks.least_beyond_mm3")
 _MOST_BEYOND = calibrated("necks.most_beyond")
 _NARROWER = calibrated("necks.narrower")
+_GROWN = calibrated("necks.grown")
 _APART_MM = calibrated("necks.apart_mm")
 # Limits of the computing time: necks kept at each end, and voxels of a body that areas are counted from.
 _MOST = 4
@@ -47,6 +48,11 @@ class Neck:
     height_mm: float
     area_mm2: float
     share: float
+
+    @property
+    def grown(self) -> bool:
+        """It is narrower than that of a head: something has grown onto the body."""
+        return self.share < _GROWN
 
 
 def necks(points_mm: Array, spacing_mm: Array, count: int | None = None) -> list[Neck]:

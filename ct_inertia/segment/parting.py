@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
 from ct_inertia.segment.doubts import USUAL
-from ct_inertia.segment.necks import MOST_POINTS, necks
+from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
 from ct_inertia.segment.separate import Separation, renamed, separations
 from ct_inertia.volume.coarse import calmed
 from ct_inertia.volume.grids import boxes_and_sizes, labelled
@@ -69,21 +69,21 @@ class Parting:
     markers : Markers
     depth_mm : float
         How far from the narrow gaps the parts still hang together by themselves.
-    neck_mm2 : float or None
-        Area of the plane cut at a neck, where that is how they were parted.
+    neck : Neck or None
+        The plane cut at a neck, where that is how they were parted.
     """
 
     pieces: NDArray[np.int32]
     parts: tuple[Piece, ...]
     markers: Markers
     depth_mm: float
-    neck_mm2: float | None = None
+    neck: Neck | None = None
 
     @property
     def method(self) -> str:
         """How the parts were told from each other, in words."""
-        if self.neck_mm2 is not None:
-            return f"parted at the neck of least cross-section ({self.neck_mm2:.2f} mm2) near an end"
+        if self.neck is not None:
+            return f"parted at the neck of least cross-section ({self.neck.area_mm2:.2f} mm2) near an end"
         return f"parted at necks: along narrow gaps, across bridges up to {2e3 * self.depth_mm:.0f} um"
 
 
@@ -141,7 +141,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         pieces = _on_coarse(coarse, whole, labels, working)
         labels *= way.sure
         markers = Markers(labels, working.first, working.block)
-        yield Parting(pieces, parts, markers, way.depth_mm, way.neck_mm2)
+        yield Parting(pieces, parts, markers, way.depth_mm, way.neck)
         del way, labels, markers  # before the next way is looked for
 
 
@@ -179,7 +179,7 @@ def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
             )
             labels = np.where(cut.labels == 2, np.int32(name), way.labels)
             rest = [p for p in way.pieces if p.label != piece.label]
-            yield Separation(way.depth_mm, labels, way.sure, [stapes, beyond, *rest], cut.neck_mm2)
+            yield Separation(way.depth_mm, labels, way.sure, [stapes, beyond, *rest], cut.neck)
 
 
 def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Separation]:
@@ -206,7 +206,7 @@ def neck_separations(bone: NDArray[np.bool_], spacing_mm: Array) -> Iterator[Sep
         boxes, _ = boxes_and_sizes(labels, 2)
         pieces = [describe(labels, k, boxes[k - 1] or (), spacing_mm) for k in (1, 2)]
         if pieces[0].possible and pieces[0].oddness < USUAL:
-            yield Separation(0.0, labels, bone, pieces, neck.area_mm2)
+            yield Separation(0.0, labels, bone, pieces, neck)
 
 
 def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separation]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM, TYPICAL_MM3, Piece, labelled_pieces
 from ct_inertia.segment.doubts import RIVAL, USUAL, doubts, refuse_rivals
+from ct_inertia.segment.necks import necks
 from ct_inertia.segment.not_found import nothing_found
 from ct_inertia.segment.own_level import at_own_level, takes_soft_for_bone
-from ct_inertia.segment.parting import CoarseGrid, partings
+from ct_inertia.segment.parting import CoarseGrid, Parting, partings
 from ct_inertia.segment.sight import SearchOptions, Sight, between_levels, judged, readings
 from ct_inertia.volume.coarse import CoarseScan, Glance, calmed, take_glance
 from ct_inertia.volume.grids import dilated
@@ -60,6 +62,10 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)
+        if chosen is not None and usual and chosen.stapes.holes == 1:
+            cut = _without_grown(volume, chosen, options)
+            if cut is not None and _takes_in(cut, doubtful):
+                return cut
         # What ends at the border of the scan may be another bone that touches a whole stapes.
         if not usual or (chosen is not None and chosen.stapes.at_border):
             parted = _parted(volume, sight, options)
@@ -98,6 +104,41 @@ def _better(parted: Sight, whole: Piece) -> bool:
     stout = whole.holes == 1 and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
     gain = parted.stapes.score - whole.score
     return gain > RIVAL and not parted.at_neck if stout else gain > 0.0
+
+
+def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sight | None:
+    """Cut off what has grown onto a body of usual size, such as an incus; None where nothing has."""
+    scan, whole = chosen.scan, chosen.stapes
+    inside = np.stack(np.nonzero(chosen.pieces == whole.label)[::-1], axis=1)
+    if not any(neck.grown for neck in necks(inside * scan.spacing_mm, scan.spacing_mm)):
+        return None
+    for way in partings(volume, _grid(chosen), whole):
+        if way.neck is None or not way.neck.grown:
+            return None
+        part = _trial(volume, chosen, way, chosen.others, options)
+        if part is not None and part.stapes.holes == 1 and _usual(part.stapes):
+            return part
+    return None
+
+
+def _grid(sight: Sight) -> CoarseGrid:
+    return CoarseGrid(sight.pieces, sight.scan.step, sight.air, sight.bone, sight.between, sight.scan.noise)
+
+
+def _trial(
+    volume: Volume, sight: Sight, way: Parting, rest: Sequence[Piece], options: SearchOptions
+) -> Sight | None:
+    """Choose the likeliest stapes among the parts of a piece and the rest; None when there is none."""
+    trial = replace(
+        sight,
+        pieces=way.pieces,
+        stapes=way.parts[0],
+        others=(*way.parts[1:], *rest),
+        markers=way.markers,
+        method=way.method,
+        neck=way.neck,
+    )
+    return _picked(volume, trial, options, alone=False)
 
 
 def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | None:
@@ -158,24 +199,14 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
     if options.seed_mm is not None and large:
         seeded = _seeded(sight, _coarse_index(volume, scan, options.seed_mm))
         large = [piece for piece in large if seeded is not None and piece.label == seeded.stapes.label]
-    grid = CoarseGrid(sight.pieces, scan.step, sight.air, sight.bone, sight.between, scan.noise)
     sights: list[Sight] = []
     for whole in large[:_MOST_WHOLES]:
         if sights and whole.surrounds >= MOST_SURROUNDED:
             break
         rest = [piece for piece in every if piece.label != whole.label]
         ways = []
-        for way in partings(volume, grid, whole):
-            trial = replace(
-                sight,
-                pieces=way.pieces,
-                stapes=way.parts[0],
-                others=(*way.parts[1:], *rest),
-                markers=way.markers,
-                method=way.method,
-                at_neck=way.neck_mm2 is not None,
-            )
-            chosen = _picked(volume, trial, options, alone=False)
+        for way in partings(volume, _grid(sight), whole):
+            chosen = _trial(volume, sight, way, rest, options)
             if chosen is None or chosen.stapes.at_border > whole.at_border:
                 continue
             if chosen.stapes.holes != 1 or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.segment.candidates import Piece, describe
+from ct_inertia.segment.necks import Neck
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import boxes_and_sizes, dilated, gaussian, labelled, used_box, watershed
 
@@ -103,15 +104,15 @@ class Separation:
         Where they hold for certain: not along the gaps, where grey values decide.
     pieces : list of Piece
         From the largest to the smallest.
-    neck_mm2 : float or None
-        Area of the plane, when they were parted by one at a neck.
+    neck : Neck or None
+        The plane, when they were parted by one at a neck.
     """
 
     depth_mm: float
     labels: NDArray[np.int32]
     sure: NDArray[np.bool_]
     pieces: list[Piece]
-    neck_mm2: float | None = None
+    neck: Neck | None = None
 
 
 def separations(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.segment.candidates import Piece, count_holes, surrounded
+from ct_inertia.segment.necks import Neck
 from ct_inertia.segment.parting import Markers
 from ct_inertia.volume.coarse import CoarseScan, calmed
 from ct_inertia.volume.grids import dilated
@@ -74,8 +75,8 @@ class Sight:
     method : str
         How the pieces were told apart.
     notices : tuple of Notice
-    at_neck : bool
-        They were parted by a plane at a neck.
+    neck : Neck or None
+        The plane at a neck by which they were parted.
     """
 
     scan: CoarseScan
@@ -89,7 +90,12 @@ class Sight:
     markers: Markers | None = None
     method: str = "connected component"
     notices: tuple[Notice, ...] = field(default=())
-    at_neck: bool = False
+    neck: Neck | None = None
+
+    @property
+    def at_neck(self) -> bool:
+        """They were parted by a plane at a neck."""
+        return self.neck is not None
 
 
 def readings(levels: Array, threshold: float | None) -> list[tuple[float, float | None, float]]:

@@ -24,7 +24,7 @@ class TestFaults:
         [
             ("", "the mass of the stapes must be given by at least one of .*; got none of them"),
             ("--density -5", "--density must be a positive number"),
-            ("--density 1900+-x", "--density must be a positive number, .*; got 1900"),
+            ("--density 1900+-x", "--density must be a positive number .*; got 1900"),
             ("--density 1.9", "--density must be between 500 and 4000 kg/m3"),
             ("--mass-mg 300", "--mass-mg must be a mass that gives the volume"),
             ("--density 1900 --anterior 1,0", "--anterior must be three numbers"),
