@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,23 +99,23 @@ class Equations:
         """Number of entries of K and D."""
         return self.n * (self.n + 1)
 
-    @property
+    @cached_property
     def coupling(self) -> slice:
         """Where Y, row by row, lies among the parameters."""
         start = self.entries + self.law.unknowns
         return slice(start, start + self.n * len(self.coupled))
 
-    @property
+    @cached_property
     def shape(self) -> slice:
         """Where the factors of the shapes lie among the parameters."""
         return slice(self.coupling.stop, self.coupling.stop + len(self.shapes))
 
-    @property
+    @cached_property
     def term(self) -> slice:
         """Where the terms lie among the parameters."""
         return slice(self.shape.stop, self.shape.stop + len(self.terms))
 
-    @property
+    @cached_property
     def unknowns(self) -> int:
         """Number of parameters ahead of the shared errors."""
         return self.term.stop

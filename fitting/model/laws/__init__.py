@@ -5,6 +5,7 @@ A law is a module of this folder with a ``LAW`` (fitting.model.laws.law.Law), an
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ LAWS: dict[str, str] = {
 }
 
 
+@cache
 def law_of(name: str) -> Law:
     """Return the law of a name in the table; it is loaded on first use."""
     law: Law = import_module(f"fitting.model.laws.{name}").LAW
