@@ -134,7 +134,7 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
         file = name(at)
         data = _content(file)
         if data is None:
-            return _filled(fill or 0, chunks, dtype)
+            return _filled(fill or 0, chunks, dtype, folder)
         return _unpacked(steps, data, dtype, chunks, file).reshape(chunks, order=order)
 
     shape = _whole(meta["shape"])
@@ -164,7 +164,7 @@ def _third(folder: Path, meta: Meta) -> ZarrArray:
     def read(at: Sequence[int]) -> NDArray[Any]:
         file = name(at if shard is None else shard.of(at))
         data = _content(file) if shard is None else shard.piece(file, at)
-        return _filled(fill, chunks, dtype) if data is None else decode(data, file)
+        return _filled(fill, chunks, dtype, folder) if data is None else decode(data, file)
 
     shape = _whole(meta["shape"])
     return ZarrArray(folder, shape, chunks, dtype, _fill(fill), read, name, stored)
@@ -285,9 +285,13 @@ def _fill(value: object) -> float:
     return float(value) if isinstance(value, (int, float)) else 0.0
 
 
-def _filled(value: object, chunks: tuple[int, ...], dtype: np.dtype) -> NDArray[Any]:
+def _filled(value: object, chunks: tuple[int, ...], dtype: np.dtype, folder: Path) -> NDArray[Any]:
     """Return a chunk that is not stored, which needs no memory."""
-    return np.broadcast_to(np.array(value, dtype=dtype), chunks)
+    try:
+        voxel = np.array(value, dtype=dtype).reshape(())
+    except (TypeError, ValueError, OverflowError) as fault:
+        raise header_fault(folder, "Zarr array", f"a fill_value of {str(value)[:40]}") from fault
+    return np.broadcast_to(voxel, chunks)
 
 
 def _content(file: Path) -> bytes | None:

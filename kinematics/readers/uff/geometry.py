@@ -183,7 +183,7 @@ def _reals(text: str) -> list[float]:
 
 def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
     words = text.split()[:count]
-    if len(words) < count or not all(re.fullmatch(r"[+-]?\d+", word) for word in words):
+    if len(words) < count or not all(re.fullmatch(r"[+-]?\d{1,18}", word) for word in words):
         raise KinematicsError(Fault(thing, f"{count} whole numbers", shown(text), where, "Export it again"))
     return [int(word) for word in words]
 
