@@ -34,7 +34,8 @@ Draw = np.random.Generator
 # A number is wrong beyond this many of its sd: of 30 numbers of each of 144 studies, 0.3 pass it by chance
 # (6e-5 each).
 MOST_SD = 4.0
-# Beyond this share of the truth a standard deviation or an error leaves a number of no use.
+# Beyond this share of the truth a standard deviation or an error leaves a number of no use. Chosen by
+# judgement: two ears that differ by less could not be told apart.
 MOST_SHARE = 0.3
 # What is true of every ear here, and says nothing about errors: its only measured stapes is larger than most.
 _OF_ALL = ("outside_published_sizes",)

@@ -101,7 +101,7 @@ class _Replay:
         style: Mapping[str, str],
         clip: tuple[Path, Transform] | None,
     ) -> None:
-        """Draw an element and what it holds, under the transform, style and clip of what it stands in."""
+        """Draw an element and its children with the transform, style and clip of its parent."""
         tag = element.tag.rpartition("}")[2]
         if tag in ("defs", "metadata", "style", "clipPath"):
             return

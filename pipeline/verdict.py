@@ -50,7 +50,7 @@ def _lists() -> dict[str, Any]:
 
 
 def levels(codes: Collection[str] = ()) -> dict[str, str]:
-    """Return what each listed warning code makes of a study, where these codes stand beside each other."""
+    """Return the verdict that each warning code leads to, given all codes of a study."""
     lists = _lists()
     together = [code for pair in lists["do_not_use_together"] if set(pair) <= set(codes) for code in pair]
     listed = dict.fromkeys(lists["information"], BELIEVE)

@@ -94,7 +94,7 @@ class Sight:
 
     @property
     def at_neck(self) -> bool:
-        """They were parted by a plane at a neck."""
+        """Whether the pieces were parted by a plane at a neck."""
         return self.neck is not None
 
 

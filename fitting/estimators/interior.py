@@ -21,7 +21,8 @@ Expansion = Callable[[Array], tuple[float, Array, Array]]
 _FIRST, _LAST, _GROWTH = 0.1, 1e-2, 20.0
 # Steps under each weight, and at the end; expected fall of the objective that ends it there.
 _FEW, _MOST, _TOLERANCE = 30, 200, 1e-8
-# Least eigenvalue of a start over the largest: at a root of zero nothing pulls an eigenvalue up.
+# Least eigenvalue of a start over the largest: at a root of zero nothing pulls an eigenvalue up. Chosen by
+# judgement: below what ligaments have, above rounding.
 _INSIDE = 1e-3
 # Smallest eigenvalue, in scaled units, below which a constraint is reported as active.
 _ACTIVE = 1e-4

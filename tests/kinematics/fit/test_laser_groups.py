@@ -1,4 +1,4 @@
-"""Noise of lasers told apart by the residuals, beyond what the channels of one laser scatter."""
+"""Lasers whose noise differs by more than the noise of channels of one laser does."""
 
 from __future__ import annotations
 
