@@ -183,7 +183,7 @@ def one_ear(seed: int, variants: int = 9) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         ear = replace(
-            Ear(pose_seed=seed, noise_seed=seed, stapes=_stapes(folder, rng)),
+            Ear(pose_seed=seed, noise_seed=seed, stapes=small_stapes(folder, rng)),
             **{
                 "voxel_mm": (float(rng.uniform(0.027, 0.035)),) * 3,
                 "gap_mm": float(rng.uniform(0.08, 0.25)),
@@ -204,7 +204,7 @@ def one_ear(seed: int, variants: int = 9) -> list[dict[str, Any]]:
         return [_study(folder, ear, truth, mass, seed, scan_name, other) for other in names]
 
 
-def _stapes(folder: Path, rng: Draw) -> Path:
+def small_stapes(folder: Path, rng: Draw) -> Path:
     """Write the real stapes, stretched along each axis into the range of published sizes."""
     import trimesh
 
