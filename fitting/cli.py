@@ -17,8 +17,9 @@ Writes kd.json and kd.html (named after --out). Example:
   dof2kd dof.csv --mass stapes_mass/mass.json --band 400,5000 --exclude 45-55
 
 Before measuring: dof2kd --plan plan.toml gives the standard deviations to
-expect of K, D and the modes, and what another direction, a wider band, more
-lines or less noise would bring (plan.json and plan.html, named after --out).
+expect of K, D and the modes, which error limits them, and what another
+direction, a wider band, less noise or better points, lasers or density would
+bring (plan.json and plan.html, named after --out).
 Every key has a default; plan.toml, e.g.:
 """
 

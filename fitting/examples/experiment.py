@@ -78,10 +78,23 @@ class Layout:
             return False
         return bool(np.linalg.svd(rows / norms, compute_uv=False)[-1] > 1e-6)
 
+    def rows(self) -> Array:
+        """Return the observation rows (3 points, 6) of all channels, point by point along x, y and z."""
+        arms = np.repeat(self.points_mm * 1e-3, 3, axis=0)
+        return point_rows(arms, np.tile(np.eye(3), (len(self.points_mm), 1)))
+
+    def inverse(self, dof: tuple[str, ...]) -> Array:
+        """Return what takes readings to the motion in ``dof`` by least squares, (n, 3 points).
+
+        All six degrees of freedom are solved for where the points tell them apart, as points2dof does.
+        """
+        solved = DOF_NAMES if self.determines(DOF_NAMES) else dof
+        inverse = np.asarray(np.linalg.pinv(self.rows()[:, dof_indices(solved)]), dtype=float)
+        return inverse[[solved.index(name) for name in dof]]
+
     def _rows(self, dof: tuple[str, ...]) -> Array:
         """Return the observation rows (channels, n) of the channels that see any of the motion."""
-        arms = np.repeat(self.points_mm * 1e-3, 3, axis=0)
-        rows = point_rows(arms, np.tile(np.eye(3), (len(self.points_mm), 1)))[:, dof_indices(dof)]
+        rows = self.rows()[:, dof_indices(dof)]
         return rows[np.any(rows != 0.0, axis=1)]
 
 

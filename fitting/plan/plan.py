@@ -1,13 +1,14 @@
 """Before a measurement: the standard deviations to expect of every entry, and what would make them smaller.
 
-The planned experiment is simulated without noise and fitted; the covariance that its noise would have then
-gives what the fit of the real one can reach (Cramer-Rao bound), the mass matrix's uncertainty included.
+The planned experiment is simulated without noise and fitted. Its covariance is then what the fit of the real
+one can reach: that of the noise is the Cramer-Rao bound; errors that the lines share (points, registration,
+lasers, mass) are taken through the fit and not estimated by it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,11 @@ from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.model import simulate
+from fitting.model.symmetric import join, split
 from fitting.options import KDOptions
+from fitting.plan.planned_errors import PlannedErrors, shared_errors
 from stapeskit.page.numbers import plus_minus
+from stapeskit.page.quantities import diagonal_unit
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
@@ -38,7 +42,18 @@ _DRIVES = {
 # Frequency over which the phase of rocking turns by about a radian.
 _PHASE_HZ = 5000.0
 _ROCKING_RADIUS_M = 1e-3
-EXPECTED_CODES = ("weak_identifiability", "unstable", "not_passive", "mass_uncertainty_not_given")
+# Codes that the fit of a plan may raise; that a matrix has no uncertainty is not one: the plan states it.
+EXPECTED_CODES = ("weak_identifiability", "unstable", "not_passive")
+_OF_MASS = ("mass_sd_percent",)
+# Errors that are halved together, with words for it.
+_HALVED = {
+    "points known twice as well": ("position_sd_mm",),
+    "registration twice as good": ("registration_sd_mm", "registration_sd_deg"),
+    "lasers calibrated twice as well": ("gain_sd_percent", "phase_sd_deg", "delay_sd_us"),
+    "density or mass known twice as well": _OF_MASS,
+}
+# Name of the error of a mass matrix that has no uncertainty of its own.
+STATED_MASS = "mass.density"
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,8 @@ class Plan:
     directions : tuple of str
         Direction that the shaker drives, one a run.
     law : DampingLaw
+    errors : PlannedErrors
+        Of what the lines share.
     """
 
     dof: tuple[str, ...] = PAPER_DOF
@@ -86,6 +103,7 @@ class Plan:
     lines: int = 200
     directions: tuple[str, ...] = ("y",)
     law: DampingLaw = VISCOUS
+    errors: PlannedErrors = field(default_factory=PlannedErrors)
 
 
 @dataclass(frozen=True)
@@ -97,17 +115,45 @@ class Option:
     name : str
         What differs from the plan; ``as planned`` for the plan itself.
     fit : KDFit
-        Of the experiment without noise: its covariance is the expected one.
+        Of the experiment without noise.
+    mass_sd : float
+        Relative error of the whole mass matrix that is not in the fit: all of K and D go with it.
     """
 
     name: str
     fit: KDFit
+    mass_sd: float = 0.0
+
+    @property
+    def sources(self) -> dict[str, Array]:
+        """Covariance of the parameters K11, K12, ..., Dnn by source, SI; they add up to ``covariance``."""
+        sources = dict(self.fit.budget.sources)
+        if self.mass_sd > 0.0:
+            entries = self.mass_sd * join(self.fit.stiffness, self.fit.damping)
+            sources[STATED_MASS] = np.outer(entries, entries)
+        return sources
+
+    @property
+    def covariance(self) -> Array:
+        """Expected covariance of the parameters from all sources, (p, p), SI."""
+        return sum(self.sources.values(), np.zeros_like(self.fit.covariance))
+
+    @property
+    def standard_deviation(self) -> tuple[Array, Array]:
+        """Expected standard deviation of K and of D from all sources, (n, n) each, SI."""
+        return split(np.sqrt(np.diag(self.covariance)), len(self.fit.dof))
+
+    @property
+    def relative_of_all(self) -> Array:
+        """Expected sd of every entry from all sources, relative to sqrt(Xii Xjj), (p,)."""
+        roots = [np.sqrt(np.diag(part)) for part in (self.fit.stiffness, self.fit.damping)]
+        return np.sqrt(np.diag(self.covariance)) / join(*(np.outer(root, root) for root in roots))
 
     @property
     def weak_entries(self) -> tuple[str, ...]:
-        """Entries with an expected noise-only sd over 10 % of sqrt(Xii Xjj)."""
-        known = self.fit.identifiability
-        return tuple(name for name, value in zip(known.names, known.relative, strict=True) if value > 0.1)
+        """Entries with an expected sd, from all sources, over 10 % of sqrt(Xii Xjj)."""
+        names = self.fit.parameters
+        return tuple(name for name, value in zip(names, self.relative_of_all, strict=True) if value > 0.1)
 
     @property
     def relative(self) -> Array:
@@ -132,9 +178,9 @@ class Expectation:
     notices: tuple[Notice, ...]
 
     @property
-    def planned(self) -> KDFit:
+    def planned(self) -> Option:
         """The plan as it is."""
-        return self.options[0].fit
+        return self.options[0]
 
 
 def expect(plan: Plan) -> Expectation:
@@ -145,7 +191,7 @@ def expect(plan: Plan) -> Expectation:
     FittingError
         Mass, stiffness and degrees of freedom do not fit together, or the lines are too few.
     """
-    options = tuple(Option(name, _fit(way)) for name, way in _ways(plan))
+    options = tuple(_option(name, way) for name, way in _ways(plan))
     notices = [notice for notice in options[0].fit.notices if notice.code in EXPECTED_CODES]
     return Expectation(plan, options, tuple(notices))
 
@@ -168,12 +214,22 @@ def _ways(plan: Plan) -> list[tuple[str, Plan]]:
             replace(plan, noise_m_s=quiet, noise_relative=plan.noise_relative / 2.0),
         ),
     ]
+    for words, names in _HALVED.items():
+        halves = {name: getattr(plan.errors, name) / 2.0 for name in names}
+        if any(halves.values()) and (names != _OF_MASS or _mass_sd(plan) > 0.0):
+            ways.append((words, replace(plan, errors=replace(plan.errors, **halves))))
     return ways
 
 
-def _fit(plan: Plan) -> KDFit:
+def _mass_sd(plan: Plan) -> float:
+    """Return the stated relative error of the mass; zero where the mass brings its own."""
+    own = isinstance(plan.mass, MassMatrix) and bool(plan.mass.contributions)
+    return 0.0 if own else 1e-2 * plan.errors.mass_sd_percent
+
+
+def _option(name: str, plan: Plan) -> Option:
     options = KDOptions(dof=plan.dof, damping=plan.law.name, bands=0, profile=False)
-    return fit_kd(planned_motion(plan), plan.mass, options)
+    return Option(name, fit_kd(planned_motion(plan), plan.mass, options), _mass_sd(plan))
 
 
 def planned_motion(plan: Plan) -> RigidMotion:
@@ -184,19 +240,21 @@ def planned_motion(plan: Plan) -> RigidMotion:
     q = np.empty((runs, 2, plan.lines, n), dtype=complex)
     covariance = np.empty((runs, 2, plan.lines, n, n), dtype=complex)
     mass = _matrix(plan)
+    layouts = (Layout(plan.structure_mm), Layout(plan.base_mm))
     for run, direction in enumerate(plan.directions):
         q[run, 1] = _base(plan, freq, direction)
         q[run, 0] = simulate(mass, plan.stiffness, plan.damping, freq, q[run, 1], law=plan.law)
-        for body, points in enumerate((plan.structure_mm, plan.base_mm)):
-            layout = Layout(points)
+        for body, layout in enumerate(layouts):
             if plan.noise_m_s is not None:
                 level = np.sqrt(2.0) * plan.noise_m_s / omega
             else:
                 level = plan.noise_relative * layout.signal(plan.dof, q[run, body] * omega[:, None]) / omega
-            covariance[run, body] = layout.covariance(plan.dof, level)
+            inverse = layout.inverse(plan.dof)
+            covariance[run, body] = np.square(level)[:, None, None] * (inverse @ inverse.T)
     none = np.full((runs, 2, plan.lines), np.nan)
     names = tuple(f"run {run + 1}, driven along {name}" for run, name in enumerate(plan.directions))
-    return RigidMotion(names, ("stapes", "base"), plan.dof, freq, q, covariance, none, none)
+    shared = shared_errors(plan.errors, plan.dof, layouts, freq, q)
+    return RigidMotion(names, ("stapes", "base"), plan.dof, freq, q, covariance, none, none, shared=shared)
 
 
 def _base(plan: Plan, freq: Array, direction: str) -> NDArray[np.complex128]:
@@ -219,8 +277,9 @@ def _matrix(plan: Plan) -> Array:
 
 def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return an expectation as JSON-able data, SI."""
-    plan, fit = expectation.plan, expectation.planned
-    stiffness, damping = fit.standard_deviation
+    plan, planned = expectation.plan, expectation.planned
+    fit = planned.fit
+    stiffness, damping = planned.standard_deviation
     noise = fit.noise_standard_deviation
     return {
         "schema": "stapeskit.plan/1",
@@ -235,6 +294,11 @@ def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[s
         "damping_si": plan.damping.tolist(),
         "expected_damping_sd_si": damping.tolist(),
         "noise_only_sd_si": {"stiffness": noise[0].tolist(), "damping": noise[1].tolist()},
+        "errors": asdict(plan.errors) | ({} if planned.mass_sd else {"mass_sd_percent": None}),
+        "budget": {
+            source: dict(zip(fit.parameters, np.sqrt(np.diag(part)).tolist(), strict=True))
+            for source, part in planned.sources.items()
+        },
         "modes": [
             {
                 "frequency_hz": mode.frequency_hz,
@@ -244,7 +308,7 @@ def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[s
             }
             for place, mode in enumerate(fit.modes.pairs)
         ],
-        "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D; channel noise alone",
+        "relative_to": "sqrt(Xii Xjj) for entry (i, j) of X = K or D",
         "options": [
             {
                 "name": option.name,
@@ -252,7 +316,8 @@ def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[s
                 "worst_combination": option.fit.identifiability.describe(0),
                 "worst_combination_relative_sd": float(option.fit.identifiability.worst),
                 "entries_over_10_percent": list(option.weak_entries),
-                "relative_sd": dict(zip(fit.parameters, option.relative.tolist(), strict=True)),
+                "relative_sd": dict(zip(fit.parameters, option.relative_of_all.tolist(), strict=True)),
+                "relative_sd_noise_only": dict(zip(fit.parameters, option.relative.tolist(), strict=True)),
             }
             for option in expectation.options
         ],
@@ -263,29 +328,25 @@ def plan_json(expectation: Expectation, provenance: Mapping[str, Any]) -> dict[s
 
 def summary_rows(expectation: Expectation) -> list[tuple[str, str]]:
     """Return the rows of the command's table."""
-    fit = expectation.planned
+    planned = expectation.planned
+    fit, names = planned.fit, planned.fit.parameters
+    sds = planned.standard_deviation
     rows = []
-    stiffness_sd, damping_sd = fit.standard_deviation
-    for letter, values, sds in (("K", fit.stiffness, stiffness_sd), ("D", fit.damping, damping_sd)):
-        parts = [
-            f"{name} {plus_minus(values[place, place], sds[place, place])}"
-            for place, name in enumerate(fit.dof)
-        ]
-        rows.append((f"{letter} diagonal, expected (SI)", ", ".join(parts)))
-    parts = [
-        plus_minus(mode.frequency_hz, sd)
-        for mode, sd in zip(fit.modes.pairs, fit.derived.frequency_sd_hz, strict=True)
-    ]
-    rows.append(("modes, damped (Hz)", ", ".join(parts)))
+    for letter, values, deviations in zip("KD", (fit.stiffness, fit.damping), sds, strict=True):
+        for place, name in enumerate(fit.dof):
+            unit = diagonal_unit(letter, name, fit.law.time_power)
+            rows.append((f"{letter}({name})", unit.with_sd(values[place, place], deviations[place, place])))
+    for number, (mode, sd) in enumerate(zip(fit.modes.pairs, fit.derived.frequency_sd_hz, strict=True), 1):
+        rows.append((f"mode {number}", f"{plus_minus(mode.frequency_hz, sd)} Hz, damped"))
     for option in expectation.options:
-        known = option.fit.identifiability
-        weak = f"{len(option.weak_entries)} of {len(known.names)} entries over 10 %"
-        largest = int(np.argmax(known.relative))
+        relative, noise = option.relative_of_all, option.relative
+        worst = int(np.argmax(relative))
         rows.append(
             (
                 option.name,
-                f"worst combination {known.percent(0)}, worst entry {known.names[largest]} "
-                f"{100.0 * known.relative[largest]:.2g} %, {weak}",
+                f"worst entry {names[worst]} {100.0 * relative[worst]:.2g} %, "
+                f"of noise alone {100.0 * noise[worst]:.2g} %; "
+                f"{len(option.weak_entries)} of {len(names)} entries over 10 %",
             )
         )
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,13 @@ from fitting.model.laws import LAWS, law_of
 from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
+from fitting.plan.planned_errors import PlannedErrors
 from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
 Array = NDArray[np.float64]
+_ERROR_KEYS = tuple(error.name for error in fields(PlannedErrors))
 KEYS = (
     "dof",
     "mass",
@@ -38,6 +41,7 @@ KEYS = (
     "band_hz",
     "lines",
     "directions",
+    *_ERROR_KEYS,
 )
 
 
@@ -120,6 +124,7 @@ def _plan(table: Mapping[str, Any], path: Path) -> tuple[Plan, Path | None]:
         table.get("lines", 200),
         directions,
         DampingLaw(table.get("damping_law", VISCOUS.name)),
+        PlannedErrors(**{key: float(table[key]) for key in _ERROR_KEYS if key in table}),
     )
     return plan, mass[1]
 
@@ -147,8 +152,11 @@ def _value_faults(table: Mapping[str, Any], where: str) -> list[Fault]:
         faults.append(Fault("lines", "a whole number from 2 to 100000", lines, where))
     if "noise_m_s" in table and "noise_relative" in table:
         faults.append(Fault("the noise", "given as noise_m_s or as noise_relative", "both", where))
-    for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking"):
-        value, zero = table.get(key, 1.0), key == "rocking"
+    if "mass_sd_percent" in table and str(table.get("mass", "")).lower().endswith(".json"):
+        wanted = "left out beside a mass.json, which has its own"
+        faults.append(Fault("mass_sd_percent", wanted, table["mass_sd_percent"], where))
+    for key in ("noise_m_s", "noise_relative", "base_velocity_m_s", "rocking", *_ERROR_KEYS):
+        value, zero = table.get(key, 1.0), key == "rocking" or key in _ERROR_KEYS
         number = is_finite_number(value)
         if not number or value < 0.0 or (value == 0.0 and not zero):
             wanted = "a number, zero or positive" if zero else "a positive number"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fitting.cli import parser, work
 from fitting.errors import FittingError
@@ -15,12 +17,16 @@ from fitting.estimators.base import EstimatorOptions
 from fitting.model.damping import VISCOUS
 from fitting.model.lines import Scale, assemble
 from fitting.model.observation import observe
-from fitting.plan.plan import Plan, expect, planned_motion
+from fitting.plan.plan import STATED_MASS, Plan, expect, planned_motion
 from fitting.plan.plan_example import PLAN_EXAMPLE
 from fitting.plan.plan_file import read_plan
+from fitting.plan.planned_errors import PlannedErrors
 from stapeskit.faults import StapeskitError
 from stapeskit.spatial import DOF_NAMES
 from tests.fitting.cases import DOF, M, six_dof_mass, six_dof_matrices
+
+# Places of DOF among x, y, z, alpha, beta, gamma.
+USED = [DOF_NAMES.index(name) for name in DOF]
 
 
 def write(folder: Path, text: str) -> Path:
@@ -31,7 +37,7 @@ def write(folder: Path, text: str) -> Path:
 
 def test_expected_sd_is_the_scatter_of_fits() -> None:
     plan = Plan(noise_relative=0.05, lines=100)
-    expected = np.sqrt(np.diag(expect(plan).planned.covariance))
+    expected = np.sqrt(np.diag(expect(plan).planned.fit.noise_covariance))
     observation = observe(planned_motion(plan), DOF)
     scale = Scale.of(observation, M)
     units = scale.parameter_units(VISCOUS)
@@ -64,8 +70,91 @@ def test_six_degrees_of_freedom_need_more_directions() -> None:
     worst = []
     for directions in ("y", "yx", "yxz"):
         plan = Plan(DOF_NAMES, six_dof_mass(), stiffness, damping, directions=tuple(directions))
-        worst.append(expect(plan).planned.identifiability.worst)
+        worst.append(expect(plan).planned.fit.identifiability.worst)
     assert worst[0] > 3.0 * worst[1] > 9.0 * worst[2]
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"position_sd_mm": 0.05},
+        {"registration_sd_mm": 0.05, "registration_sd_deg": 0.5},
+        {"gain_sd_percent": 2.0},
+        {"phase_sd_deg": 0.5, "delay_sd_us": 1.0},
+    ],
+    ids=["points", "registration", "gain", "phase and delay"],
+)
+def test_shared_errors_are_the_scatter_of_readings_with_such_errors(stated: dict[str, float]) -> None:
+    """Readings are made from wrong points, frames and lasers, and fitted as if all were right."""
+    exact = {error.name: 0.0 for error in fields(PlannedErrors)}
+    errors = PlannedErrors(**(exact | stated))
+    plan = Plan(noise_m_s=2e-5, lines=40, errors=errors)
+    planned = expect(plan).planned
+    expected = np.sqrt(np.diag(planned.covariance - planned.fit.noise_covariance))
+    motion, mass = planned_motion(plan), np.asarray(plan.mass)
+    rng = np.random.default_rng(3)
+    omega = 2.0 * np.pi * motion.freq_hz[:, None]
+    found = []
+    for _ in range(150):
+        shift = rng.normal(0.0, 1e-3 * errors.registration_sd_mm, 3)
+        turned = Rotation.from_rotvec(rng.normal(0.0, np.radians(errors.registration_sd_deg), 3))
+        gain = 1.0 + rng.normal(0.0, 1e-2 * errors.gain_sd_percent, 3)
+        phase = rng.normal(0.0, np.radians(errors.phase_sd_deg), 3)
+        delay = rng.normal(0.0, 1e-6 * errors.delay_sd_us, 3)
+        laser = np.tile(gain * np.exp(1j * (phase - omega * delay)), len(plan.structure_mm))
+        moved = motion.q[0].copy()
+        for body, points_mm in enumerate((plan.structure_mm, plan.base_mm)):
+            stated_points = 1e-3 * points_mm
+            seen = stated_points + rng.normal(0.0, 1e-3 * errors.position_sd_mm, points_mm.shape)
+            # the true point and beam behind what is stated in a frame that is shifted and turned
+            seen = turned.inv().apply(seen) + shift
+            beams = turned.inv().as_matrix().T
+            true = np.array([[*d, *np.cross(p, d)] for p in seen for d in beams])
+            believed = np.array([[*d, *np.cross(p, d)] for p in stated_points for d in np.eye(3)])
+            readings = (motion.q[0, body] @ true[:, USED].T) * laser[:, : len(true)]
+            moved[body] = (readings @ np.linalg.pinv(believed).T)[:, USED]
+        wrong = replace(motion, q=moved[None], shared=None)
+        observation = observe(wrong, DOF)
+        scale = Scale.of(observation, mass)
+        lines = assemble(observation, mass, scale, VISCOUS)
+        units = scale.parameter_units(VISCOUS)
+        found.append(ml.estimate(lines, EstimatorOptions()).parameters * units)
+    assert np.std(found, axis=0) == pytest.approx(expected, rel=0.2)
+
+
+def test_a_mass_error_scales_all_entries_and_no_frequency() -> None:
+    exact = PlannedErrors(**{error.name: 0.0 for error in fields(PlannedErrors)})
+    planned = expect(Plan(errors=replace(exact, mass_sd_percent=3.0), noise_m_s=2e-6)).planned
+    stiffness, _ = planned.standard_deviation
+    assert np.diag(stiffness) == pytest.approx(0.03 * np.diag(planned.fit.stiffness), rel=1e-3)
+    assert STATED_MASS in planned.sources
+    assert planned.fit.derived.frequency_sd_hz.max() < 1.0
+
+
+def test_halves_of_stated_errors_stand_among_the_changes() -> None:
+    found = expect(Plan(noise_m_s=2e-6))
+    names = [option.name for option in found.options]
+    sources = {option.name: option.sources for option in found.options}
+    for name, source in (
+        ("points known twice as well", "position"),
+        ("registration twice as good", "registration"),
+        ("lasers calibrated twice as well", "laser_gain"),
+        ("density or mass known twice as well", STATED_MASS),
+    ):
+        assert np.diag(sources[name][source]) == pytest.approx(
+            np.diag(sources["as planned"][source]) / 4.0, rel=1e-6
+        )
+    without = expect(Plan(errors=PlannedErrors(position_sd_mm=0.0)))
+    assert "points known twice as well" not in [option.name for option in without.options]
+    assert len(names) == len(without.options) + 1
+
+
+def test_errors_of_lasers_are_those_of_points2dof() -> None:
+    from kinematics.registration.lasers import LaserPriors
+
+    defaults = {error.name: error.default for error in fields(PlannedErrors)}
+    for name in ("gain_sd_percent", "phase_sd_deg", "delay_sd_us"):
+        assert defaults[name] == getattr(LaserPriors(), name)
 
 
 def test_example_of_the_help_runs(tmp_path: Path, monkeypatch) -> None:
@@ -77,9 +166,11 @@ def test_example_of_the_help_runs(tmp_path: Path, monkeypatch) -> None:
     assert content["schema"] == "stapeskit.plan/1"
     assert content["options"][0]["name"] == "as planned"
     assert np.array(content["expected_stiffness_sd_si"]).shape == (3, 3)
-    assert len(outcome.rows) <= 15
+    assert len(outcome.rows) <= 20
+    assert set(content["errors"]) == {error.name for error in fields(PlannedErrors)}
+    assert set(content["budget"]) >= {"channel_noise", "position", "registration", "laser_gain", STATED_MASS}
     html = (tmp_path / "plan.html").read_text(encoding="utf-8")
-    for words in ("as planned", "one more run, rocked about x", "mass_uncertainty_not_given", "K, assumed"):
+    for words in ("as planned", "one more run, rocked about x", "What limits the entries", "K, assumed"):
         assert words in html
     assert [file.name for file in outcome.files] == ["plan.json", "plan.html"]
 
@@ -107,6 +198,8 @@ def test_commented_keys_of_the_example_are_known(tmp_path: Path) -> None:
         ("noise_m_s = 0", "noise_m_s must be a positive number"),
         ("noise_m_s = 1e-6\nnoise_relative = 0.1", "got both"),
         ("rocking = -1", "zero or positive"),
+        ("gain_sd_percent = -1", "gain_sd_percent must be a number, zero or positive"),
+        ('mass = "mass.json"\nmass_sd_percent = 1', "left out beside a mass.json"),
         ('directions = ["x"]', "out of the plan's dof"),
         ('directions = ["q"]', "directions must be different names out of the plan's dof"),
         ('directions = ["y", "y"]', "directions must be different names"),

@@ -1,0 +1,110 @@
+"""Errors that all lines of a planned measurement will share: points, registration, lasers, and the mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.examples.experiment import Layout
+from stapeskit.frames import cross_matrix
+from stapeskit.records.motion import SharedErrors
+from stapeskit.spatial import dof_indices
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class PlannedErrors:
+    """Standard deviations of what stays the same over the lines; 0 means exact.
+
+    Attributes
+    ----------
+    position_sd_mm : float
+        Of each coordinate of a point.
+    registration_sd_mm, registration_sd_deg : float
+        Of the place and the axes of the footplate in the vibrometer, each coordinate.
+    gain_sd_percent, phase_sd_deg, delay_sd_us : float
+        Of each laser; the defaults are those of points2dof.
+    mass_sd_percent : float
+        Of a mass matrix without an uncertainty of its own: its density.
+    """
+
+    position_sd_mm: float = 0.03
+    registration_sd_mm: float = 0.02
+    registration_sd_deg: float = 0.1
+    gain_sd_percent: float = 1.0
+    phase_sd_deg: float = 0.5
+    delay_sd_us: float = 1.0
+    mass_sd_percent: float = 3.0
+
+
+def shared_errors(
+    errors: PlannedErrors,
+    dof: tuple[str, ...],
+    layouts: tuple[Layout, ...],
+    freq_hz: Array,
+    q: ComplexArray,
+) -> SharedErrors:
+    """Return how the common errors move the rigid motion that least squares gives.
+
+    Parameters
+    ----------
+    errors : PlannedErrors
+    dof : tuple of str, (n,)
+    layouts : tuple of Layout
+        Points of each body; each is seen along three axes, by one laser an axis.
+    freq_hz : ndarray, (lines,)
+    q : ndarray, (runs, bodies, lines, n), complex
+        True motion.
+
+    Notes
+    -----
+    A reading is u = d . (T + theta x p). An error e of the readings moves q by pinv(A) e; that of a point is
+    d . (theta x dp), that of a laser its own readings times the relative gain, i phase or -i w delay. In a
+    frame whose centre is off by s and which is turned by r the same motion has T - theta x s + r x T and
+    theta + r x theta.
+    """
+    places = dof_indices(dof)
+    twist = np.zeros((*q.shape[:-1], 6), dtype=complex)
+    twist[..., places] = q
+    names: list[str] = []
+    sds: list[float] = []
+    derivatives: list[NDArray[Any]] = []
+
+    def add(name: str, sd: float, derivative: NDArray[Any]) -> None:
+        if sd > 0.0:
+            names.append(name)
+            sds.append(sd)
+            derivatives.append(derivative)
+
+    for axis in range(3):
+        turn = cross_matrix(np.eye(3)[axis])
+        moved = np.zeros_like(twist)
+        # -theta x s = s x theta
+        moved[..., :3] = twist[..., 3:] @ turn.T
+        add(f"registration.{_AXES[axis]}", 1e-3 * errors.registration_sd_mm, moved[..., places])
+        turned = np.concatenate([twist[..., :3] @ turn.T, twist[..., 3:] @ turn.T], axis=-1)
+        add(f"registration.turn_{_AXES[axis]}", np.radians(errors.registration_sd_deg), turned[..., places])
+    for body, layout in enumerate(layouts):
+        inverse = layout.inverse(dof)
+        for point in range(len(layout.points_mm)):
+            for axis in range(3):
+                # d . (theta x dp) for d along x, y and z is (theta x dp) itself
+                by_turn = inverse[:, 3 * point : 3 * point + 3] @ cross_matrix(np.eye(3)[axis]).T
+                moved = np.zeros_like(q)
+                moved[:, body] = twist[:, body, :, 3:] @ by_turn.T
+                add(f"position.{body}.{point}.{_AXES[axis]}", 1e-3 * errors.position_sd_mm, moved)
+    late = -2j * np.pi * freq_hz[:, None]
+    for axis in range(3):
+        parts = [layout.inverse(dof)[:, axis::3] @ layout.rows()[axis::3] for layout in layouts]
+        read = np.stack([twist[:, body] @ part.T for body, part in enumerate(parts)], axis=1)
+        add(f"laser_gain.{_AXES[axis]}", 1e-2 * errors.gain_sd_percent, read)
+        add(f"laser_phase.{_AXES[axis]}", np.radians(errors.phase_sd_deg), 1j * read)
+        add(f"laser_delay.{_AXES[axis]}", 1e-6 * errors.delay_sd_us, late * read)
+    stacked = np.array(derivatives) if derivatives else np.zeros((0, *q.shape), dtype=complex)
+    return SharedErrors(tuple(names), np.diag(np.square(sds)), stacked)
