@@ -148,11 +148,16 @@ def _failure(result: CohortResult) -> Exception:
 
 
 def _line(kd: Any) -> str:
-    values = ", ".join(
-        f"K({dof}) {kd['stiffness_si'][place][place]:.4g}" for place, dof in enumerate(kd["dof"])
-    )
-    modes = ", ".join(f"{mode['frequency_hz']:.0f}" for mode in kd["modes"])
-    return f"{values}; modes {modes} Hz"
+    """Return the stiffness and the modes of an ear with units and standard deviations."""
+    from stapeskit.page.numbers import plus_minus
+    from stapeskit.page.quantities import diagonal_unit
+
+    values = []
+    for place, dof in enumerate(kd["dof"]):
+        value, sd = (kd[name][place][place] for name in ("stiffness_si", "stiffness_sd_si"))
+        values.append(f"K({dof}) {diagonal_unit('K', dof).with_sd(value, sd)}")
+    modes = [plus_minus(mode["frequency_hz"], mode["frequency_sd_hz"]) for mode in kd["modes"]]
+    return f"{', '.join(values)}; modes {', '.join(modes)} Hz"
 
 
 def main() -> NoReturn:
