@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.page.quantities import MASS, matrix_units
 from stapeskit.tables.text_cells import as_text_cell
 
 Array = NDArray[np.float64]
@@ -84,6 +85,17 @@ class Quantity:
         """Standard deviation between the ears (n - 1); NaN for one ear."""
         good = self.values[np.isfinite(self.values)]
         return float(np.std(good, ddof=1)) if len(good) > 1 else float("nan")
+
+    def shown(self, exponent: float) -> Quantity:
+        """Return the quantity in the unit of pages; ``exponent`` is the power of time in the unit of D."""
+        letter, *dof = self.name.split("_")
+        if letter not in ("mass", "K", "D"):
+            return self
+        unit = MASS if letter == "mass" else matrix_units(letter, dof, exponent)[0][1]
+        own = None if self.own is None else unit.of(self.own)
+        return replace(
+            self, unit=unit.symbol, values=unit.of(self.values), deviations=unit.of(self.deviations), own=own
+        )
 
     def mirrored(self, right: NDArray[np.bool_]) -> Quantity:
         """Return the quantity with right ears as their mirror images on the left; ``right`` is (ears,)."""
@@ -242,6 +254,11 @@ def unit_of_entry(letter: str, first: str, second: str) -> str:
     turns = sum(name in ("alpha", "beta", "gamma") for name in (first, second))
     force = "N" if letter == "K" else "N s"
     return (f"{force}/m", force, f"{force} m/rad")[turns]
+
+
+def damping_exponent(ears: Sequence[Ear]) -> float:
+    """Return the power of time in the unit of D, that of the first ear: damping laws do not mix."""
+    return float(ears[0].kd.get("model", {}).get("damping_exponent", 1.0))
 
 
 def labels(ears: Sequence[Ear]) -> list[str]:

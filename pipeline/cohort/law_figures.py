@@ -10,13 +10,15 @@ import numpy as np
 from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
 from pipeline.cohort.components import Components
 from pipeline.cohort.covariates import stated
-from pipeline.cohort.law_labels import SHOWN, label, law_name
+from pipeline.cohort.law_labels import SHOWN, label, law_name, response_unit
 from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.prediction import Predictor
 from stapeskit.page import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from stapeskit.page.quantities import ShownUnit
 
 _BLUE, _GREY, _BAND = "#0b6e99", "#9aa5b1", "#d7e8f0"
 # Ears up to which ellipses are drawn, and columns of panels.
@@ -46,26 +48,29 @@ def laws_figure(cohort: CohortLaws) -> Figure:
     for panel, planned in zip(panels, laws, strict=True):
         if cohort.table is not None:
             pairs = cohort.table.pairs(planned.response, planned.predictor)[0]
-            _draw_law(panel, planned, pairs, cohort.predictor(planned))
+            unit = response_unit(planned.response, cohort.ears)
+            _draw_law(panel, planned, pairs, cohort.predictor(planned), unit)
     return drawing
 
 
-def _draw_law(panel: Any, law: CohortLaw, pairs: LogPairs, predictor: Predictor) -> None:
-    factor = SHOWN.get(law.predictor, ("", 1.0))[1]
+def _draw_law(panel: Any, law: CohortLaw, pairs: LogPairs, predictor: Predictor, unit: ShownUnit) -> None:
+    factor, size = SHOWN.get(law.predictor, ("", 1.0))[1], unit.per_si
     angle = np.linspace(0.0, 2.0 * np.pi, 41)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     few = pairs.n <= _MOST_ELLIPSES
     for value, covariance in zip(pairs.values, pairs.own, strict=True) if few else ():
         sizes, axes = np.linalg.eigh(covariance)
         ellipse = value[:, None] + axes * np.sqrt(np.maximum(sizes, 0.0)) @ circle
-        panel.plot(np.exp(ellipse[0]) * factor, np.exp(ellipse[1]), color=_GREY, lw=0.7)
+        panel.plot(np.exp(ellipse[0]) * factor, np.exp(ellipse[1]) * size, color=_GREY, lw=0.7)
     margin = 0.1 * float(np.ptp(pairs.x))
     x = np.linspace(pairs.x.min() - margin, pairs.x.max() + margin, 25)
     ends = np.array([predictor.predict(float(at)).interval for at in x])
-    panel.fill_between(np.exp(x) * factor, np.exp(ends[:, 0]), np.exp(ends[:, 1]), color=_BAND, lw=0)
-    panel.plot(np.exp(x) * factor, np.exp(law.law.intercept + law.law.exponent * x), color=_BLUE, lw=1.5)
-    panel.plot(np.exp(pairs.x) * factor, np.exp(pairs.y), "o", color=_BLUE, ms=4 if few else 2)
-    panel.set(xlabel=label(law.predictor), ylabel=f"{law.response} (SI)")
+    band = np.exp(ends) * size
+    panel.fill_between(np.exp(x) * factor, band[:, 0], band[:, 1], color=_BAND, lw=0)
+    line = np.exp(law.law.intercept + law.law.exponent * x) * size
+    panel.plot(np.exp(x) * factor, line, color=_BLUE, lw=1.5)
+    panel.plot(np.exp(pairs.x) * factor, np.exp(pairs.y) * size, "o", color=_BLUE, ms=4 if few else 2)
+    panel.set(xlabel=label(law.predictor), ylabel=f"{law.response} ({unit.symbol})")
 
 
 def exponents_figure(laws: Sequence[CohortLaw]) -> Figure:
@@ -151,12 +156,15 @@ def pairs_figure(cohort: CohortLaws, pairs: Sequence[tuple[str, int, int]]) -> F
         if table is None:
             continue
         column = table.column(name)
-        sides = [(np.exp(table.values[k, column]), table.own[k, column, column]) for k in (left, right)]
+        unit = response_unit(name, cohort.ears)
+        sides = [
+            (unit.of(np.exp(table.values[k, column])), table.own[k, column, column]) for k in (left, right)
+        ]
         bars = [2.0 * values * np.sqrt(variance) for values, variance in sides]
         panel.errorbar(
             sides[0][0], sides[1][0], bars[1], bars[0], fmt="o", ms=4, color=_BLUE, ecolor=_GREY, lw=0.8
         )
         ends = [min(np.nanmin(side[0]) for side in sides), max(np.nanmax(side[0]) for side in sides)]
         panel.plot(ends, ends, color=_GREY, lw=1)
-        panel.set(xlabel=f"{name} left (SI)", ylabel=f"{name} right (SI)")
+        panel.set(xlabel=f"{name} left ({unit.symbol})", ylabel=f"{name} right ({unit.symbol})")
     return drawing

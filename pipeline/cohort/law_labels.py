@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pipeline.cohort.cohort_laws import CohortLaw
-from stapeskit.page.quantities import AREA, INERTIA, LENGTH, MASS
+from pipeline.cohort.ears import Ear, damping_exponent
+from stapeskit.page.quantities import (
+    AREA,
+    INERTIA,
+    LENGTH,
+    MASS,
+    ROTATION_STIFFNESS,
+    ShownUnit,
+    diagonal_unit,
+)
 
 _UNITS = {
     "mass_kg": ("mass", MASS),
@@ -28,3 +39,11 @@ def label(quantity: str) -> str:
 def law_name(law: CohortLaw) -> str:
     """Return the name of a law: response ~ predictor."""
     return f"{law.response} ~ {label(law.predictor).partition(' (')[0]}"
+
+
+def response_unit(response: str, ears: Sequence[Ear]) -> ShownUnit:
+    """Return the unit in which a response of laws, such as ``K11``, is shown."""
+    if response.startswith("K_principal"):
+        return ROTATION_STIFFNESS
+    dof = max((tuple(ear.kd["dof"]) for ear in ears), key=len)
+    return diagonal_unit(response[0], dof[int(response[1]) - 1], damping_exponent(ears))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaw, CohortLaws
-from pipeline.cohort.ears import labels, unit_of_entry
+from pipeline.cohort.ears import labels
 from pipeline.cohort.law_figures import (
     components_figure,
     exponents_figure,
@@ -16,7 +16,7 @@ from pipeline.cohort.law_figures import (
     pairs_figure,
     residuals_figure,
 )
-from pipeline.cohort.law_labels import law_name
+from pipeline.cohort.law_labels import law_name, response_unit
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
@@ -127,15 +127,11 @@ def _influence_section(cohort: CohortLaws, primary: Sequence[CohortLaw], as_path
 
 def _normal_section(cohort: CohortLaws) -> list[Section]:
     """Return the range of each response over ears of this population."""
-    units = {
-        f"{letter}{k + 1}{k + 1}": unit_of_entry(letter, name, name)
-        for letter in "KD"
-        for k, name in enumerate(cohort.ears[0].kd["dof"])
-    }
-    rows = [
-        (f"{name} ({units[name]})" if name in units else name, f"{low:.4g} to {high:.4g}")
-        for name, (low, high) in cohort.normal_ranges().items()
-    ]
+    rows = []
+    for name, ends in cohort.normal_ranges().items():
+        unit = response_unit(name, cohort.ears)
+        low, high = (unit.of(end) for end in ends)
+        rows.append((f"{name} ({unit.symbol})", f"{low:.4g} to {high:.4g}"))
     if not rows:
         return []
     text = "95 % of further ears of this population lie within these, whatever their size."

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.cohort.cohort_laws import CohortLaws
 from pipeline.cohort.covariates import stated
-from pipeline.cohort.ears import Ear, Quantity, labels, quantities
+from pipeline.cohort.ears import Ear, Quantity, damping_exponent, labels, quantities
 from pipeline.cohort.law_page import MOST_AS_PATHS, law_sections
 from stapeskit.page import page
 from stapeskit.page.drawings import plain
@@ -29,8 +29,8 @@ def write_cohort_page(
     path: Path, ears: Sequence[Ear], faults: Mapping[str, str], cohort: CohortLaws | None = None
 ) -> None:
     """Write cohort.html: the ears side by side, and a plain comparison."""
-    entries = quantities(ears)
-    count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side, SI units."
+    entries = [quantity.shown(damping_exponent(ears)) for quantity in quantities(ears)]
+    count = f"{len(ears)} ear{'s' if len(ears) != 1 else ''} side by side; cohort.csv has SI units."
     lost = f" {len(faults)} more failed." if faults else ""
     report = Page("Cohort", count + lost)
     if faults:
