@@ -16,7 +16,7 @@ from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, settle_
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import check_dimensions
 from ct_inertia.readers.zarr_chunks import Meta, ZarrArray, metadata, zarr_array
-from ct_inertia.volume.blocks import BlockArray, Level
+from ct_inertia.volume.blocks import BlockArray, Gaps, Level
 from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
@@ -57,7 +57,7 @@ def read(folder: Path, options: ReadOptions) -> Volume:
         raise header_fault(folder, "OME-Zarr image", "metadata without a single chunk")
     if absent:
         text = (
-            f"{absent} of {total} chunks of {folder.name} are not stored and count as {array.fill:g}: "
+            f"{absent} of {total} chunks of {folder.name} are not stored and count as {array.fill_voxel:g}: "
             f"writers leave out empty chunks, but so does an incomplete copy."
         )
         notices.append(Notice("chunks_not_stored", text))
@@ -173,7 +173,10 @@ def _spatial(array: ZarrArray, axes: list[str], folder: Path) -> BlockArray:
             at[axis] = number
         return array.read(at).transpose([*rest, *order])[(0,) * len(rest)]
 
-    return BlockArray([array.shape[k] for k in order], array.dtype, [array.chunks[k] for k in order], block)
+    there = array.present().transpose([*rest, *order])[(0,) * len(rest)]
+    gaps = None if there.all() else Gaps(there, array.fill_voxel)
+    shape, chunks = ([numbers[k] for k in order] for numbers in (array.shape, array.chunks))
+    return BlockArray(shape, array.dtype, chunks, block, gaps=gaps)
 
 
 def _level_folder(where: Path, level: Meta, follow: bool) -> Path:

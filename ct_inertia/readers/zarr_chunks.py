@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +20,16 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import amount, check_memory, header_fault, not_readable, unreadable
 from ct_inertia.readers.unpack import CODECS, unpack
+from ct_inertia.readers.zarr_files import ZarrFiles
 from stapeskit.faults import Fault
 
-# Most chunks of an array: 1024^3 voxels in chunks of 8^3 have 2 million; damaged shapes claim more.
-_MOST_FILES = 4e6
 # Along an axis: more than any scanner has, small enough that products stay whole numbers of 64 bits.
 _MOST_VOXELS = 1 << 20
 _LONGEST_METADATA = 64 << 20
 _ABSENT = (1 << 64) - 1
+_KEPT_INDICES = 64
+# 4096^3 voxels in chunks of 16^3 have 17 million.
+_MOST_CHUNKS = 1 << 26
 Meta = dict[str, Any]
 
 
@@ -39,24 +43,46 @@ class ZarrArray:
     shape, chunks : tuple of int
         Along every axis; of a sharded array the chunks inside the shards.
     dtype : dtype
-    fill : float
-        Value of chunks that are not stored.
+    fill : object
+        Value of voxels that are not stored, as the metadata has it.
     read : callable
-        Takes the number of a chunk along every axis and returns its voxels.
-    names : callable
-        Takes the number of a stored file along every axis and returns its path.
-    stored : tuple of int
-        Voxels of a stored file along every axis: a chunk or a shard.
+        Takes the number of a stored chunk along every axis and returns its voxels.
+    files : ZarrFiles
+        The chunks or shards that are stored.
+    shard : _Shard or None
+        Where chunks lie in the files of a sharded array.
     """
 
     folder: Path
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     dtype: np.dtype
-    fill: float
+    fill: object
     read: Callable[[Sequence[int]], NDArray[Any]]
-    names: Callable[[Sequence[int]], Path]
-    stored: tuple[int, ...]
+    files: ZarrFiles
+    shard: _Shard | None = None
+
+    def present(self) -> NDArray[np.bool_]:
+        """Return which chunks are stored, by their number along every axis.
+
+        Raises
+        ------
+        CtInertiaError
+            The array claims more chunks than it can have, or an index cannot be read.
+        """
+        files = self.files.present
+        if self.shard is None:
+            return files
+        counts = [-(-n // c) for n, c in zip(self.shape, self.chunks, strict=True)]
+        if math.prod(counts) > _MOST_CHUNKS:
+            raise header_fault(self.folder, "Zarr array", f"a claim of {math.prod(counts)} chunks")
+        there = np.zeros(counts, dtype=np.bool_)
+        for at in np.argwhere(files).tolist():
+            held = self.shard.holds(self.files.path(at))
+            first = [number * n for number, n in zip(at, held.shape, strict=True)]
+            part = there[tuple(slice(a, a + n) for a, n in zip(first, held.shape, strict=True))]
+            part[...] = held[tuple(slice(n) for n in part.shape)]
+        return there
 
     def missing(self) -> tuple[int, int]:
         """Return how many of the stored files are not there, and how many there could be.
@@ -66,13 +92,19 @@ class ZarrArray:
         CtInertiaError
             More than a folder can hold.
         """
-        counts = [-(-n // c) for n, c in zip(self.shape, self.stored, strict=True)]
-        if float(np.prod(np.array(counts, dtype=float))) > _MOST_FILES:
-            size = " x ".join(map(str, reversed(self.shape)))
-            raise header_fault(self.folder, "Zarr array", f"a claim of {size} voxels")
-        present = sum(self.names(at).is_file() for at in np.ndindex(*counts))
-        total = int(np.prod(counts))
-        return total - present, total
+        there = self.files.present
+        return int(there.size - np.count_nonzero(there)), int(there.size)
+
+    @property
+    def fill_voxel(self) -> NDArray[Any]:
+        """The value () of voxels that are not stored.
+
+        Raises
+        ------
+        CtInertiaError
+            The metadata has none of the array's type.
+        """
+        return _voxel(self.fill, self.dtype, self.folder)
 
 
 def zarr_array(folder: Path) -> ZarrArray:
@@ -92,8 +124,9 @@ def zarr_array(folder: Path) -> ZarrArray:
                 if isinstance(fault, CtInertiaError):
                     raise
                 raise header_fault(folder, "Zarr array", f"metadata without usable {fault}") from fault
-            lengths = {len(array.shape), len(array.chunks), len(array.stored)}
-            numbers = (*array.chunks, *array.stored, *array.shape)
+            stored = array.files.stored
+            lengths = {len(array.shape), len(array.chunks), len(stored)}
+            numbers = (*array.chunks, *stored, *array.shape)
             if len(lengths) > 1 or not all(1 <= n < _MOST_VOXELS for n in numbers):
                 raise header_fault(folder, "Zarr array", f"chunks of {array.chunks} for {array.shape}")
             check_memory(math.prod(array.chunks) * array.dtype.itemsize, folder.name)
@@ -123,22 +156,16 @@ def _second(folder: Path, meta: Meta) -> ZarrArray:
     compressor = meta.get("compressor")
     steps = [] if compressor is None else [_known(str(compressor["id"]), folder)]
     order = meta.get("order", "C")
-    if order not in ("C", "F") or not isinstance(separator, str):
-        raise header_fault(folder, "Zarr array", f"the order {order!r} and the separator {separator!r}")
-    fill = meta.get("fill_value")
-
-    def name(at: Sequence[int]) -> Path:
-        return folder / separator.join(map(str, at))
+    if order not in ("C", "F"):
+        raise header_fault(folder, "Zarr array", f"the order {str(order)[:40]!r}")
+    shape = _whole(meta["shape"])
+    files = ZarrFiles(folder, shape, chunks, separator)
 
     def read(at: Sequence[int]) -> NDArray[Any]:
-        file = name(at)
-        data = _content(file)
-        if data is None:
-            return _filled(fill or 0, chunks, dtype, folder)
-        return _unpacked(steps, data, dtype, chunks, file).reshape(chunks, order=order)
+        file = files.path(at)
+        return _unpacked(steps, _content(file), dtype, chunks, file).reshape(chunks, order=order)
 
-    shape = _whole(meta["shape"])
-    return ZarrArray(folder, shape, chunks, dtype, _fill(fill), read, name, chunks)
+    return ZarrArray(folder, shape, chunks, dtype, meta.get("fill_value") or 0, read, files)
 
 
 def _third(folder: Path, meta: Meta) -> ZarrArray:
@@ -148,12 +175,10 @@ def _third(folder: Path, meta: Meta) -> ZarrArray:
     keys = meta.get("chunk_key_encoding", {"name": "default"})
     first = keys["name"] == "default"
     separator = keys.get("configuration", {}).get("separator", "/" if first else ".")
+    shape = _whole(meta["shape"])
+    files = ZarrFiles(folder, shape, stored, separator, ("c",) if first else ())
     fill = meta.get("fill_value", 0)
     plain = np.dtype(meta["data_type"])
-
-    def name(at: Sequence[int]) -> Path:
-        return folder / separator.join([*(["c"] if first else []), *map(str, at)])
-
     codecs = meta["codecs"]
     sharded = codecs[0]["name"] == "sharding_indexed"
     inner = codecs[0]["configuration"] if sharded else {"codecs": codecs, "chunk_shape": stored}
@@ -162,12 +187,10 @@ def _third(folder: Path, meta: Meta) -> ZarrArray:
     shard = _Shard(inner, stored, chunks, folder) if sharded else None
 
     def read(at: Sequence[int]) -> NDArray[Any]:
-        file = name(at if shard is None else shard.of(at))
-        data = _content(file) if shard is None else shard.piece(file, at)
-        return _filled(fill, chunks, dtype, folder) if data is None else decode(data, file)
+        file = files.path(at if shard is None else shard.of(at))
+        return decode(_content(file) if shard is None else shard.piece(file, at), file)
 
-    shape = _whole(meta["shape"])
-    return ZarrArray(folder, shape, chunks, dtype, _fill(fill), read, name, stored)
+    return ZarrArray(folder, shape, chunks, dtype, fill, read, files, shard)
 
 
 class _Shard:
@@ -183,34 +206,45 @@ class _Shard:
             raise _unknown("index codec", ", ".join(names), folder)
         self._bytes = 16 * self._count + (4 if "crc32c" in names else 0)
         self._at_end = meta.get("index_location", "end") == "end"
+        # Every chunk of a shard asks for its index; a plane of voxels seldom crosses more shards.
+        self._index = lru_cache(maxsize=_KEPT_INDICES)(self._read_index)
 
     def of(self, at: Sequence[int]) -> list[int]:
         """Return the number of the shard that holds a chunk."""
         return [a // n for a, n in zip(at, self._grid, strict=True)]
 
-    def piece(self, file: Path, at: Sequence[int]) -> bytes | None:
-        """Return the packed bytes of a chunk, or None when it is not stored."""
-        if not file.is_file():
-            return None
+    def holds(self, file: Path) -> NDArray[np.bool_]:
+        """Return which chunks a shard holds, by their number within it along every axis."""
+        return np.asarray(self._index(file)[:, 0] != _ABSENT).reshape(self._grid)
+
+    def piece(self, file: Path, at: Sequence[int]) -> bytes:
+        """Return the packed bytes of a chunk that the shard holds."""
         place = np.ravel_multi_index([a % n for a, n in zip(at, self._grid, strict=True)], self._grid)
-        with file.open("rb") as stream:
-            if self._at_end:
-                stream.seek(-min(self._bytes, file.stat().st_size), 2)
-            index = stream.read(self._bytes)
-            if len(index) < self._bytes:
-                raise not_readable(file, "Zarr shard", EOFError())
-            offset, count = (
-                np.frombuffer(index[: 16 * self._count], "<u8").reshape(-1, 2)[int(place)].tolist()
-            )
-            if offset == _ABSENT:
-                return None
-            if offset + count > file.stat().st_size:
-                raise not_readable(file, "Zarr shard", EOFError())
-            stream.seek(offset)
-            data = stream.read(count)
+        offset, count = self._index(file)[int(place)].tolist()
+        try:
+            with file.open("rb") as stream:
+                if offset + count > os.fstat(stream.fileno()).st_size:
+                    raise not_readable(file, "Zarr shard", EOFError())
+                stream.seek(offset)
+                data = stream.read(count)
+        except OSError as fault:
+            raise unreadable(file, fault) from fault
         if len(data) < count:
             raise not_readable(file, "Zarr shard", EOFError())
         return data
+
+    def _read_index(self, file: Path) -> NDArray[np.uint64]:
+        """Return offset and length (n, 2) of every chunk of a shard, in bytes."""
+        try:
+            with file.open("rb") as stream:
+                if self._at_end:
+                    stream.seek(-min(self._bytes, os.fstat(stream.fileno()).st_size), os.SEEK_END)
+                index = stream.read(self._bytes)
+        except OSError as fault:
+            raise unreadable(file, fault) from fault
+        if len(index) < self._bytes:
+            raise not_readable(file, "Zarr shard", EOFError())
+        return np.frombuffer(index, "<u8", 2 * self._count).reshape(-1, 2)
 
 
 def _decoder(
@@ -281,23 +315,18 @@ def _dtype(text: str, folder: Path) -> np.dtype:
         raise header_fault(folder, "Zarr array", f"data type {text}") from fault
 
 
-def _fill(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
-
-
-def _filled(value: object, chunks: tuple[int, ...], dtype: np.dtype, folder: Path) -> NDArray[Any]:
-    """Return a chunk that is not stored, which needs no memory."""
+def _voxel(fill: object, dtype: np.dtype, folder: Path) -> NDArray[Any]:
+    """Return the value () of voxels that are not stored."""
     try:
-        voxel = np.array(value, dtype=dtype).reshape(())
+        return np.array(fill, dtype=dtype).reshape(())
     except (TypeError, ValueError, OverflowError) as fault:
-        raise header_fault(folder, "Zarr array", f"a fill_value of {str(value)[:40]}") from fault
-    return np.broadcast_to(voxel, chunks)
+        raise header_fault(folder, "Zarr array", f"a fill_value of {str(fill)[:40]}") from fault
 
 
-def _content(file: Path) -> bytes | None:
-    """Return a stored chunk, or None when it is not stored."""
+def _content(file: Path) -> bytes:
+    """Return a stored chunk."""
     try:
-        return file.read_bytes() if file.is_file() else None
+        return file.read_bytes()
     except OSError as fault:
         raise unreadable(file, fault) from fault
 

@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Key = tuple[slice, slice, slice]
+_Touch = tuple[int, slice, slice]
 ReadBlock = Callable[[int, int, int], NDArray[Any]]
 # Bound the memory of layers read together and of blocks kept for the next index.
 _LAYER_BYTES = 64 << 20
 _KEPT_BYTES = 64 << 20
+# Layers of fewer bytes are read together: a damaged shape claims a million of them.
+_SMALL_BYTES = 1 << 20
 
 
 class _Kept:
@@ -45,6 +48,28 @@ class _Kept:
 
 
 @dataclass(frozen=True)
+class Gaps:
+    """Blocks that are not stored and whose voxels have one value.
+
+    Attributes
+    ----------
+    present : ndarray of bool, [z, y, x]
+        Which blocks are stored.
+    fill : ndarray, ()
+        Value of the other voxels.
+    """
+
+    present: NDArray[np.bool_]
+    fill: NDArray[Any]
+
+    def stored(self, touched: Sequence[Sequence[_Touch]]) -> list[tuple[_Touch, ...]]:
+        """Return those of the touched blocks that are stored."""
+        numbers = [np.array([touch[0] for touch in axis], dtype=np.int64) for axis in touched]
+        places = np.argwhere(self.present[np.ix_(*numbers)]).tolist()
+        return [tuple(axis[n] for axis, n in zip(touched, at, strict=True)) for at in places]
+
+
+@dataclass(frozen=True)
 class Level:
     """The picture at a coarser resolution: voxels of the fine one per voxel along z, y, x, and the array."""
 
@@ -67,6 +92,8 @@ class BlockArray:
         threads at once.
     ranges : tuple of 3 ranges, optional
         Which planes, rows and columns this array shows, in order; all of them by default.
+    gaps : Gaps, optional
+        Blocks that are not stored: they are not read and take no time.
 
     Notes
     -----
@@ -84,12 +111,14 @@ class BlockArray:
         block: Sequence[int],
         read: ReadBlock,
         ranges: tuple[range, ...] | None = None,
+        gaps: Gaps | None = None,
     ) -> None:
         self.dtype = np.dtype(dtype)
         self._stored = tuple(int(n) for n in shape)
         self._block = tuple(int(n) for n in block)
         self._read = read if isinstance(read, _Kept) else _Kept(read)
         self._ranges = ranges or tuple(range(n) for n in self._stored)
+        self._gaps = gaps
         self.levels: tuple[Level, ...] = ()
 
     @property
@@ -114,7 +143,7 @@ class BlockArray:
     def view(self, key: Key) -> BlockArray:
         """Return the part that three slices z, y, x name, unread."""
         ranges = tuple(r[s] for r, s in zip(self._ranges, key, strict=True))
-        return BlockArray(self._stored, self.dtype, self._block, self._read, ranges)
+        return BlockArray(self._stored, self.dtype, self._block, self._read, ranges, self._gaps)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -146,6 +175,7 @@ class BlockArray:
         """Give plane after plane, reading each block once."""
         plane = max(1, self.shape[1] * self.shape[2] * self.dtype.itemsize)
         depth = self._block[0] if plane * self._block[0] <= 4 * _LAYER_BYTES else 1
+        depth *= max(1, _SMALL_BYTES // (plane * depth))
         for first in range(0, len(self), depth):
             yield from self[first : first + depth]
 
@@ -156,7 +186,9 @@ class BlockArray:
         thin = len(planes) > 0 and abs(planes[-1] - planes[0]) + 1 < self._block[0]
         read = self._read if thin else self._read.read
         touched = [_touched(r, n) for r, n in zip(self._ranges, self._block, strict=True)]
-        tasks = list(product(*touched))
+        tasks = list(product(*touched)) if self._gaps is None else self._gaps.stored(touched)
+        if self._gaps is not None:
+            out.fill(self._gaps.fill)
 
         def fill(task: tuple[_Touch, ...]) -> None:
             (bz, oz, iz), (by, oy, iy), (bx, ox, ix) = task
@@ -173,9 +205,6 @@ class BlockArray:
             for task in tasks:
                 fill(task)
         return out
-
-
-_Touch = tuple[int, slice, slice]
 
 
 def _touched(wanted: range, block: int) -> list[_Touch]:
