@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import filecmp
 import json
+import os
 import re
 import shutil
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.cohort.about import about_of
 from pipeline.errors import PipelineError
+from pipeline.participants import PARTICIPANTS, with_participants
 from pipeline.records import with_data
 from pipeline.study import TABLES, Study, read_study
-from stapeskit.faults import Fault, raise_all
+from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.option_values import toml
 from stapeskit.options import declared
+from stapeskit.outputs import staged
 
 _FOLDERS = {"scan": "uct", "ldv": "ldv"}
 _STUDY = "_study.toml"
@@ -55,7 +58,7 @@ def read_dataset(dataset: Path) -> list[Path]:
 
 
 def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
-    """Copy studies with all their files into a dataset, and return the study files there.
+    """Copy studies with all their files into a dataset at once, and return the study files there.
 
     Parameters
     ----------
@@ -66,7 +69,8 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
     Raises
     ------
     PipelineError
-        Two studies have one place, or another file stands at a place. Nothing has been copied then.
+        Two studies have one place, another file stands at a place or in a copied folder, or the table of
+        participants contradicts a study. Nothing has been copied then.
     """
     dataset = Path(dataset)
     faults: list[Fault] = []
@@ -83,25 +87,63 @@ def write_dataset(studies: Sequence[Path], dataset: Path) -> list[Path]:
             faults.append(Fault(f"the study {path}", expected, stem, "", "Set subject and side in [study]"))
         texts[target] = _copied(path, target, stem, copies)
         participants[f"sub-{subject}"] = about
-    for target, text in texts.items():
-        if target.exists() and target.read_text(encoding="utf-8") != text:
-            faults.append(_taken(target))
-    faults += [
-        _taken(target)
-        for target, source in copies.items()
-        if target.exists() and not (target.is_dir() or filecmp.cmp(source, target, shallow=False))
-    ]
+    files = {place: file for target, source in copies.items() for place, file in _files(source, target)}
+    faults += [_taken(target) for target, text in texts.items() if _is_other(target, text.encode())]
+    faults += [_taken(target) for target, source in files.items() if _is_other(target, source)]
+    faults += [_taken(stray) for target, source in copies.items() for stray in _strays(source, target, files)]
+    with collecting(faults):
+        table = with_participants(dataset / PARTICIPANTS, participants)
     raise_all(PipelineError, faults)
-    for target, source in copies.items():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir():
-            shutil.copytree(source, target, dirs_exist_ok=True)
-        elif not target.exists():
-            shutil.copyfile(source, target)
-    for target, text in texts.items():
-        target.write_text(text, encoding="utf-8")
-    _describe(dataset, participants)
+    new: dict[Path, Path | bytes] = {**files, **{target: text.encode() for target, text in texts.items()}}
+    new |= _descriptions(dataset)
+    missing = {target: content for target, content in new.items() if not os.path.lexists(target)}
+    if table is not None:
+        missing[dataset / PARTICIPANTS] = table.encode()
+    _write(dataset, missing)
     return list(texts)
+
+
+def _write(dataset: Path, files: Mapping[Path, Path | bytes]) -> None:
+    """Let files appear in the dataset at once: copies of others, or with this content."""
+    if not files:
+        return
+    with staged(dataset) as stage:
+        for target, content in files.items():
+            place = stage / target.relative_to(dataset)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if isinstance(content, Path):
+                shutil.copyfile(content, place)
+            else:
+                place.write_bytes(content)
+
+
+def _files(source: Path, target: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield the place and the source of a file, or of every file of a folder."""
+    if not source.is_dir():
+        yield target, source
+        return
+    for top, _, names in os.walk(source, followlinks=True):
+        for file in (Path(top, name) for name in sorted(names)):
+            if file.is_file():
+                yield target / file.relative_to(source), file
+
+
+def _is_other(target: Path, content: Path | bytes) -> bool:
+    """Return whether something else than the copy stands at its place."""
+    if not os.path.lexists(target):
+        return False
+    if not target.is_file():
+        return True
+    if isinstance(content, Path):
+        return not filecmp.cmp(content, target, shallow=False)
+    return target.read_bytes() != content
+
+
+def _strays(source: Path, target: Path, files: Mapping[Path, Path]) -> list[Path]:
+    """Return files in a copied folder that are not of it: they would be read as a part of the scan."""
+    if not (source.is_dir() and target.is_dir()):
+        return []
+    return [place for place, _ in _files(target, target) if place not in files]
 
 
 def _taken(path: Path) -> Fault:
@@ -162,30 +204,21 @@ def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> 
     return place
 
 
-def _describe(dataset: Path, participants: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write the descriptions of dataset and derivatives, and the table of participants."""
-    import pandas as pd
-
+def _descriptions(dataset: Path) -> dict[Path, Path | bytes]:
+    """Return the descriptions of dataset and derivatives."""
     from stapeskit import __version__
 
     made_by = [{"Name": "stapeskit", "Version": __version__}]
-    for folder, kind in ((dataset, "raw"), (derivatives(dataset), "derivative")):
-        folder.mkdir(parents=True, exist_ok=True)
-        content = {
+    contents = {
+        folder: {
             "Name": "Ears: micro-CT and laser Doppler vibrometry",
             "BIDSVersion": _VERSION,
             "DatasetType": kind,
             "GeneratedBy": made_by,
         }
-        path = folder / "dataset_description.json"
-        if not path.exists():
-            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    path = dataset / "participants.tsv"
-    keys = ("age", "sex", "group")
-    rows = {name: [about.get(key, "n/a") for key in keys] for name, about in participants.items()}
-    if path.exists():
-        before = pd.read_csv(path, sep="\t", dtype=str, keep_default_na=False)
-        known = {row["participant_id"]: [row.get(key, "n/a") for key in keys] for _, row in before.iterrows()}
-        rows = {**known, **rows}
-    table = pd.DataFrame([[name, *rows[name]] for name in sorted(rows)], columns=["participant_id", *keys])
-    table.to_csv(path, sep="\t", index=False, lineterminator="\n")
+        for folder, kind in ((dataset, "raw"), (derivatives(dataset), "derivative"))
+    }
+    return {
+        folder / "dataset_description.json": f"{json.dumps(content, indent=1)}\n".encode()
+        for folder, content in contents.items()
+    }

@@ -1,6 +1,7 @@
 """Ears in the manner of BIDS: written with all their files, read back, run from there."""
 
 import json
+import shutil
 
 import pytest
 
@@ -67,6 +68,71 @@ def test_nothing_is_replaced_and_no_two_ears_have_one_place(studies, tmp_path):
     with pytest.raises(PipelineError) as refused:
         read_dataset(tmp_path / "left")
     assert refused.value.faults[0].thing == "{bids}"
+
+
+def test_a_table_of_participants_keeps_what_it_holds(studies, tmp_path):
+    table = tmp_path / "bids" / "participants.tsv"
+    table.parent.mkdir()
+    mine = "participant_id\tspecies\tage\tsex\nsub-01\thuman\t70\tF\nsub-TB12\thuman\t61\tn/a\n"
+    table.write_text(mine)
+    studies[0].write_text(STUDY.format(side="left").replace("age = 61", "age = 61\nsex = '=1+cmd'"))
+    write_dataset(studies[:1], table.parent)
+    rows = [line.split("\t") for line in table.read_text().splitlines()]
+    assert rows == [
+        ["participant_id", "species", "age", "sex", "group"],
+        ["sub-01", "human", "70", "F", "n/a"],
+        ["sub-TB12", "human", "61", "'=1+cmd", "n/a"],
+    ]
+    for text in (mine.replace("61", "62"), "age\n61\n", "participant_id\tage\nsub-01\n", "\n", b"\xff\xfe"):
+        table.write_bytes(text if isinstance(text, bytes) else text.encode())
+        before = table.read_bytes()
+        with pytest.raises(PipelineError):
+            write_dataset(studies, table.parent)
+        assert table.read_bytes() == before
+        assert not list(table.parent.glob("sub-TB12/ses-pre1/*R_study.toml"))
+
+
+def test_slices_of_another_scan_are_neither_replaced_nor_mixed(studies, tmp_path):
+    slices = studies[0].with_name("slices")
+    slices.mkdir()
+    for number in range(3):
+        (slices / f"s{number}.tif").write_text(f"slice {number}")
+    studies[0].write_text(STUDY.format(side="left").replace("scan.mhd", "slices"))
+    (written,) = write_dataset(studies[:1], tmp_path / "bids")
+    copy = read_study(written).scan.scan
+    assert sorted(path.name for path in copy.iterdir()) == ["s0.tif", "s1.tif", "s2.tif"]
+    assert write_dataset(studies[:1], tmp_path / "bids") == [written]
+    (copy / "s3.tif").write_text("mine")
+    with pytest.raises(PipelineError):
+        write_dataset(studies[:1], tmp_path / "bids")
+    (copy / "s3.tif").unlink()
+    (copy / "s1.tif").write_text("corrected by hand")
+    with pytest.raises(PipelineError):
+        write_dataset(studies[:1], tmp_path / "bids")
+    assert (copy / "s1.tif").read_text() == "corrected by hand"
+
+
+def test_a_dataset_is_written_whole_and_through_no_link(studies, tmp_path, monkeypatch):
+    outside = tmp_path / "mine.csv"
+    link = tmp_path / "bids/sub-TB12/ses-pre1/ldv/sub-TB12_ses-pre1_hemi-L_points.csv"
+    link.parent.mkdir(parents=True)
+    link.symlink_to(outside)
+    with pytest.raises(PipelineError):
+        write_dataset(studies, tmp_path / "bids")
+    assert not outside.exists()
+    link.unlink()
+    before = sorted(tmp_path.rglob("*"))
+
+    def fail(source, target):
+        if source.name == "points.csv":
+            raise KeyboardInterrupt
+        return copyfile(source, target)
+
+    copyfile = shutil.copyfile
+    monkeypatch.setattr("pipeline.bids.shutil.copyfile", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(studies, tmp_path / "bids")
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_the_command_runs_the_dataset(studies, tmp_path, monkeypatch):
