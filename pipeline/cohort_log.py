@@ -40,6 +40,7 @@ class CohortLog:
 
     def __enter__(self) -> Self:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.path.unlink(missing_ok=True)  # it could be a link to a file of the user
         self._stream = self.path.open("w", encoding="utf-8")
         on_forced_end(self._close)
         return self

@@ -16,6 +16,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.page.page import settle_style
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
@@ -27,6 +29,8 @@ _TURN = re.compile(r"(\w+)\(([^)]*)\)")
 _POINTS_PER_INCH = 72.0
 # Dots per inch of a figure that is a picture, as pages draw them.
 _PICTURE_DPI = 130.0
+# Our figures have some thousand; elements that use one another in turn can be drawn without end.
+_MOST_ELEMENTS = 200_000
 
 
 def figure_pdf(kind: str, content: bytes) -> bytes:
@@ -39,6 +43,7 @@ def figure_pdf(kind: str, content: bytes) -> bytes:
     """
     from matplotlib.figure import Figure
 
+    settle_style()
     if kind == "svg":
         drawing = replayed(ElementTree.fromstring(content))
     else:
@@ -84,6 +89,7 @@ class _Replay:
 
         # SVG counts downwards, PDF upwards.
         self._page = Affine2D().scale(1.0, -1.0).translate(0.0, height)
+        self._left = _MOST_ELEMENTS
         self._named = {element.get("id"): element for element in root.iter() if element.get("id")}
         replay = self._element
 
@@ -102,6 +108,9 @@ class _Replay:
         clip: tuple[Path, Transform] | None,
     ) -> None:
         """Draw an element and its children with the transform, style and clip of its parent."""
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError(f"more than {_MOST_ELEMENTS} elements")
         tag = element.tag.rpartition("}")[2]
         if tag in ("defs", "metadata", "style", "clipPath"):
             return

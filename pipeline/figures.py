@@ -14,16 +14,17 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
 
 from pipeline.figure_pdf import figure_pdf
 from stapeskit.faults import Fault, StapeskitError
 from stapeskit.own_files import OutputSet
 from stapeskit.tables.text_cells import as_text_cell
 
-_PICTURE = re.compile(r"data:image/(\w+)(?:\+xml)?;base64,(.*)", re.DOTALL)
+_PICTURE = re.compile(r"data:image/(svg|png)(?:\+xml)?;base64,(.*)", re.DOTALL)
+_STEP = "Give report.html, dof.html or kd.html"
+_LONGEST_NAME = 100  # characters; with number and ending less than the 255 bytes that file systems allow
 _LEAST_ROWS = 3  # a header and two rows
-_NUMBER = re.compile(r"[+-]?[\d.]")
+_NUMBER = re.compile(r"[+-]?[\d.][^|!(=@]*")  # without what calls something from a formula
 _SIGNS = {
     **{"α": "alpha", "β": "beta", "γ": "gamma", "ω": "omega", "ζ": "zeta", "σ": "sigma", "χ": "chi"},
     **{"φ": "varphi", "µ": "mu", "μ": "mu", "±": "pm", "×": "times", "√": "surd"},
@@ -86,7 +87,7 @@ class _Parts(HTMLParser):
     def _numbered(self, others: Sequence[tuple[Any, ...]]) -> str:
         """Return the heading of the section as a name, with a number that counts within it."""
         words = "".join(self._titles["h2"] or self._titles["title"]).lower()
-        name = re.sub(r"[^a-z0-9]+", "_", words).strip("_") or "page"
+        name = re.sub(r"[^a-z0-9]+", "_", words).strip("_")[:_LONGEST_NAME] or "page"
         return f"{name}_{1 + sum(str(other[0]).rpartition('_')[0] == name for other in others)}"
 
 
@@ -107,21 +108,14 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
     StapeskitError
         There is no such page, it holds neither figure nor table, or files of another origin stand in the way.
     """
-    try:
-        text = page.read_text(encoding="utf-8")
-    except (OSError, ValueError) as fault:
-        step = "Give report.html, dof.html or kd.html"
-        raise StapeskitError(Fault("the page", "a page that a command wrote", page, "", step)) from fault
-    parts = _Parts()
-    parts.feed(text)
+    parts = _parts(page)
     files = {f"{name}.{kind}": content for name, kind, content in parts.figures}
     files |= {f"{name}.pdf": _pdf(page, kind, content) for name, kind, content in parts.figures}
     for name, rows in parts.tables:
         files[f"table_{name}.csv"] = _csv(rows)
         files[f"table_{name}.tex"] = _latex(rows)
     if not files:
-        step = "Give report.html, dof.html or kd.html"
-        raise StapeskitError(Fault("the page", "one with figures or tables", "none", page.name, step))
+        raise StapeskitError(Fault("the page", "one with figures or tables", "none", page.name, _STEP))
     outputs = OutputSet("stapeskit figures", folder, tuple(files), (page,), force)
     outputs.check()
     with outputs.staged() as stage:
@@ -130,18 +124,32 @@ def write_figures(page: Path, folder: Path, *, force: bool = False) -> tuple[Pat
     return tuple(outputs.folder / name for name in files)
 
 
+def _parts(page: Path) -> _Parts:
+    """Read a page."""
+    parts = _Parts()
+    try:
+        if page.exists() and not page.is_file():
+            raise ValueError("a folder, a pipe or a device")
+        parts.feed(page.read_text(encoding="utf-8"))
+    except (OSError, ValueError, AssertionError) as fault:  # the parser asserts what declarations hold
+        raise StapeskitError(Fault("the page", "a page that a command wrote", page, "", _STEP)) from fault
+    return parts
+
+
 def _pdf(page: Path, kind: str, content: bytes) -> bytes:
     try:
         return figure_pdf(kind, content)
-    except (ParseError, KeyError, ValueError, OSError) as fault:
-        step = "Give report.html, dof.html or kd.html as the command wrote it"
+    except MemoryError:
+        raise
+    except Exception as fault:  # whatever XML, numbers of paths and packed pixels can hold
+        step = f"{_STEP} as the command wrote it"
         raise StapeskitError(Fault("a figure", "one that a command drew", kind, page.name, step)) from fault
 
 
 def _csv(rows: Sequence[Sequence[str]]) -> bytes:
     stream = io.StringIO(newline="")
     csv.writer(stream).writerows(
-        [[cell if _NUMBER.match(cell) else as_text_cell(cell) for cell in row] for row in rows]
+        [[cell if _NUMBER.fullmatch(cell) else as_text_cell(cell) for cell in row] for row in rows]
     )
     return ("\ufeff" + stream.getvalue()).encode()
 

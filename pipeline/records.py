@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stapeskit.documents import parse_json
 from stapeskit.page.foreign_markup import foreign_markup
 from stapeskit.page.page import Section
 from stapeskit.provenance import Hashes
@@ -75,7 +76,7 @@ def write_record(folder: Path, record: StageRecord) -> None:
 def read_record(folder: Path, stage: str) -> StageRecord | None:
     """Read a record; None when there is none or it cannot be believed."""
     try:
-        content = json.loads((Path(folder) / record_name(stage)).read_text(encoding="utf-8"))
+        content = parse_json((Path(folder) / record_name(stage)).read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA or content["stage"] != stage:
             return None
         prints, outputs = dict(content["fingerprint"]), dict(content["outputs"])
@@ -84,7 +85,7 @@ def read_record(folder: Path, stage: str) -> StageRecord | None:
         if any(Path(name).is_absolute() or ".." in Path(name).parts for name in outputs):
             return None
         return StageRecord(stage, prints, outputs, float(content["seconds"]))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError):
         return None
 
 
@@ -188,7 +189,7 @@ def read_stage_report(path: Path) -> StageReport | None:
     from markupsafe import Markup
 
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = parse_json(Path(path).read_text(encoding="utf-8"))
         sections = tuple(
             Section(
                 str(entry["heading"]), [Markup(block) for block in entry["blocks"]], str(entry.get("key", ""))
@@ -199,5 +200,5 @@ def read_stage_report(path: Path) -> StageReport | None:
         if any(map(foreign_markup, blocks)):
             return None
         return StageReport(sections, from_json(content["warnings"]))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,6 +17,7 @@ from pipeline.study import Study
 from pipeline.verdict import verdict
 from pipeline.viewer.scene import viewer
 from pipeline.workspace import Workspace
+from stapeskit.documents import is_finite_number, parse_json
 from stapeskit.faults import Fault
 from stapeskit.page import page
 from stapeskit.page.page import Page, Section
@@ -77,7 +77,7 @@ def write_report(
         Sections and warnings by stage.
     """
     mass, kd = work.mass.record.raw, work.kd
-    truth = None if study.study.truth is None else _read_truth(study.study.truth)
+    truth = None if study.study.truth is None else read_truth(study.study.truth)
     notices = unique(notice for stage in reports.values() for notice in stage.notices)
     report = Page(name, "Mass, stiffness and damping of a stapes in its annular ligament.")
     report.summary += [page.text(line) for line in study.study.notes.splitlines() if line.strip()]
@@ -94,21 +94,35 @@ def write_report(
     report.write(path)
 
 
-def _read_truth(path: Path) -> Mapping[str, Any]:
+def read_truth(path: Path) -> Mapping[str, Any]:
     """Read the true values of a simulated ear.
 
     Raises
     ------
     PipelineError
-        The file is no JSON object.
+        The file is no JSON object, or has something else than numbers where values are shown.
     """
     try:
-        truth = json.loads(path.read_text(encoding="utf-8"))
+        truth = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         truth = None
-    if not isinstance(truth, dict):
-        raise PipelineError(Fault("study.truth", "a JSON object", path.name, "", "Leave the key out"))
+    if not isinstance(truth, dict) or not _are_true_values(truth):
+        expected = "a JSON object: mass_kg a number, stiffness_si and damping_si square in the order of dof"
+        raise PipelineError(Fault("study.truth", expected, "another file", path.name, "Leave the key out"))
     return truth
+
+
+def _are_true_values(truth: Mapping[str, Any]) -> bool:
+    dof = truth.get("dof", [])
+    if not isinstance(dof, list) or not is_finite_number(truth.get("mass_kg", 0.0)):
+        return False
+    for matrix in (truth[key] for key in ("stiffness_si", "damping_si") if key in truth):
+        if not isinstance(matrix, list) or len(matrix) != len(dof):
+            return False
+        cells = [cell for row in matrix if isinstance(row, list) and len(row) == len(dof) for cell in row]
+        if len(cells) != len(dof) ** 2 or not all(map(is_finite_number, cells)):
+            return False
+    return True
 
 
 def _correction(study_file: Path, study: Study, work: Workspace) -> list[Any]:

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.outputs import existing_folder, staged
 from stapeskit.provenance import content_hash
@@ -238,7 +239,7 @@ class OutputSet:
         """Return the content hashes of what the command wrote here, by name."""
         records = {name: {known} for name, known in self.known.items()}
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            content = json.loads((self.folder / self._record_name).read_text(encoding="utf-8"))
+            content = parse_json((self.folder / self._record_name).read_text(encoding="utf-8"))
             if content["schema"] == SCHEMA:
                 for name, hashes in content["files"].items():
                     records.setdefault(name, set()).update(map(str, hashes))
@@ -294,8 +295,8 @@ def _records_of(folder: Path) -> Iterator[dict[str, Any]]:
     """Read the records in a folder whose files are not all in place."""
     with suppress(OSError):
         for path in sorted((folder / RECORDS).glob("*-*.json")):
-            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-                content = json.loads(path.read_text(encoding="utf-8"))
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                content = parse_json(path.read_text(encoding="utf-8"))
                 if content["schema"] == SCHEMA and isinstance(content["unfinished"], list):
                     yield {"command": path.name.partition("-")[0], "unfinished": content["unfinished"]}
 

@@ -88,6 +88,11 @@ def listen(prog: str, patience_s: float = PATIENCE_S) -> None:
         threading.Thread(target=_watch, args=(reader, patience_s), name="interrupts", daemon=True).start()
 
 
+def is_command() -> bool:
+    """Return whether this process runs a command, not a notebook or another program: it called `listen`."""
+    return _State.watched
+
+
 def on_forced_end(cleanup: Callable[[], None]) -> None:
     """Call this before the process is ended by force."""
     _State.cleanups = (*_State.cleanups, cleanup)

@@ -37,7 +37,7 @@ def begin(path: Path, prog: str, words: tuple[str, ...]) -> None:
     from stapeskit import __version__
 
     try:
-        if path.exists() and path.stat().st_size and not _is_log(path):
+        if path.exists() and not (path.is_file() and (path.stat().st_size == 0 or _is_log(path))):
             step = "Choose another name"
             raise StapeskitError(Fault("--log", "a log of stapeskit, or a new file", path, "", step))
         stream = path.open("a", encoding="utf-8", errors="backslashreplace")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import zlib
 from collections.abc import Callable
@@ -120,8 +121,15 @@ def read_mesh(path: Path, name: str) -> TriangleSurface:
     import trimesh
 
     try:
-        mesh = trimesh.load_mesh(path, process=False)
-        return TriangleSurface(np.asarray(mesh.vertices), np.asarray(mesh.faces), f"surface of the {name}")
+        # From its bytes: pictures that a mesh names stay closed.
+        content, kind = io.BytesIO(path.read_bytes()), path.suffix[1:].lower()
+        mesh = trimesh.load_mesh(content, file_type=kind, process=False)
+        vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+        if not (len(faces) and faces.min() >= 0 and faces.max() < len(vertices)):
+            raise ValueError("triangles without their corners")
+        if not np.all(np.isfinite(vertices)):
+            raise ValueError("corners that are not finite")
+        return TriangleSurface(vertices, faces, f"surface of the {name}")
     except StapeskitError:
         raise
     except Exception as fault:
@@ -173,6 +181,8 @@ def read_labels(path: Path) -> LabelVolume:
         matrix = np.column_stack([*axes, origin]) * sign[:, None]
         if array.ndim != 3 or matrix.shape != (3, 4):
             raise ValueError(f"{array.ndim} dimensions")
+        if not np.all(np.isfinite(matrix)) or np.linalg.matrix_rank(matrix[:, :3]) < 3:
+            raise ValueError("directions that span no volume")
     except (KeyError, ValueError, OSError, EOFError, zlib.error) as fault:
         got = f"no field {fault}" if isinstance(fault, KeyError) else str(fault)[:80]
         raise KinematicsError(

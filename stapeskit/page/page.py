@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from stapeskit.page.numbers import plus_minus, printed
 from stapeskit.page.quantities import ShownUnit
+from stapeskit.process import is_command
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -377,4 +378,17 @@ def new_figure(width: float, height: float) -> Figure:
     """Return an empty matplotlib figure in inches that no global state knows of."""
     from matplotlib.figure import Figure
 
+    settle_style()
     return Figure(figsize=(width, height), layout="constrained")
+
+
+@cache
+def settle_style() -> None:
+    """Draw by the settings that matplotlib comes with, where this is the process of a command.
+
+    A file matplotlibrc in the working folder, which matplotlib reads, could have LaTeX run what it says.
+    """
+    if is_command():
+        import matplotlib
+
+        matplotlib.rcdefaults()

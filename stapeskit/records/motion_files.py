@@ -20,6 +20,7 @@ from stapeskit.records.hdf5_guard import read_apart
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.records.motion_columns import ROW_COLUMNS, STORED, MotionColumns, columns_of
 from stapeskit.tables.csv_table import Table, read_table
+from stapeskit.tables.text_cells import as_text_cell, from_text_cell
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 from stapeskit.warnings import Notice, from_json
 
@@ -88,7 +89,8 @@ def _write_csv(path: Path, motion: RigidMotion) -> None:
 
 
 def _cell(text: str) -> str:
-    """Return a name as a cell of a CSV file, in quotes where it needs them."""
+    """Return a name as a cell of a CSV file: no formula, and in quotes where it needs them."""
+    text = as_text_cell(text)
     if any(mark in text for mark in ',"\r\n') or text != text.strip():
         return '"' + text.replace('"', '""') + '"'
     return text
@@ -245,12 +247,13 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
     columns = columns_of(table.numbers)
     dof = columns.dof
     body, freq = table.texts["body"], table.numbers["freq_hz"]
-    runs = table.texts["run"].names if "run" in table.texts else ("1",)
+    bodies = tuple(map(from_text_cell, body.names))
+    runs = tuple(map(from_text_cell, table.texts["run"].names)) if "run" in table.texts else ("1",)
     run = table.texts["run"].codes if "run" in table.texts else np.zeros(len(table), dtype=np.intp)
     sd = np.column_stack([table.numbers[name] for name in columns.deviations])
     faults = [*table.faults, *_row_faults(table, freq, sd)]
     lines, line = np.unique(freq, return_inverse=True)
-    shape = (len(runs), len(body.names), len(lines))
+    shape = (len(runs), len(bodies), len(lines))
     if not faults:
         place = np.ravel_multi_index((run, body.codes, line), shape)
         _, first = np.unique(place, return_index=True)
@@ -276,14 +279,14 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
     covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
     reference = ""
     if columns.per_reference:
-        reference = _reference_of(q, body.names, dof, table.file)
+        reference = _reference_of(q, bodies, dof, table.file)
         joint = np.zeros((shape[0], shape[2], shape[1] * len(dof), shape[1] * len(dof)), dtype=complex)
         for owner in range(shape[1]):
             part = slice(owner * len(dof), (owner + 1) * len(dof))
             joint[:, :, part, part] = covariance[:, owner]
         covariance = joint
     return RigidMotion(
-        runs, body.names, dof, lines, q, covariance, **stored, reference=reference, notices=(notice,)
+        runs, bodies, dof, lines, q, covariance, **stored, reference=reference, notices=(notice,)
     )
 
 

@@ -19,3 +19,9 @@ def as_text_cell(text: object) -> str:
     except ValueError:
         return f"'{shown}"
     return shown
+
+
+def from_text_cell(cell: str) -> str:
+    """Return the text that `as_text_cell` made a cell of."""
+    text = cell[1:]
+    return text if cell.startswith("'") and as_text_cell(text) == cell else cell

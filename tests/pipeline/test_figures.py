@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
+import os
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,6 +16,14 @@ from pipeline.figure_pdf import figure_pdf, replayed
 from pipeline.figures import write_figures
 from stapeskit.faults import StapeskitError
 from stapeskit.page import page
+
+EXPONENTIAL = (
+    b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:x="http://www.w3.org/1999/xlink" viewBox="0 0 9 9"><defs>'
+    + b"".join(
+        b'<g id="a%d"><use x:href="#a%d"/><use x:href="#a%d"/></g>' % (k, k + 1, k + 1) for k in range(40)
+    )
+    + b'<g id="a40"/></defs><use x:href="#a0"/></svg>'
+)
 
 
 def drawing():
@@ -114,3 +124,37 @@ def test_a_figure_that_no_command_drew_is_refused(tmp_path):
     sheet.write(tmp_path / "kd.html")
     with pytest.raises(StapeskitError, match="a figure must be one that a command drew"):
         write_figures(tmp_path / "kd.html", tmp_path / "figures")
+
+
+def _sheet(picture):
+    return f'<h2>{"long " * 200}</h2><img src="data:image/{picture}"><table>{"<tr><td>-1+1|cmd" * 3}</table>'
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        *("png;base64,A", "png;base64,AAAA", "svg+xml;base64,PHN2Zz4=", "png;base64,é"),
+        "svg+xml;base64," + base64.b64encode(b"<a>" * 5000 + b"</a>" * 5000).decode(),
+        "svg+xml;base64," + base64.b64encode(EXPONENTIAL).decode(),
+    ],
+)
+def test_a_damaged_figure_is_refused(picture, tmp_path):
+    (tmp_path / "kd.html").write_text(_sheet(picture), encoding="utf-8")
+    with pytest.raises(StapeskitError):
+        write_figures(tmp_path / "kd.html", tmp_path / "figures")
+    assert not (tmp_path / "figures").exists()
+
+
+def test_pipes_and_odd_declarations_are_no_pages(tmp_path):
+    os.mkfifo(tmp_path / "pipe.html")
+    (tmp_path / "odd.html").write_text("<![if x [ <!DOCTYPE <![CDATA[ <!--", encoding="utf-8")
+    for name in ("pipe.html", "odd.html", ""):
+        with pytest.raises(StapeskitError):
+            write_figures(tmp_path / name, tmp_path / "figures")
+
+
+def test_long_headings_and_cells_that_call_something(tmp_path):
+    (tmp_path / "kd.html").write_text(_sheet("gif;base64,AAAA"), encoding="utf-8")
+    table, _ = write_figures(tmp_path / "kd.html", tmp_path / "figures")
+    assert len(table.name) < 130
+    assert table.read_text(encoding="utf-8-sig").splitlines() == ["'-1+1|cmd"] * 3

@@ -62,3 +62,8 @@ def test_a_record_that_points_outside_its_folder_is_not_believed(tmp_path):
         records.write_record(tmp_path, records.StageRecord("fit", {}, {name: "0"}, 1.0))
         assert records.read_record(tmp_path, "fit") is None
     assert records.read_record(tmp_path, "scan") is None
+    whole = (tmp_path / records.record_name("fit")).read_text(encoding="utf-8").replace("/etc/passwd", "a")
+    for old, text in (("", whole), ("no", "[" * 100_000), ("1.0", "1" * 400), ("1.0", "[]"), ("no", "[]")):
+        content = whole.replace(old, text) if old in whole and old else text
+        (tmp_path / records.record_name("fit")).write_text(content, encoding="utf-8")
+        assert (records.read_record(tmp_path, "fit") is None) == bool(old)

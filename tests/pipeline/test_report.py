@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import pytest
 
+from pipeline.errors import PipelineError
 from pipeline.records import StageReport
-from pipeline.report import ordered
+from pipeline.report import ordered, read_truth
 from stapeskit.page.page import Section
 
 HEADINGS = (
@@ -144,3 +145,23 @@ def test_sections_of_all_stages_are_ordered_by_key():
         ("Ligament", "Modes"),
         ("Record", "F"),
     ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "[]",
+            "[" * 100_000,
+            '{"mass_kg": "heavy"}',
+            '{"mass_kg": NaN}',
+            '{"dof": 3}',
+            '{"stiffness_si": 3}',
+        ),
+        *('{"dof": ["y"], "stiffness_si": [[1, 2]]}', '{"dof": ["y"], "damping_si": [["1"]]}'),
+    ],
+)
+def test_true_values_that_are_none_are_refused(text, tmp_path):
+    (tmp_path / "truth.json").write_text(text, encoding="utf-8")
+    with pytest.raises(PipelineError, match=r"study\.truth must be"):
+        read_truth(tmp_path / "truth.json")

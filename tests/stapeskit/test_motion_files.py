@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -232,3 +234,13 @@ def test_a_damaged_number_in_the_hdf5_file_is_told(tmp_path, motion, name):
     path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
     with pytest.raises(StapeskitError, match="the motion file must be a whole HDF5 file of points2dof"):
         read_motion(path)
+
+
+def test_names_that_begin_a_formula_are_text_and_read_back(tmp_path, motion):
+    names = ("=1+cmd|' /C calc'!A0", '@SUM(A1),"x"')
+    path, h5 = write_motion(tmp_path, "dof", replace(motion, bodies=names, runs=("-x", "+1")))
+    cells = [line.split(",")[0] for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    assert set(cells) == {"'-x", "+1"}
+    h5.unlink()
+    read = read_motion(path)
+    assert (set(read.bodies), set(read.runs)) == (set(names), {"-x", "+1"})

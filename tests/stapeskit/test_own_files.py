@@ -196,7 +196,7 @@ def test_a_run_that_is_killed_between_two_files_leaves_only_known_ones(tmp_path,
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", '{"schema": "x"}', '{"schema": "stapeskit.outputs/1", "files": 3}']
+    "text", ["", "[]", '{"schema": "x"}', '{"schema": "stapeskit.outputs/1", "files": 3}', "[" * 100_000]
 )
 def test_a_damaged_record_knows_nothing(tmp_path, text):
     write(outputs(tmp_path), a_json="1", b_ply="1")

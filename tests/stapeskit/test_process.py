@@ -232,3 +232,15 @@ def test_a_bug_stays_a_bug(tmp_path):
     assert ended.returncode == 1
     assert "KeyError" in ended.stderr
     assert "this is a bug in stapeskit" in ended.stderr
+
+
+def test_a_style_of_the_working_folder_counts_for_nothing(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nlines.linewidth: 9\n", encoding="utf-8")
+    body = """
+import matplotlib
+read = matplotlib.rcParams['text.usetex']
+from stapeskit.page.page import new_figure
+new_figure(1.0, 1.0)
+print(read, matplotlib.rcParams['text.usetex'], matplotlib.rcParams['lines.linewidth'])
+"""
+    assert run(body, tmp_path).stdout == "True False 1.5\n"

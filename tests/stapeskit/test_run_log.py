@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from stapeskit import run_log
@@ -40,3 +42,10 @@ def test_another_file_is_never_written_to(tmp_path):
     with pytest.raises(StapeskitError):
         Parser("try", "", "").parse(["--log", str(other)])
     assert other.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes have names on POSIX only")
+def test_a_pipe_is_no_log(tmp_path):
+    os.mkfifo(tmp_path / "pipe.log")
+    with pytest.raises(StapeskitError):
+        Parser("try", "", "").parse(["--log", str(tmp_path / "pipe.log")])
