@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import shutil
+import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,11 +13,23 @@ import numpy as np
 import pytest
 
 from ct_inertia.cli import work as ct2mass
+from ct_inertia.options import MassOptions
 from fitting.cli import work as dof2kd
+from fitting.options import KDFiles, KDOptions
 from kinematics.cli import work as points2dof
+from kinematics.options import LdvOptions, PointsFiles
 from pipeline.cli import work as scan2kd
+from pipeline.runners.child import run_child
+from pipeline.runners.process import End
+from pipeline.sample import FILES as SAMPLE
+from pipeline.scan2kd import output_set
+from pipeline.study import TABLES, read_study
+from pipeline.umbrella import work as stapeskit
 from stapeskit.faults import StapeskitError
-from stapeskit.own_files import RECORDS
+from stapeskit.option_values import toml
+from stapeskit.options import declared
+from stapeskit.own_files import RECORDS, OutputSet
+from stapeskit.page import page
 from stapeskit.records.motion_files import write_motion
 from tests.conftest import leave_drawing
 from tests.fitting.cases import M, paper_motion
@@ -28,7 +41,10 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 @dataclass(frozen=True)
 class Case:
-    """A command, the words that it needs, what it may write, and how often it is tried."""
+    """A command, the words that it needs, what it may write, and how often it is tried.
+
+    ``place`` is the option that names the folder; ``partly``: a refusal may leave a part of the results.
+    """
 
     work: object
     given: tuple[str, ...]
@@ -36,8 +52,13 @@ class Case:
     seeds: int
     more: tuple[str, ...] = ()
     file: str = ""
+    place: str = "--out"
+    partly: bool = False
 
 
+MORE = "more"
+COHORT = ("cohort.csv", "cohort.html", "cohort.json", "cohort.log", "study/kd.json", "second/mass.json")
+STUDY = "sub-earone/sub-earone_hemi-L_study.toml"
 CASES = {
     "ct2mass": Case(
         ct2mass,
@@ -51,14 +72,37 @@ CASES = {
         ("ldv.csv", "--points", "points.csv"),
         ("dof.csv", "dof.h5", "dof.channels.csv", "dof.html"),
         16,
+        more=("--calibrate",),
         file="dof.csv",
     ),
     "dof2kd": Case(
         dof2kd,
         ("motion.csv", "--mass", "M.csv", "--bands", "0", "--estimator", "pinv"),
-        ("kd.json", "kd.html"),
+        ("kd.json", "kd.html", "kd.mat", "kd.entries.csv", "kd.xml"),
         6,
+        more=("--export", "all"),
         file="kd.json",
+    ),
+    "plan": Case(dof2kd, ("--plan", "plan.toml"), ("plan.json", "plan.html"), 6, file="plan.json"),
+    "sample": Case(stapeskit, ("sample",), SAMPLE, 6, place=""),
+    "figures": Case(
+        stapeskit, ("figures", "page.html"), ("axes_1.svg", "axes_1.pdf", "table_axes_1.csv"), 8, place=""
+    ),
+    "cohort": Case(
+        scan2kd,
+        ("study.toml", "second.toml", "--quiet"),
+        (*COHORT, "cohort_laws.csv", "cohort.xlsx"),
+        2,
+        more=("--export", "csv,xlsx"),
+        partly=True,
+    ),
+    "bids": Case(
+        scan2kd,
+        ("study.toml", "second.toml", "--quiet"),
+        ("participants.tsv", "dataset_description.json", STUDY, "derivatives/stapeskit/cohort.csv"),
+        2,
+        place="--bids",
+        partly=True,
     ),
     "scan2kd": Case(
         scan2kd,
@@ -67,6 +111,22 @@ CASES = {
         2,
     ),
 }
+
+
+SVG = (
+    b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9">'
+    b'<path d="M 1 1 L 8 8" style="stroke: #000000"/></svg>'
+)
+
+
+def in_this_process(tasks, _where, tell, ended):
+    """Run the studies of a cohort one after the other, without processes."""
+    for task in tasks:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.argv", ["scan2kd", task.study.name])
+            end = run_child([str(task.study), str(task.folder), *(["--force"] if task.force else [])])
+        tell(task.name, "over")
+        ended(task.name, End(**end))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +138,27 @@ def inputs(tmp_path_factory):
     ones = np.ones_like(motion.chi2)
     write_motion(folder, "motion", replace(motion, chi2=42.0 * ones, n_dof=42.0 * ones))
     np.savetxt(folder / "M.csv", M, delimiter=",")
+    text = (folder / "study.toml").read_text(encoding="utf-8")
+    second = text.replace("ear one", "ear two")
+    assert second != text
+    more = folder / MORE
+    more.mkdir()
+    (more / "second.toml").write_text(second, encoding="utf-8")
+    (more / "plan.toml").write_text("lines = 20\n", encoding="utf-8")
+    sheet = page.Page("an ear")
+    picture = page.image(SVG, "caption", "a line", "svg")
+    sheet.section("axes", picture, page.table(("a", "b"), [("1", "2"), ("3", "4")]))
+    sheet.write(more / "page.html")
     return folder
+
+
+def laid_out(inputs: Path, folder: Path, words: tuple[str, ...]) -> None:
+    """Copy the inputs, of further ones those that the words name."""
+    shutil.copytree(inputs, folder, dirs_exist_ok=True)
+    for path in (folder / MORE).iterdir():
+        if path.name in words:
+            shutil.move(path, folder / path.name)
+    shutil.rmtree(folder / MORE)
 
 
 @pytest.fixture(autouse=True)
@@ -86,6 +166,7 @@ def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
     settle(monkeypatch)
     leave_drawing(monkeypatch)
+    monkeypatch.setattr("pipeline.several.runner_of", lambda _address: in_this_process)
     monkeypatch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 
@@ -103,6 +184,7 @@ def disturb(rng: random.Random, case: Case, out: Path) -> None:
     """Do what a user may do in an output folder."""
     out.mkdir(exist_ok=True)
     target = out / rng.choice(case.names)
+    target.parent.mkdir(parents=True, exist_ok=True)
     inputs = [path for path in out.parent.iterdir() if path.is_file()]
     kind = rng.choice(["nothing", "nothing", "foreign", "edit", "symlink", "hard link", "remove", "empty"])
     if kind in ("symlink", "hard link") and not os.path.lexists(target) and inputs:
@@ -155,7 +237,8 @@ def words_of(rng: random.Random, case: Case, folder: Path, out: Path) -> tuple[l
         read += [] if word in fixed else [folder / named]
     words += case.more if rng.random() < 0.5 else ()
     place = rng.choice([out.name, f"./{out.name}", str(out)]) if out != folder else "."
-    return [*words, "--out", f"{place}/{case.file}" if case.file else place], read
+    option = [case.place] if case.place else []
+    return [*words, *option, f"{place}/{case.file}" if case.file else place], read
 
 
 def tried(case: Case, words: list[str], read: list[Path], made: dict[Path, bytes], force: bool) -> str:
@@ -168,11 +251,12 @@ def tried(case: Case, words: list[str], read: list[Path], made: dict[Path, bytes
     except StapeskitError as fault:
         refused = str(fault)
     after = contents(folder)
-    assert not refused or after == before, (words, refused)
+    assert not refused or case.partly or after == before, (words, refused)
     assert [path.read_bytes() for path in read] == given, words
     for path in [path for path in {*before, *after} if after.get(path) != before.get(path)]:
         own = path not in before or made.get(path) == before[path]
-        assert own or (force and path.name in case.names and path in after), (words, path)
+        replaced = force and path in after and any(path.match(name) for name in case.names)
+        assert own or replaced, (words, path)
     made.update({path: text for path, text in after.items() if before.get(path) != text})
     assert not list(folder.rglob(".stapeskit-*"))
     return refused
@@ -185,9 +269,9 @@ def test_no_command_loses_what_it_did_not_make(name, inputs, tmp_path, monkeypat
     for seed in range(case.seeds):
         rng = random.Random(f"{name} {seed}")
         folder = tmp_path / str(seed)
-        shutil.copytree(inputs, folder)
+        laid_out(inputs, folder, case.given)
         monkeypatch.chdir(folder)
-        out = folder if name != "scan2kd" and rng.random() < 0.2 else folder / "out"
+        out = folder if case.work is not scan2kd and rng.random() < 0.2 else folder / "out"
         if out != folder and rng.random() < 0.2:
             (folder / "real").mkdir()
             out.symlink_to("real")
@@ -202,3 +286,84 @@ def test_no_command_loses_what_it_did_not_make(name, inputs, tmp_path, monkeypat
                 # a plain rerun of one's own command needs no --force
                 assert not tried(case, words, read, made, False), (seed, words)
     assert min(ends.values()) >= case.seeds // 2, ends
+
+
+class Looked(Exception):
+    """The check of the outputs was reached."""
+
+
+FILES = {
+    "ct2mass": (ct2mass, ("scan.tif", "--density", "1900"), (MassOptions,)),
+    "points2dof": (points2dof, ("ldv.csv",), (LdvOptions, PointsFiles)),
+    "dof2kd": (dof2kd, ("motion.csv", "--mass", "M.csv"), (KDFiles, KDOptions)),
+}
+NEEDED = {"plate_points": ("--mass", "M.csv"), "bone_points": ("--mass", "M.csv")}
+NEEDED |= dict.fromkeys(("steps",), ("--channels", "points.csv"))
+ALONE = {"plan": ()}  # takes the place of the other words
+
+
+@pytest.mark.parametrize(
+    ("command", "entry"),
+    [
+        pytest.param(name, entry, id=f"{name} {entry.flag}")
+        for name, (_, _, tables) in FILES.items()
+        for entry in (entry for table in tables for entry in declared(table))
+        if entry.kind.is_file
+    ]
+    + [pytest.param(name, None, id=f"{name} --config") for name in FILES],
+)
+def test_every_file_of_an_option_counts_as_read(command, entry, inputs, tmp_path, monkeypatch):
+    laid_out(inputs, tmp_path, ())
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scan.tif").write_bytes(b"no scan: it is not read")
+    work, words, _ = FILES[command]
+    given = tmp_path / "given.toml"
+    given.write_text("")
+    name = "config" if entry is None else entry.name
+    if entry is not None and entry.positional:
+        given = tmp_path / words[0]
+    elif name in ALONE:
+        given.write_text("lines = 20\n")
+        words = ("--plan", given.name)
+    elif f"--{name}" in words:
+        given = tmp_path / words[words.index(f"--{name}") + 1]
+    else:
+        words = (*words, *NEEDED.get(name, ()), f"--{name.replace('_', '-')}", given.name)
+    seen = []
+
+    def look(outputs):
+        seen.append({Path(path).resolve() for path in outputs.inputs})
+        raise Looked
+
+    monkeypatch.setattr(OutputSet, "check", look)
+    with pytest.raises(Looked):
+        work(list(words))
+    assert given.resolve() in seen[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [(name, entry.key) for name, kind in TABLES.items() for entry in declared(kind) if entry.kind.is_file],
+)
+def test_every_file_of_a_study_counts_as_read(table, key, inputs, tmp_path):
+    laid_out(inputs, tmp_path, ())
+    study = tmp_path / "study.toml"
+    tables = tomllib.loads(study.read_text(encoding="utf-8"))
+    if key not in tables[table]:
+        (tmp_path / "given.toml").write_text("")
+        tables[table][key] = "given.toml"
+    if table == "scan":
+        (tmp_path / "scan.tif").write_bytes(b"no scan: it is not read")
+        tables["scan"]["file"] = "scan.tif"
+    if key in ("plate_points", "steps"):
+        tables["ldv"].pop("fiducials")
+        tables["ldv"] |= {"channels": "points.csv"} if key == "steps" else {}
+    given = {tmp_path / str(name) for name in np.ravel(tables[table][key])}
+    lines = [
+        line
+        for name, values in tables.items()
+        for line in (f"[{name}]", *(f"{word} = {toml(value)}" for word, value in values.items()))
+    ]
+    study.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    outputs = output_set(study, read_study(study), tmp_path / "out")
+    assert given | {study} <= set(outputs.inputs)

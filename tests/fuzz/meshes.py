@@ -6,6 +6,7 @@ import json
 import random
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 from tests.fuzz.case import Case
@@ -15,7 +16,10 @@ from tests.fuzz.mutations import INTEGERS, NUMBERS, TEXTS, json_bytes, mutate_by
 def cases(rng: random.Random) -> Iterator[Case]:
     """Yield damaged meshes without end."""
     while True:
-        yield rng.choice(_MAKERS)(rng)
+        case = rng.choice(_MAKERS)(rng)
+        _, name = case.arguments
+        beside = name.endswith("ply") and rng.random() < 0.3
+        yield replace(case, arguments=("read_beside_mass", name)) if beside else case
 
 
 def prepare() -> None:

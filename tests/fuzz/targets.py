@@ -11,8 +11,9 @@ PRELOADED = (
     "imagecodecs SimpleITK trimesh skimage.measure xxhash tomllib ct_inertia.read ct_inertia.ct2mass "
     "ct_inertia.mass.calibration ct_inertia.frames.landmarks ct_inertia.surface.surface fitting.dof2kd "
     "fitting.options kinematics.measure_motion kinematics.readers.assemble kinematics.readers.formats "
-    "kinematics.tidy.ldv_csv kinematics.tidy.points_csv pipeline.study stapeskit.records.mass_record "
-    "stapeskit.records.motion_files"
+    "kinematics.tidy.ldv_csv kinematics.tidy.points_csv pipeline.study pipeline.report pipeline.figures "
+    "matplotlib.figure matplotlib.backends.backend_pdf kinematics.registration.scan_surfaces "
+    "stapeskit.records.mass_record stapeskit.records.motion_files"
 )
 """Imported once, before the process that reads is forked."""
 
@@ -27,7 +28,9 @@ def preload() -> None:
 
 def _scan(path: str, *_: str) -> None:
     from ct_inertia.read import read_volume
+    from ct_inertia.readers.companions import with_data_files
 
+    with_data_files({"scan": Path(path)})
     volume = read_volume(path, SPACING_MM)
     for plane in volume.array:
         plane.sum()
@@ -93,6 +96,31 @@ def _plan(path: str, *_: str) -> None:
     read_plan(Path(path))
 
 
+def _surface(path: str, *_: str) -> None:
+    """Read a surface or the labels beside mass.json."""
+    from kinematics.registration.scan_surfaces import read_labels, read_mesh
+
+    (read_labels(Path(path)) if path.endswith("nrrd") else read_mesh(Path(path), "stapes"))
+
+
+def _own(stage: str) -> None:
+    """Read what the program keeps beside outputs."""
+    from pipeline.records import read_record, read_stage_report, stage_report_name
+    from stapeskit.own_files import OutputSet, unfinished
+
+    folder = Path()
+    read_record(folder, stage)
+    read_stage_report(folder / stage_report_name(stage))
+    unfinished(folder)
+    OutputSet("dof2kd", folder, ("plan.json", "plan.html")).check()
+
+
+def _truth(path: str, *_: str) -> None:
+    from pipeline.report import read_truth
+
+    read_truth(Path(path))
+
+
 def _command(module: str) -> Callable[..., None]:
     def run(*words: str) -> None:
         importlib.import_module(module).work(list(words))
@@ -118,6 +146,9 @@ TARGETS: dict[str, Callable[..., None]] = {
     "read_mass": _mass,
     "read_study": _study,
     "read_plan": _plan,
+    "read_own": _own,
+    "read_beside_mass": _surface,
+    "read_truth": _truth,
     "parse_ct2mass": _parse("ct_inertia.cli"),
     "parse_points2dof": _parse("kinematics.cli"),
     "parse_dof2kd": _parse("fitting.cli"),
@@ -125,4 +156,5 @@ TARGETS: dict[str, Callable[..., None]] = {
     "points2dof": _command("kinematics.cli"),
     "dof2kd": _command("fitting.cli"),
     "scan2kd": _command("pipeline.cli"),
+    "stapeskit": _command("pipeline.umbrella"),
 }
