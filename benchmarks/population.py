@@ -67,6 +67,7 @@ ROWS = (
     Row("over a plate", lambda r: {"plate": r.uniform(0.15, 0.45)}),
     Row("in its window", lambda r: {"gap_mm": _gap(r), "plate": r.choice((None, 0.3))}),
     Row("window and incus", lambda r: {"gap_mm": _gap(r), "incus_mm": _gap(r)}),
+    Row("perforated, narrow gap", lambda r: {"gap_mm": float(r.uniform(0.04, 0.08))}, ("perforated",)),
     Row("darker bone around", lambda r: {"gap_mm": _gap(r), "neighbour": r.uniform(0.75, 0.92)}),
     Row(
         "darker bone and incus",

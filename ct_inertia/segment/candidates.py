@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
+from ct_inertia.volume.distance import closed
 from ct_inertia.volume.graphs import in_hull
 from ct_inertia.volume.grids import boxes_and_sizes, labelled, majority, used_box
 from ct_inertia.volume.mask_statistics import every_nth
@@ -21,6 +22,8 @@ POSSIBLE_MM3 = calibrated("candidates.possible_mm3")
 POSSIBLE_MM = calibrated("candidates.possible_mm")
 # A stapes has next to no other bone within its hull; the bone around a window has the footplate there.
 MOST_SURROUNDED = calibrated("candidates.most_surrounded")
+HALF_GAP_MM = calibrated("separate.half_gap_mm")
+_PERFORATION_BALL_MM = calibrated("candidates.perforation_ball_mm")
 # Volume below which a piece is not described: a fortieth of the least typical stapes, for time only.
 _LEAST_MM3 = 0.02
 # Most voxels of a piece for its convex hull, whose time grows with them.
@@ -50,6 +53,9 @@ class Piece:
     surrounds : float
         Volume of other bone within its convex hull, as a share of its own: the bone around the oval window
         surrounds the footplate, a stapes nothing.
+    perforated : bool
+        It has more holes: one as wide as that between the crura, and others that are narrower and yet wider
+        than the gaps between bones.
     """
 
     label: int
@@ -61,6 +67,12 @@ class Piece:
     at_border: bool
     holes: int | None = None
     surrounds: float = 0.0
+    perforated: bool = False
+
+    @property
+    def arched(self) -> bool:
+        """It has one hole as a stapes has it, be its footplate perforated or not."""
+        return self.holes == 1 or self.perforated
 
     @property
     def possible(self) -> bool:
@@ -86,7 +98,7 @@ class Piece:
     @property
     def score(self) -> float:
         """Rank among possible pieces: one empty hole counts most, then being whole, then size and shape."""
-        hole = 3.0 * (self.holes == 1) * (self.surrounds < MOST_SURROUNDED)
+        hole = 3.0 * self.arched * (self.surrounds < MOST_SURROUNDED)
         return hole - 2.0 * self.at_border - 2.0 * self.oddness
 
     def as_json(self) -> dict[str, Any]:
@@ -172,6 +184,27 @@ def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
 
 def _outside(value: float, span: tuple[float, float]) -> float:
     return float(max(0.0, np.log(span[0] / value), np.log(value / span[1])))
+
+
+def with_holes_of(piece: Piece, inside: NDArray[np.bool_], spacing_mm: Array) -> Piece:
+    """Return a piece with the holes of a solid [z, y, x] counted.
+
+    Notes
+    -----
+    A hole through the footplate is narrower than the one between the crura, and a closing by a ball fills it
+    alone. What bridges the gap to another bone makes a hole too, but one that is no wider than such gaps.
+    """
+    holes = count_holes(inside)
+    if holes < 2 or not piece.possible:
+        return replace(piece, holes=holes)
+    padded = np.pad(inside, int(np.ceil(_PERFORATION_BALL_MM / float(np.min(spacing_mm)))) + 1)
+    return replace(piece, holes=holes, perforated=_perforated(padded, spacing_mm))
+
+
+def _perforated(inside: NDArray[np.bool_], spacing_mm: Array) -> bool:
+    if count_holes(closed(inside, spacing_mm, _PERFORATION_BALL_MM)) != 1:
+        return False
+    return count_holes(closed(inside, spacing_mm, HALF_GAP_MM)) > 1
 
 
 def count_holes(inside: NDArray[np.bool_]) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, count_holes, describe
+from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, describe, with_holes_of
 from ct_inertia.segment.doubts import USUAL
 from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
 from ct_inertia.segment.separate import Separation, renamed, separations
@@ -133,8 +133,10 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         # A small part is a part only at the border of the scan, which may have cropped a larger bone.
         placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
         kept = [(p, q) for p, q in placed if p.volume_mm3 > _LEAST_PART_MM3 or q.at_border]
-        holes = {p.label: _holes(way.labels, p) for p, _ in kept if p.possible}
-        parts = tuple(replace(q, label=p.label + free, holes=holes.get(p.label)) for p, q in kept)
+        counted = ((_counted(way.labels, p, spacing) if p.possible else p, q) for p, q in kept)
+        parts = tuple(
+            replace(q, label=p.label + free, holes=p.holes, perforated=p.perforated) for p, q in counted
+        )
         new = np.zeros(int(way.labels.max()) + 1, dtype=np.int32)
         new[[p.label for p, _ in kept]] = [p.label + free for p, _ in kept]
         labels = renamed(way.labels, new)
@@ -162,7 +164,7 @@ def _every_way(
     held: list[NDArray[np.float32]], bone: NDArray[np.bool_], spacing_mm: Array, whole: Piece
 ) -> Iterator[Separation]:
     """Part at a neck what looks like a stapes with something at its end, and all along narrow gaps."""
-    if whole.holes == 1 and whole.surrounds < MOST_SURROUNDED:
+    if whole.arched and whole.surrounds < MOST_SURROUNDED:
         yield from neck_separations(bone, spacing_mm)
     yield from _refined(separations(held, bone, spacing_mm), spacing_mm)
 
@@ -170,7 +172,7 @@ def _every_way(
 def _cut_at_necks(way: Separation, spacing_mm: Array) -> Iterator[Separation]:
     """Cut the parts that have one hole, the likeliest stapes first, at their necks."""
     for piece in sorted((p for p in way.pieces if p.possible), key=lambda p: p.oddness):
-        if piece.oddness > _NECK_ODDNESS or _holes(way.labels, piece) != 1:
+        if piece.oddness > _NECK_ODDNESS or not _counted(way.labels, piece, spacing_mm).arched:
             continue
         name = int(way.labels.max()) + 1
         for cut in neck_separations(way.labels == piece.label, spacing_mm):
@@ -216,7 +218,10 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
     """
     for way in ways:
         yield way
-        if any(p.possible and p.oddness < USUAL and _holes(way.labels, p) == 1 for p in way.pieces):
+        if any(
+            p.possible and p.oddness < USUAL and _counted(way.labels, p, spacing_mm).arched
+            for p in way.pieces
+        ):
             continue
         yield from _cut_at_necks(way, spacing_mm)
         parts = [p for p in way.pieces if p.volume_mm3 > _LEAST_UNITED_MM3][:_MOST_UNITED]
@@ -250,8 +255,8 @@ def _united(
     piece = describe(joined, name, box, spacing_mm)
     if not piece.possible or piece.oddness > USUAL:
         return None
-    piece = replace(piece, holes=_holes(joined, piece))
-    return (piece, joined) if piece.holes == 1 else None
+    piece = _counted(joined, piece, spacing_mm)
+    return (piece, joined) if piece.arched else None
 
 
 def _largest_share(mask: NDArray[np.bool_]) -> float:
@@ -259,9 +264,9 @@ def _largest_share(mask: NDArray[np.bool_]) -> float:
     return float(sizes.max() / sizes.sum())
 
 
-def _holes(labels: NDArray[np.int32], piece: Piece) -> int:
+def _counted(labels: NDArray[np.int32], piece: Piece, spacing_mm: Array) -> Piece:
     box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
-    return count_holes(labels[box] == piece.label)
+    return with_holes_of(piece, labels[box] == piece.label, spacing_mm)
 
 
 def _in_coarse(piece: Piece, working: Working, volume: Volume, step: Index) -> Piece:

@@ -62,7 +62,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
         tried.append(sight)
         chosen = _picked(volume, sight, options, alone=False)
         usual = chosen is not None and _usual(chosen.stapes)
-        if chosen is not None and usual and chosen.stapes.holes == 1:
+        if chosen is not None and usual and chosen.stapes.arched:
             cut = _without_grown(volume, chosen, options)
             if cut is not None and _takes_in(cut, doubtful):
                 return cut
@@ -75,7 +75,7 @@ def look(volume: Volume, options: SearchOptions, glance: Glance | None = None) -
                 return parted
         if chosen is None:
             continue
-        if usual and chosen.stapes.holes == 1 and _takes_in(chosen, doubtful):
+        if usual and chosen.stapes.arched and _takes_in(chosen, doubtful):
             own = _at_own_level(volume, _picked(volume, sight, options) or chosen, options)
             if own is not None:
                 return own
@@ -101,7 +101,7 @@ def _better(parted: Sight, whole: Piece) -> bool:
     What hangs at a neck makes a body longer: a body of one hole that is only thick or heavy is left whole. No
     other parting cuts it either, unless the part is likelier by what two bodies may differ.
     """
-    stout = whole.holes == 1 and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
+    stout = whole.arched and whole.surrounds < MOST_SURROUNDED and whole.length_mm <= TYPICAL_MM[0][1]
     gain = parted.stapes.score - whole.score
     return gain > RIVAL and not parted.at_neck if stout else gain > 0.0
 
@@ -116,7 +116,7 @@ def _without_grown(volume: Volume, chosen: Sight, options: SearchOptions) -> Sig
         if way.neck is None or not way.neck.grown:
             return None
         part = _trial(volume, chosen, way, chosen.others, options)
-        if part is not None and part.stapes.holes == 1 and _usual(part.stapes):
+        if part is not None and part.stapes.arched and _usual(part.stapes):
             return part
     return None
 
@@ -153,7 +153,7 @@ def _at_own_level(volume: Volume, sight: Sight, options: SearchOptions) -> Sight
     if trial is None:
         return sight
     best = judged(trial, trial.stapes)
-    if _usual(best) and best.holes == 1:
+    if _usual(best) and best.arched:
         return replace(trial, stapes=best, notices=doubts(best))
     return None if trial.between > sight.between else sight
 
@@ -171,7 +171,7 @@ def _takes_in(later: Sight, doubtful: tuple[Sight, Sight] | None) -> bool:
     before, after = first.pieces == first.stapes.label, later.pieces == later.stapes.label
     halo = max(1, round(_HALO_MM / float(first.scan.spacing_mm.mean())))
     if not _usual(first.stapes):
-        whole = first.stapes.holes == 1 and first.stapes.surrounds < MOST_SURROUNDED
+        whole = first.stapes.arched and first.stapes.surrounds < MOST_SURROUNDED
         lost = np.count_nonzero(before & ~dilated(after, halo))
         rim_only = bool(lost <= _LEAST_BEYOND * np.count_nonzero(before))
         return not (whole and first.stapes.oddness < _ODD and rim_only)
@@ -209,10 +209,10 @@ def _parted(volume: Volume, sight: Sight, options: SearchOptions) -> Sight | Non
             chosen = _trial(volume, sight, way, rest, options)
             if chosen is None or chosen.stapes.at_border > whole.at_border:
                 continue
-            if chosen.stapes.holes != 1 or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
+            if not chosen.stapes.arched or not chosen.stapes.possible or chosen.stapes.oddness > _ODD:
                 continue
             ways.append(chosen)
-            if chosen.stapes.holes == 1 and _usual(chosen.stapes):
+            if _usual(chosen.stapes):
                 break
         if ways:
             sights.append(max(ways, key=lambda way: way.stapes.score))

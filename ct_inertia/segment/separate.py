@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.candidates import Piece, describe
+from ct_inertia.segment.candidates import HALF_GAP_MM, Piece, describe
 from ct_inertia.segment.necks import Neck
-from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.distance import capped_distance, closed
 from ct_inertia.volume.grids import boxes_and_sizes, dilated, gaussian, labelled, used_box, watershed
 
 Array = NDArray[np.float64]
@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 DEPTHS_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 _LEAST_DEPTH_VOXELS = calibrated("separate.least_depth_voxels")
 _LEAST_MARKER_MM3 = calibrated("separate.least_marker_mm3")
-_HALF_GAP_MM = calibrated("separate.half_gap_mm")
 _VALLEY = calibrated("separate.valley")
 _HALF_VALLEY_MM = calibrated("separate.half_valley_mm")
 _HALF_VALLEY_VOXELS = calibrated("separate.half_valley_voxels")
@@ -80,14 +79,7 @@ def narrow_gaps(share: NDArray[np.float32], bone: NDArray[np.bool_], spacing_mm:
     """
     valley = max(_HALF_VALLEY_MM, _HALF_VALLEY_VOXELS * float(np.mean(spacing_mm)))
     clear = gaussian(share, _CALM_VOXELS, truncate=3.0) > _VALLEY
-    return _closed(bone, spacing_mm, _HALF_GAP_MM) | _closed(clear, spacing_mm, valley)
-
-
-def _closed(mask: NDArray[np.bool_], spacing_mm: Array, radius_mm: float) -> NDArray[np.bool_]:
-    """Return what a closing by a ball adds to a mask."""
-    cap = radius_mm + float(np.max(spacing_mm))
-    wide = capped_distance(mask, spacing_mm, cap) <= radius_mm
-    return np.asarray((capped_distance(~wide, spacing_mm, cap) > radius_mm) & ~mask)
+    return (closed(bone, spacing_mm, HALF_GAP_MM) & ~bone) | (closed(clear, spacing_mm, valley) & ~clear)
 
 
 @dataclass(frozen=True)

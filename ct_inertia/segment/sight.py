@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.segment.candidates import Piece, count_holes, surrounded
+from ct_inertia.segment.candidates import Piece, count_holes, surrounded, with_holes_of
 from ct_inertia.segment.necks import Neck
 from ct_inertia.segment.parting import Markers
 from ct_inertia.volume.coarse import CoarseScan, calmed
@@ -137,14 +137,14 @@ def with_holes(sight: Sight, piece: Piece) -> Piece:
         return piece
     box = tuple(slice(a, b) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
     inside = sight.pieces[box] == piece.label
-    holes = count_holes(inside)
-    if (
-        holes != 1
-        and sight.scan.grey.shape == sight.pieces.shape
-        and count_holes(_thick(sight, box, inside)) == 1
-    ):
-        holes = 1
-    return replace(piece, holes=holes)
+    counted = with_holes_of(piece, inside, sight.scan.spacing_mm)
+    if counted.holes == 1 or sight.scan.grey.shape != sight.pieces.shape:
+        return counted
+    return (
+        replace(counted, holes=1, perforated=False)
+        if count_holes(_thick(sight, box, inside)) == 1
+        else counted
+    )
 
 
 def _thick(sight: Sight, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -160,6 +160,6 @@ def _thick(sight: Sight, box: tuple[slice, ...], inside: NDArray[np.bool_]) -> N
 def judged(sight: Sight, piece: Piece) -> Piece:
     """Count its holes, and see whether it surrounds other bone."""
     holed = with_holes(sight, piece)
-    if holed.holes != 1 or not sight.others or holed.surrounds > 0.0:
+    if not holed.arched or not sight.others or holed.surrounds > 0.0:
         return holed
     return replace(holed, surrounds=surrounded(sight.pieces, holed))

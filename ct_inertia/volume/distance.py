@@ -17,6 +17,13 @@ _PIECE = 200_000
 _SAME = 1e-9
 
 
+def closed(mask: NDArray[np.bool_], spacing_mm: Array, radius_mm: float) -> NDArray[np.bool_]:
+    """Return a mask [z, y, x] with what a closing by a ball adds: gaps and holes narrower than the ball."""
+    cap = radius_mm + float(np.max(spacing_mm))
+    wide = capped_distance(mask, spacing_mm, cap) <= radius_mm
+    return np.asarray(mask | (capped_distance(~wide, spacing_mm, cap) > radius_mm))
+
+
 def capped_distance(mask: NDArray[np.bool_], spacing_mm: Array, cap_mm: float) -> NDArray[np.float32]:
     """Return the distance of each voxel to the nearest voxel of the mask, at most ``cap_mm``.
 

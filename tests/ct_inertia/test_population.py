@@ -71,3 +71,10 @@ def test_a_wide_window_of_8_bits_needs_no_correction(tmp_path):
     found = scores("8 bit, wide window", tmp_path, noise=0.02)
     assert not any({"air_clipped", "bone_clipped"} & set(s.codes) for s in found)
     assert np.abs(errors(found)).max() < 0.004
+
+
+def test_a_perforated_footplate_that_touches_its_window_keeps_both_halves_and_is_told(tmp_path):
+    found = scores("perforated, narrow gap", tmp_path, SEEDS[:2], voxel_um=35.0)
+    assert all("stapes_uncertain" in s.codes for s in found)
+    assert np.abs(errors(found)).max() < 0.004
+    assert len(errors(found)) == len(found)
