@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping
+from html import escape
 
 from stapeskit.option_values import toml
 from stapeskit.options import Option, OptionTable, declared
@@ -82,7 +83,7 @@ def _key_row(option: Option) -> str:
 
 def _row(option: Option) -> str:
     flag = f"`{option.flag}`"
-    value = "" if option.kind.is_flag or option.positional else f"`{_cell(option.metavar)}`"
+    value = "" if option.kind.is_flag or option.positional else _code(option.metavar)
     key = f"`{option.place}`" if option.table else ""
     usual = option.default in (None, False, "", (), {})
     default = "" if usual else f"`{', '.join(option.kind.words(option.default))}`"
@@ -92,6 +93,11 @@ def _row(option: Option) -> str:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|")
+
+
+def _code(text: str) -> str:
+    """Return code for a cell of a table, bars as ``&#124;``: a backslash shows within code on websites."""
+    return f"<code>{escape(text, quote=False).replace('|', '&#124;')}</code>" if "|" in text else f"`{text}`"
 
 
 def _of_study(table: type[OptionTable]) -> list[Option]:
