@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
@@ -21,6 +22,35 @@ def test_results_obey_their_schema(name, finished):
     checker = jsonschema.Draft202012Validator(schema(name))
     checker.check_schema(schema(name))
     checker.validate(content)
+
+
+def test_a_plan_obeys_its_schema(tmp_path, monkeypatch):
+    from fitting.dof2kd import plan2kd
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plan.toml").write_text("lines = 40\n", encoding="utf-8")
+    plan2kd(tmp_path / "plan.toml", tmp_path / "plan.json")
+    content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    checker = jsonschema.Draft202012Validator(schema("plan"))
+    checker.check_schema(schema("plan"))
+    checker.validate(content)
+    assert list(checker.iter_errors(content | {"budget": {"channel_noise": {"K17": 1.0}}}))
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_a_cohort_obeys_its_schema(count):
+    from pipeline.cohort.cohort_laws import cohort_laws
+    from tests.pipeline.cohort.simulated_ears import ear
+
+    rng = np.random.default_rng(4)
+    ears = [ear(number, rng) for number in range(count)]
+    provenance = {"inputs": {}, "versions": {}, "parameters": {}, "date": ""}
+    content = json.loads(json.dumps(cohort_laws(ears).as_json(provenance)))
+    checker = jsonschema.Draft202012Validator(schema("cohort"))
+    checker.check_schema(schema("cohort"))
+    checker.validate(content)
+    assert bool(content["laws"]) == (count > 5)
+    assert list(checker.iter_errors(content | {"laws": [{"response": "K11"}]}))
 
 
 @pytest.mark.parametrize(
