@@ -35,7 +35,7 @@ from kinematics.repeats.comparison import RunRepeats
 from kinematics.repeats.pooling import with_gain_errors
 from kinematics.searched_fits import SearchedFits, corrected_fits, searched_fits, with_lasers
 from stapeskit.records.mass_record import MassRecord
-from stapeskit.records.motion import RigidMotion
+from stapeskit.records.motion import STORED, RigidMotion
 from stapeskit.warnings import Notice, unique
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ def points2dof(
 def _searched(
     ready: PreparedMeasurement, lasers: Lasers | None, options: Options
 ) -> tuple[SearchedFits, tuple[Correction, ...]]:
-    """Return the fits with what is wrong with them, and what was corrected."""
+    """Return the fits with their faults, and the corrections made."""
     searched = searched_fits(ready.placed, ready.screens, ready.beams, options.robust)
     if lasers is not None:
         searched = with_lasers(searched, lasers, ready.beams, options.robust) or searched
@@ -201,7 +201,7 @@ def _left_by_one(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> dict[tuple[i
 
 
 def _spoils_motion(diagnoses: Mapping[tuple[int, int], Diagnosis]) -> bool:
-    """Tell whether a cause was found that alters the course of the motion over the lines."""
+    """Return whether a cause was found that changes the motion differently from line to line."""
     codes = {finding.code for diagnosis in diagnoses.values() for finding in diagnosis.findings}
     return bool(codes & {"mains_lines", "conjugated_laser"})
 
@@ -232,7 +232,7 @@ def _body_notices(
 
 
 def _notices_of_bodies(searched: SearchedFits) -> list[Notice]:
-    """Return what the fits of all bodies and runs have to say."""
+    """Return the warnings of the fits of all bodies and runs."""
     notices: list[Notice] = []
     for run, (number, screen) in product(range(len(searched.placed.runs)), enumerate(searched.screens)):
         key = (run, number)
@@ -272,6 +272,9 @@ def _motion(
             values[run, body] = getattr(fits[run, body], name)
         return values
 
+    rows: dict[str, Any] = {
+        column.name: stacked(column.name, np.int64 if column.whole else float) for column in STORED
+    }
     return RigidMotion(
         placed.runs,
         tuple(body.body for body in placed.bodies),
@@ -279,6 +282,5 @@ def _motion(
         placed.freq_hz,
         stacked("q", complex),
         stacked("covariance", complex),
-        stacked("chi2"),
-        stacked("n_dof", np.int64),
+        **rows,
     )

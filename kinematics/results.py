@@ -61,7 +61,8 @@ class MotionResult(Result, Points2Dof):
         """Return the rows and columns of dof.csv, one row a run, body and frequency."""
         import pandas as pd
 
-        from stapeskit.records.motion_columns import ROW_COLUMNS, MotionColumns
+        from stapeskit.records.motion import ROW_COLUMNS
+        from stapeskit.records.motion_columns import MotionColumns
         from stapeskit.records.motion_files import standard_deviation
 
         motion = self.motion
@@ -74,7 +75,7 @@ class MotionResult(Result, Points2Dof):
         frame.insert(0, "run", np.array(motion.runs, dtype=object)[run])
         frame.insert(1, "body", np.array(motion.bodies, dtype=object)[body])
         for column in ROW_COLUMNS:
-            frame[column.name] = column.values(motion)[run, body, line]
+            frame[column.name] = column.of(motion)[run, body, line]
         return frame
 
     def plot(self) -> Figure:

@@ -1,8 +1,14 @@
-"""Rigid-body motion: generalized coordinates per run, body and frequency, with their covariance."""
+"""Rigid-body motion: generalized coordinates per run, body and frequency, with their covariance.
+
+`ROW_COLUMNS` is the table of what dof.csv holds beside them, one number per row. A new column is one entry;
+writer, reader, checks and docs/schemas.md follow. Where its values are not computed from other fields, it
+also needs a field in `RigidMotion`, None by default, and an attribute of that name in `LineFit`
+(kinematics/fit/rigid_fit.py).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +21,8 @@ from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Above it a double is no exact count.
+LARGEST_COUNT = 1e15
 
 
 @dataclass(frozen=True)
@@ -103,9 +111,11 @@ class RigidMotion:
         wanted: dict[str, tuple[object, object]] = {
             "q": (self.q.shape, (runs, bodies, lines, dof)),
             "the covariance": (self.covariance.shape, joint if self.reference else separate),
-            "chi2": (self.chi2.shape, (runs, bodies, lines)),
-            "n_dof": (self.n_dof.shape, (runs, bodies, lines)),
         }
+        for column in STORED:
+            values = getattr(self, column.name)
+            if values is not None or not column.optional:
+                wanted[column.name] = (np.shape(values), (runs, bodies, lines))
         if self.common_sd is not None:
             wanted["common_sd"] = (self.common_sd.shape, (runs, lines))
         faults = [
@@ -174,3 +184,68 @@ class RigidMotion:
             across = 2.0 * self.common_sd[run][:, None, None] ** 2 * q[:, :n, None] * q[:, None, n:].conj()
             joint[:, :n, n:], joint[:, n:, :n] = across, across.conj().transpose(0, 2, 1)
         return q, joint
+
+
+@dataclass(frozen=True)
+class RowColumn:
+    """A column of dof.csv with one number per row.
+
+    Attributes
+    ----------
+    name : str
+    meaning : str
+        For docs/schemas.md.
+    values : callable, optional
+        Take a RigidMotion and return the numbers, (run, body, freq); a reader skips such a column. None: they
+        are the field of that name, which dof.h5 stores and readers give back.
+    whole : bool
+        Whether the numbers are counts.
+    missing : float
+        Value of an empty cell.
+    optional : bool
+        Whether the field may be None, as in files that were written before the column was added.
+    """
+
+    name: str
+    meaning: str
+    values: Callable[[RigidMotion], NDArray[Any]] | None = None
+    whole: bool = False
+    missing: float = float("nan")
+    optional: bool = False
+
+    @property
+    def stored(self) -> bool:
+        """Whether the numbers are a field of RigidMotion."""
+        return self.values is None
+
+    def of(self, motion: RigidMotion) -> NDArray[Any]:
+        """Return the numbers of a motion, (run, body, freq)."""
+        values = getattr(motion, self.name) if self.values is None else self.values(motion)
+        return np.full(motion.q.shape[:3], self.missing) if values is None else np.asarray(values)
+
+    @property
+    def form(self) -> str:
+        """How a number is written: all digits of a count, 9 digits otherwise."""
+        return "%d" if self.whole else "%.9g"
+
+    @property
+    def expected(self) -> str:
+        """What a cell must hold, for messages."""
+        return "a count" if self.whole else f"from 0 to {LARGEST_COUNT:g}"
+
+    def is_wrong(self, values: Array) -> NDArray[np.bool_]:
+        """Return which cells (rows,) hold an impossible number; empty ones do not."""
+        wrong = (values < 0.0) | (values > LARGEST_COUNT)
+        return wrong | (np.isfinite(values) & (values != np.round(values))) if self.whole else wrong
+
+    def filled(self, values: Array) -> NDArray[Any]:
+        """Return cells (rows,) with the value of missing ones."""
+        full = np.where(np.isnan(values), self.missing, values)
+        return full.astype(int) if self.whole else full
+
+
+ROW_COLUMNS = (
+    RowColumn("chi2", "sum of squared normalised residuals over real and imaginary parts"),
+    RowColumn("n_dof", "its degrees of freedom", whole=True, missing=0.0),
+)
+STORED = tuple(column for column in ROW_COLUMNS if column.stored)

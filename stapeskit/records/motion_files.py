@@ -17,8 +17,8 @@ from stapeskit.own_files import check_whole
 from stapeskit.provenance import content_hash
 from stapeskit.records.hdf5_file import larger_than_file, written_h5
 from stapeskit.records.hdf5_guard import read_apart
-from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.records.motion_columns import ROW_COLUMNS, STORED, MotionColumns, columns_of
+from stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, SharedErrors
+from stapeskit.records.motion_columns import MotionColumns, columns_of
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.tables.text_cells import as_text_cell, from_text_cell
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
@@ -69,7 +69,7 @@ def _write_csv(path: Path, motion: RigidMotion) -> None:
     freq = [repr(value) for value in motion.freq_hz.tolist()]
     forms = [column.form for column in ROW_COLUMNS]
     pattern = ",".join(["%s", *["%r"] * (2 * dof), *["%.9g"] * dof, *forms]) + "\n"
-    more = np.stack([column.values(motion) for column in ROW_COLUMNS], axis=-1)
+    more = np.stack([column.of(motion) for column in ROW_COLUMNS], axis=-1)
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(names) + "\n")
         for run, body in np.ndindex(runs, bodies):
@@ -108,10 +108,9 @@ def _write_h5(path: Path, motion: RigidMotion, csv_hash: str) -> None:
         file.attrs["provenance"] = json.dumps(dict(motion.provenance))
         for name in ("runs", "bodies", "dof"):
             file[name] = np.array(getattr(motion, name), dtype=h5py.string_dtype())
-        for name in ("freq_hz", "q", "covariance", *(column.name for column in STORED)):
-            _put(file, name, getattr(motion, name))
-        if motion.common_sd is not None:
-            _put(file, "common_sd", motion.common_sd)
+        for name in ("freq_hz", "q", "covariance", *(column.name for column in STORED), "common_sd"):
+            if getattr(motion, name) is not None:
+                _put(file, name, getattr(motion, name))
         if motion.shared is not None:
             group = file.create_group("shared")
             group["names"] = np.array(motion.shared.names, dtype=h5py.string_dtype())
@@ -204,8 +203,9 @@ def _motion_from_h5(file: Any) -> RigidMotion:
     parts: dict[str, Any] = {
         key: tuple(word.decode() for word in file[key][()]) for key in ("runs", "bodies", "dof")
     }
+    later = {column.name for column in STORED if column.optional and column.name not in file}
     names = ("freq_hz", "q", "covariance", *(column.name for column in STORED))
-    parts |= {name: file[name][()] for name in names}
+    parts |= {name: None if name in later else file[name][()] for name in names}
     shared = None
     if "shared" in file:
         group = file["shared"]
@@ -275,6 +275,8 @@ def _motion_from_table(table: Table, notice: Notice) -> RigidMotion:
         cells = np.full(shape, np.nan)
         if column.name in table.numbers:
             cells[at] = table.numbers[column.name]
+        elif column.optional:
+            continue
         stored[column.name] = column.filled(cells)
     covariance: NDArray[np.complex128] = (variance[..., None] * np.eye(len(dof))).astype(complex)
     reference = ""

@@ -12,8 +12,8 @@ from kinematics.fit.frf_ratio import per_reference
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from stapeskit.faults import StapeskitError
-from stapeskit.records.motion import RigidMotion, SharedErrors
-from stapeskit.records.motion_columns import ROW_COLUMNS, MotionColumns
+from stapeskit.records.motion import ROW_COLUMNS, RigidMotion, SharedErrors
+from stapeskit.records.motion_columns import MotionColumns
 from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
 from stapeskit.warnings import Notice
 from tests.kinematics.simulated import body, measurement, scene
@@ -94,7 +94,7 @@ def test_columns_are_those_promised(tmp_path, motion):
 @pytest.mark.parametrize("column", ROW_COLUMNS, ids=lambda column: column.name)
 def test_every_column_of_the_table_is_written_and_read_back(tmp_path, motion, column):
     csv, h5 = write_motion(tmp_path, "dof", motion)
-    values = column.values(motion)
+    values = column.of(motion)
     assert values.shape == motion.q.shape[:3]
     assert column.name in csv.read_text(encoding="utf-8").splitlines()[0].split(",")
     assert not np.any(column.is_wrong(values[np.isfinite(values)].astype(float)))
