@@ -83,6 +83,7 @@ check: lint types imports kernels
 docs: $(READY)
 	$(BIN)/python -m stapeskit.warnings > docs/warnings.md
 	$(BIN)/python -m pipeline.options_page > docs/options.md
+	$(BIN)/python -m tools.doc_tables
 
 # the same pages as a website, in site/
 site: docs $(SITE)

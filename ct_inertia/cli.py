@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 _DESCRIPTION = """\
 Mass matrix of a stapes about the centre of its footplate, from a micro-CT scan.
 
-SCAN is a volume (TIFF, OME-Zarr, NRRD, MHA, NIfTI, DICOM, Scanco, VGStudio,
-Amira, raw), a folder of slices or DICOM files, or a closed surface mesh (STL,
-PLY, OBJ, GLB; mm). Coordinates and directions are x, y, z in scan coordinates,
-mm."""
+"""
+_SCAN = (
+    "SCAN is a volume ({}), or a closed surface mesh (STL, PLY, OBJ, GLB; mm). Coordinates and directions "
+    "are x, y, z in scan coordinates, mm."
+)
 
 _EPILOG = """\
 Exit code 0: done; 2: the input is at fault, with what to do; 1: a bug.
@@ -53,10 +54,14 @@ _ENDINGS = (".nii.gz", ".seg.nrrd", ".ome.tiff", ".ome.tif", ".ome.zarr")
 
 def parser() -> Parser:
     """Return the parser of the command."""
+    from textwrap import fill
+
     from ct_inertia.options import MassOptions, MassOutputs
+    from ct_inertia.readers.formats import FORMATS
     from stapeskit.option_parser import Parser
 
-    return Parser("ct2mass", _DESCRIPTION, _EPILOG, MassOptions, MassOutputs)
+    scan = fill(_SCAN.format(", ".join(entry.title for entry in FORMATS)), 80)
+    return Parser("ct2mass", _DESCRIPTION + scan, _EPILOG, MassOptions, MassOutputs)
 
 
 def output_folder(given: Given) -> Path:
@@ -111,7 +116,7 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
 def _write(
     given: Given, outputs: OutputSet, result: MassMeasurement, hashes: Hashes
 ) -> tuple[list[Path], dict[str, Any], tuple[Notice, ...]]:
-    """Write every output; return their paths, the content of mass.json, and what writing has to tell."""
+    """Write every output; return their paths, the content of mass.json, and the warnings of writing."""
     from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
     from ct_inertia.exports.output_files import LABELS, MEASURED_LABELS
 

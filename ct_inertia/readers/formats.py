@@ -1,4 +1,7 @@
-"""The formats of scans, one line each; a new format is a module with a function ``read`` and a line here."""
+"""The formats of scans, one entry each; a new format is a module with a function ``read`` and an entry here.
+
+Messages, the help of ``ct2mass``, the table in docs/formats.md and the tests of readers follow from it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
-from ct_inertia.readers.checks import not_readable, unreadable
 from stapeskit.faults import Fault, StapeskitError
 
 if TYPE_CHECKING:
@@ -62,6 +64,8 @@ class Format:
         * ``recognises(path) -> bool`` where ``sniffs`` is not empty: whether the content is of this format,
         * ``companion_files(path) -> list[Path]`` where the scan may lie in several files: those that are read
           with the one given.
+    reads : str
+        What is read of it, for docs/formats.md.
     suffixes : tuple of str
         Of files, lower case.
     headers : tuple of str
@@ -74,6 +78,7 @@ class Format:
 
     title: str
     module: str
+    reads: str
     suffixes: tuple[str, ...] = ()
     headers: tuple[str, ...] = ()
     sniffs: tuple[str, ...] = ()
@@ -91,11 +96,11 @@ class Format:
         try:
             volume: Volume = code.read(path, options)
         except OSError as fault:
-            raise unreadable(Path(fault.filename or path), fault) from fault
+            raise _checks().unreadable(Path(fault.filename or path), fault) from fault
         except StapeskitError:
             raise
         except _DAMAGE as fault:
-            raise not_readable(path, self.title, fault) from fault
+            raise _checks().not_readable(path, self.title, fault) from fault
         return volume
 
     def recognises(self, path: Path) -> bool:
@@ -113,20 +118,80 @@ class Format:
         return import_module(f"ct_inertia.readers.{self.module}")
 
 
-RAW = Format("raw voxels", "raw", (".raw", ".vol", ".bin", ".dat", ".img"))
+RAW = Format(
+    "raw voxels",
+    "raw",
+    "as `--shape NX,NY,NZ --dtype uint16 [--byte-order big] [--header-bytes N]` say (also keys of `[scan]`), "
+    "or as a header beside them",
+    (".raw", ".vol", ".bin", ".dat", ".img"),
+)
 FORMATS = (
-    Format("TIFF", "tiff", (".tif", ".tiff", ".btf", ".tf8", ".tf2")),
-    Format("NRRD", "nrrd", (".nrrd", ".nhdr"), headers=(".nhdr",), placed=True),
-    Format("MHA, MHD", "metaimage", (".mha", ".mhd"), headers=(".mhd",), placed=True),
-    Format("NIfTI", "nifti", (".nii", ".nii.gz", ".hdr"), headers=(".hdr",), placed=True),
-    Format("ISQ", "isq", (".isq", ".rsq", ".rad")),
-    Format("AIM", "aim", (".aim",)),
-    Format("VGI", "vgi", (".vgi",), headers=(".vgi",)),
-    Format("AM", "amira", (".am",)),
+    Format(
+        "TIFF",
+        "tiff",
+        "BigTIFF, ImageJ, OME-TIFF: spacing in any unit they know, plane positions, several files; tiled, "
+        "LZW, deflate, packbits, zstd; one that says 0 is white is turned, with a notice (`white_is_zero`)",
+        (".tif", ".tiff", ".btf", ".tf8", ".tf2"),
+    ),
+    Format(
+        "NRRD",
+        "nrrd",
+        "also segmentations (seg.nrrd): origin, direction and units, attached or detached",
+        (".nrrd", ".nhdr"),
+        headers=(".nhdr",),
+        placed=True,
+    ),
+    Format(
+        "MHA, MHD",
+        "metaimage",
+        "origin, direction and units, attached or detached",
+        (".mha", ".mhd"),
+        headers=(".mhd",),
+        placed=True,
+    ),
+    Format(
+        "NIfTI",
+        "nifti",
+        "NIfTI-1 and -2: origin, direction and units, attached or detached",
+        (".nii", ".nii.gz", ".hdr"),
+        headers=(".hdr",),
+        placed=True,
+    ),
+    Format(
+        "Scanco ISQ",
+        "isq",
+        "spacing; its density line is shown for `--calibration`",
+        (".isq", ".rsq", ".rad"),
+    ),
+    Format(
+        "Scanco AIM",
+        "aim",
+        "versions 020 and 030: spacing and origin; its density line is shown for `--calibration`",
+        (".aim",),
+    ),
+    Format("VGStudio", "vgi", "a .vgi with its .vol files: spacing", (".vgi",), headers=(".vgi",)),
+    Format("Amira", "amira", "also Avizo: spacing and origin", (".am",)),
     RAW,
-    Format("OME-Zarr", "ome_zarr", sniffs=("folder",)),
-    Format("DICOM", "dicom", (".dcm", ".dicom", ".ima"), sniffs=("file", "folder"), placed=True),
-    Format("a folder of slices", "slices", sniffs=("folder",)),
+    Format(
+        "OME-Zarr",
+        "ome_zarr",
+        "0.4 and 0.5: scale and translation; a coarser level for the first look",
+        sniffs=("folder",),
+    ),
+    Format(
+        "DICOM",
+        "dicom",
+        "series and multi-frame: position order, rescaling; several series are listed",
+        (".dcm", ".dicom", ".ima"),
+        sniffs=("file", "folder"),
+        placed=True,
+    ),
+    Format(
+        "a folder of slices",
+        "slices",
+        "TIFF, PNG, BMP: natural order, gaps reported; with the Bruker/SkyScan log its pixel size",
+        sniffs=("folder",),
+    ),
 )
 
 
@@ -159,3 +224,8 @@ def format_of(path: Path, raw: RawLayout | None = None) -> Format:
             next_step="Export it in one of these formats, or as raw voxels with {shape} and {dtype}",
         )
     )
+
+
+def _checks() -> Any:
+    """Return the module of checks, which loads numpy: a help needs the table alone."""
+    return import_module("ct_inertia.readers.checks")

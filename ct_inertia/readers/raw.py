@@ -12,6 +12,9 @@ from ct_inertia.volume.volume import Volume
 from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 
+# Other programs use .hdr for headers of their own: those of NIfTI belong to .img alone.
+_HEADERS = tuple(ending for entry in FORMATS for ending in entry.headers if ending != ".hdr")
+
 
 def read(path: Path, options: ReadOptions) -> Volume:
     """Map raw voxels; without a layout they are read with the header beside them.
@@ -62,9 +65,7 @@ def companion_files(path: Path) -> list[Path]:
 
 def _header_beside(path: Path) -> Path | None:
     """Return the header of a raw file: ``scan.mhd``, ``scan.raw.mhd``, ``scan.nhdr``, ``scan.vgi``, ..."""
-    # Other programs use .hdr for headers of their own: those of NIfTI belong to .img alone.
-    endings = [ending for entry in FORMATS for ending in entry.headers if ending != ".hdr"]
-    names = [name for end in endings for name in (path.with_suffix(end), path.with_name(path.name + end))]
+    names = [name for end in _HEADERS for name in (path.with_suffix(end), path.with_name(path.name + end))]
     if path.suffix.lower() == ".img":
         names.append(path.with_suffix(".hdr"))
     return next((name for name in names if name.is_file()), None)
@@ -75,7 +76,7 @@ def _layout_missing(path: Path) -> CtInertiaError:
     return CtInertiaError(
         Fault(
             "raw voxels",
-            "beside a header (.mhd, .nhdr, .vgi) or described by {shape} and {dtype}",
+            f"beside a header ({', '.join(_HEADERS)}) or described by {{shape}} and {{dtype}}",
             "neither",
             path.name,
             "Give {shape} NX,NY,NZ {dtype} uint16 [{byte_order} big] [{header_bytes} N] {spacing} H",

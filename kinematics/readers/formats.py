@@ -1,7 +1,8 @@
 """The table of vibrometer formats, and which of them a file or folder is.
 
-A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`. What a file holds
-decides first, its name second; earlier entries win.
+A new format is a module with ``read(path, ...) -> Recordings`` and one entry of `FORMATS`; messages and the
+table in docs/vibrometer_files.md follow. What a file holds decides first, its name second; earlier entries
+win.
 """
 
 from __future__ import annotations
@@ -75,6 +76,8 @@ class Format:
     series : str
         ``channels``: may hold time series, which need a table of channels. ``described``: which it describes
         itself.
+    reads : str
+        What is read of it, for docs/vibrometer_files.md; empty where another entry says it.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Format:
     options: tuple[str, ...] = ()
     in_folders: bool = False
     series: str = ""
+    reads: str = ""
 
     def read(self, path: Path, options: InputOptions) -> Recordings:
         """Read a file or folder, as time series where a table of channels is given."""
@@ -123,6 +127,7 @@ FORMATS = (
         lambda head: head.content.startswith(b"MATLAB") or (head.suffix == ".mat" and bool(head.content)),
         options=("mapping",),
         series="channels",
+        reads="v5 and v7.3, as File Access scripts save them; other layouts by `--mapping`",
     ),
     Format(
         "hdf5",
@@ -131,6 +136,7 @@ FORMATS = (
         lambda head: head.content.startswith(b"\x89HDF\r\n\x1a\n"),
         options=("mapping",),
         series="channels",
+        reads="own documented layout with a writer; others by `--mapping`",
     ),
     Format(
         "uff",
@@ -140,6 +146,8 @@ FORMATS = (
         (".uff", ".unv", ".bunv", ".ufb"),
         ("series",),
         series="described",
+        reads="58 (all ASCII forms) and 58b (both byte orders): responses, cross and auto spectra, time "
+        "responses; 15/2411 nodes, 18/2420 coordinate systems, 164 units; coherence matched to its response",
     ),
     Format(
         "fastscan",
@@ -147,6 +155,7 @@ FORMATS = (
         "text exports of a scanning vibrometer (a folder, or .txt)",
         lambda head: looks_like_fastscan(head.text),
         in_folders=True,
+        reads="Polytec PSV: FastScan folders (one file a frequency) and per-point files",
     ),
     Format(
         "points",
@@ -161,6 +170,9 @@ FORMATS = (
         lambda head: _is_archive_or_sound(head) or _has_time(head),
         options=("series",),
         series="channels",
+        reads="with a channel table, also .mat and .h5; time responses in universal files: H1, H2, Hv, local "
+        "polynomials without leakage (`--frf lpm`), periodic excitation, stepped sine by lock-in, each with "
+        "its variance; clipped samples, spikes, dropouts and leakage are reported",
     ),
     Format(
         WIDE,
@@ -168,8 +180,17 @@ FORMATS = (
         "a wide table (.csv)",
         lambda head: head.mapped or is_wide(head.text),
         options=("mapping",),
+        reads="one row a frequency and two columns a beam (`Frequency [Hz], P1 Vx Mag [mm/s], P1 Vx Phase "
+        "[deg], ...`); other names by a [mapping](#wide-tables)",
     ),
-    Format(TIDY, "", "a tidy table (.csv)", suffixes=(".csv", ".tsv", ".txt")),
+    Format(
+        TIDY,
+        "",
+        "a tidy table (.csv)",
+        suffixes=(".csv", ".tsv", ".txt"),
+        reads="commas, semicolons or tabs, decimal commas, UTF-8 or UTF-16, BOM, any line ends, quotes, `#` "
+        "comments, `sep=;`; anything else is refused with file, line and column, all faults in one message",
+    ),
 )
 
 

@@ -2,34 +2,17 @@
 
 import random
 
-import numpy as np
 import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_volume
-from tests.ct_inertia.readers import writers as f
+from tests.ct_inertia.readers.test_read import CASES
 from tests.ct_inertia.readers.writers import picture
 
-WRITERS = {
-    "a.tif": (f.imagej, {}),
-    "a.ome.tif": (f.ome, {}),
-    "lzw.tif": (f.pages, {"compression": "lzw"}),
-    "tiles.tif": (f.pages, {"tile": (16, 16), "compression": "zlib"}),
-    "a.nrrd": (f.itk, {}),
-    "zip.nrrd": (f.itk, {"packed": True}),
-    "a.mha": (f.itk, {}),
-    "zip.mha": (f.itk, {"packed": True}),
-    "a.nii": (f.itk, {}),
-    "a.nii.gz": (f.itk, {}),
-    "a.isq": (f.isq, {}),
-    "a.aim": (f.aim, {}),
-    "a30.aim": (f.aim30, {}),
-    "a.vgi": (f.vgi, {}),
-    "a.am": (f.amira, {}),
-    "folder": (f.slices, {}),
-    "v04.zarr": (f.ome_zarr, {}),
-    "v05.zarr": (f.ome_zarr, {"version": "0.5", "shards": True}),
-}
+# One scan of each ending and way to hold the voxels; raw voxels have no structure to damage.
+SCANS = {
+    (name.rpartition(".")[2], case.held): name for name, case in CASES.items() if case.raw is None
+}.values()
 WORDS = [b" ", b"-1 ", b"1e99 ", b"nan ", b"\n", b'"', b"[", b"{}", b"0 ", b"99999999 "]
 NUMBERS = [b"\xff\xff\xff\xff", bytes(4), b"\xff\xff\xff\x7f", b"9999"]
 
@@ -56,10 +39,10 @@ def damaged(data, chance):
     return bytes(content)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", SCANS)
 def test_damage_is_told(tmp_path, name, capsys):
-    write, options = WRITERS[name]
-    path = write(tmp_path / name, picture(np.int16), **options)
+    case = CASES[name]
+    path = case.write(tmp_path / name, picture(case.types[0]), **case.options)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     chance, messages = random.Random(name), []
     for attempt in range(15):

@@ -117,7 +117,7 @@ def test_a_new_format_needs_a_line_alone(tmp_path, monkeypatch):
     module.read = lambda path, options: (path, options)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(
-        "ct_inertia.readers.formats.FORMATS", (Format("new", "invented", (".new",)), *FORMATS)
+        "ct_inertia.readers.formats.FORMATS", (Format("new", "invented", "all of it", (".new",)), *FORMATS)
     )
     path, options = tmp_path / "a.new", ReadOptions(mirror="x")
     assert format_of(path).read(path, options) == (path, options)
