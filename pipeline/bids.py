@@ -20,10 +20,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ct_inertia.readers.companions import data_files
 from pipeline.cohort.about import about_of
 from pipeline.errors import PipelineError
 from pipeline.participants import PARTICIPANTS, with_participants
-from pipeline.records import with_data
 from pipeline.study import TABLES, Study, read_study
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.option_values import toml
@@ -192,15 +192,18 @@ def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> st
 
 def _target(source: Path, folder: Path, name: str, copies: dict[Path, Path]) -> Path:
     """Note a file, or a header with the files that it names, to be copied; return its new place."""
-    parts = [source] if source.is_dir() else with_data(source)
-    if len(parts) > 1:
+    data = [file for file in data_files(source) if file.is_relative_to(source.parent)]
+    if data:
         # A header names its data files: all keep their names, in a folder of the ear.
-        for part in parts:
-            copies[folder / name / part.name] = part
+        for part in (source, *data):
+            copies[folder / name / part.relative_to(source.parent)] = part
         return folder / name / source.name
     endings = source.suffixes[-2:] if source.suffix == ".gz" else source.suffixes[-1:]
     place = folder / (name if source.is_dir() else name + "".join(endings))
     copies[place] = source
+    mapping = source.with_name(source.name + ".toml")
+    if mapping.is_file():
+        copies[place.with_name(place.name + ".toml")] = mapping
     return place
 
 

@@ -1,4 +1,4 @@
-"""What a finished stage was made from and what it made, so that it is reused exactly as long as it holds."""
+"""Records of finished stages, inputs and outputs by hash: a stage is reused while they are unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from stapeskit.warnings import Notice, from_json
 FOLDER = ".stapeskit"
 SCHEMA = "stapeskit.stage/1"
 _SOURCES = {".py", ".js", ".css", ".html", ".toml"}
-_HEADERS = {".mhd", ".nhdr", ".vgi", ".log", ".hdr", ".vsr"}
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,8 @@ def fingerprint(
     """
     prints = {"stapeskit": code_hash(rooms), "packages": json.dumps(hashes.versions(), sort_keys=True)}
     for role, path in inputs.items():
-        for place, file in enumerate(() if path is None else with_data(path)):
-            prints[f"input {role}" if place == 0 else f"input {role} {file.name}"] = hashes.of(file)
+        if path is not None:
+            prints[f"input {role}"] = hashes.of(path)
     for name, value in parameters.items():
         prints[name] = _short(json.dumps(value, sort_keys=True))
     return prints
@@ -121,15 +120,6 @@ def _short(text: str) -> str:
     import xxhash
 
     return text if len(text) <= 120 else xxhash.xxh3_128_hexdigest(text.encode())
-
-
-def with_data(path: Path) -> list[Path]:
-    """Return a file with the data files that a header of its kind points to by name."""
-    path = Path(path)
-    if path.suffix.lower() not in _HEADERS:
-        return [path]
-    others = [p for p in path.parent.glob(f"{path.stem}*") if p.is_file() and p != path]
-    return [path, *sorted(others)]
 
 
 def code_hash(rooms: Iterable[str]) -> str:

@@ -33,6 +33,8 @@ class Stage:
         Packages and files whose code its outputs depend on.
     inputs : callable
         From a study to the user's files by role.
+    outputs : callable
+        From a study and its output folder to the names of the files that it may write.
     parameters : callable
         From a study and a workspace to what else its outputs depend on, JSON-able.
     run : callable
@@ -45,6 +47,7 @@ class Stage:
     table: str
     rooms: tuple[str, ...]
     inputs: Callable[[Study], Mapping[str, Path | None]]
+    outputs: Callable[[Study, Path], tuple[str, ...]]
     parameters: Callable[[Study, Workspace], dict[str, Any]]
     run: Callable[[Study, Workspace], tuple[list[str], StageReport]]
 
@@ -82,9 +85,7 @@ def inputs_of(study: Study) -> tuple[Path, ...]:
 
 def names_of_outputs(study: Study, out: Path) -> tuple[str, ...]:
     """Return the names that a study may write into its folder, the report apart."""
-    from ct_inertia.exports.output_files import labels_name, result_names
-
-    return (*result_names(labels_name(out, study.scan.labels)), *MOTION_FILES, KD_FILE)
+    return tuple(name for stage in STAGES for name in stage.outputs(study, out))
 
 
 def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
@@ -100,8 +101,10 @@ def measurement_of(study: Study, work: Workspace) -> MeasurementInputs:
     return work.once("measurement", lambda: read_inputs(motion_inputs(study.ldv)))
 
 
-def _scan_inputs(study: Study) -> dict[str, Path | None]:
-    return study.scan.inputs
+def _scan_outputs(study: Study, out: Path) -> tuple[str, ...]:
+    from ct_inertia.exports.output_files import labels_name, result_names
+
+    return result_names(labels_name(out, study.scan.labels))
 
 
 def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
@@ -171,10 +174,6 @@ def _run_motion(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     return names, StageReport(tuple(sections(result, scenery, interactive=True)), result.notices)
 
 
-def _no_inputs(_study: Study) -> dict[str, Path | None]:
-    return {}
-
-
 def _fit_parameters(study: Study, work: Workspace) -> dict[str, Any]:
     """Return what the fit depends on: the results of the stages before, without their dates."""
     keys = ("frames", "inertial_parameters", "mass_matrix", "found", "warnings")
@@ -214,7 +213,8 @@ STAGES = (
         "scan: bodies, frames, mass matrix",
         "scan",
         ("stapeskit", "ct_inertia", *_OWN_CODE),
-        _scan_inputs,
+        lambda study: study.scan.inputs,
+        _scan_outputs,
         _scan_parameters,
         _run_scan,
     ),
@@ -224,6 +224,7 @@ STAGES = (
         "ldv",
         ("stapeskit", "kinematics", *_OWN_CODE),
         _motion_inputs,
+        lambda _study, _out: MOTION_FILES,
         _motion_parameters,
         _run_motion,
     ),
@@ -232,7 +233,8 @@ STAGES = (
         "fit: stiffness and damping",
         "fit",
         ("stapeskit", "fitting", *_OWN_CODE),
-        _no_inputs,
+        lambda _study: {},
+        lambda _study, _out: (KD_FILE,),
         _fit_parameters,
         _run_fit,
     ),

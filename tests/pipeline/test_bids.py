@@ -31,8 +31,9 @@ def studies(tmp_path):
         folder = tmp_path / side
         folder.mkdir()
         (folder / "study.toml").write_text(STUDY.format(side=side))
-        for name in ("scan.mhd", "scan.raw", "a.csv", "b.csv", "points.csv"):
+        for name in ("voxels.raw", "a.csv", "a.csv.toml", "b.csv", "points.csv"):
             (folder / name).write_text(f"{side} {name}")
+        (folder / "scan.mhd").write_text("NDims = 3\nDimSize = 2 2 2\nElementDataFile = voxels.raw\n")
     return [tmp_path / side / "study.toml" for side in ("left", "right")]
 
 
@@ -48,7 +49,9 @@ def test_a_dataset_holds_what_the_studies_name(studies, tmp_path):
             assert after.read_text() == before.read_text()
             assert after.is_relative_to(target.parent / "ldv")
         assert new.scan.scan.read_text() == old.scan.scan.read_text()
-        assert new.scan.scan.with_name("scan.raw").exists()
+        assert new.scan.scan.with_name("voxels.raw").exists()
+        mapped = new.ldv.files[0]
+        assert mapped.with_name(f"{mapped.name}.toml").exists()
     assert json.loads((dataset / "dataset_description.json").read_text())["DatasetType"] == "raw"
     assert (dataset / "participants.tsv").read_text().splitlines()[1] == "sub-TB12\t61.0\tn/a\tn/a"
     assert write_dataset(studies, dataset) == written

@@ -2,6 +2,7 @@
 
 import pytest
 
+from ct_inertia.readers.companions import with_data_files
 from pipeline import records
 from stapeskit.provenance import Hashes
 
@@ -38,13 +39,16 @@ def test_input_parameters_and_code_each_change_it(package):
 
 
 def test_data_beside_a_header_count(package):
-    (package / "scan.mhd").write_text("ElementDataFile = scan.raw\n")
-    (package / "scan.raw").write_bytes(b"1")
-    first = mark(package, name="scan.mhd")
-    (package / "scan.raw").write_bytes(b"2")
-    assert records.StageRecord("scan", first, {}, 0.0).changes(mark(package, name="scan.mhd")) == [
-        "input scan scan.raw"
-    ]
+    header, data = package / "scan.mhd", package / "voxels.raw"
+    header.write_text("NDims = 3\nDimSize = 2 2 2\nElementDataFile = voxels.raw\n")
+    data.write_bytes(b"1")
+
+    def mark():
+        return records.fingerprint(["room"], with_data_files({"scan": header}), {}, Hashes())
+
+    first = mark()
+    data.write_bytes(b"2")
+    assert records.StageRecord("scan", first, {}, 0.0).changes(mark()) == ["input scan_data"]
 
 
 def test_long_settings_are_kept_as_a_hash(package):
