@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # Published stiffness of the human annular ligament in piston direction, N/m.
 PISTON_RANGE = (120.0, 3200.0)
-# Human stapedes weigh 2 to 4.5 mg; outside this range a mass is one in another unit, or of something else.
+# Masses of human stapedes; outside the wider range a mass is one in another unit, or of something else.
+_HUMAN_KG = (2e-6, 4.5e-6)
 _MASS_RANGE_KG = (0.5e-6, 10e-6)
 # Half length and half width of a human footplate, mm: radii of gyration about x, z lie below its size.
 _GYRATION_RANGE_MM = (0.2, 4.0)
@@ -239,7 +240,8 @@ def _mass(fit: KDFit) -> list[Notice]:
         Notice(
             "implausible_mass",
             f"The mass matrix gives the {fit.options.structure} {MASS.text(mass_kg, '.3g')}; human ones "
-            "weigh 2 to 4.5 mg. K and D grow in proportion to it: check that M is in SI units (kg, kg m, "
-            f"kg m2), or name the body by {named('structure')} if it is no stapes.",
+            f"weigh {MASS.of(_HUMAN_KG[0]):g} to {MASS.text(_HUMAN_KG[1])}. K and D grow in proportion to "
+            "it: check that M is in SI units (kg, kg m, kg m2), or name the body by "
+            f"{named('structure')} if it is no stapes.",
         )
     ]

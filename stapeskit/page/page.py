@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stapeskit.page.numbers import plus_minus, printed
-from stapeskit.page.quantities import ShownUnit
+from stapeskit.page.quantities import MASS, ShownUnit
 from stapeskit.process import is_command
 from stapeskit.warnings import Notice
 
@@ -37,7 +37,7 @@ _PARTS = Path(__file__).with_name("parts")
 # Tables of so few rows are not broken between two printed pages.
 _FEW_ROWS = 14
 # Numbers within words, which no line may break: 3.1e-09, 1734 ± 17 N/m, (1.38 ± 0.03)·10⁻³, 0.11 %
-_UNIT = r" (?:%|°|[µm]?m|Hz|mg|N/m)(?!\w)"
+_UNIT = rf" (?:%|°|[µm]?m|Hz|{MASS.symbol}|N/m)(?!\w)"
 _NUMBER = re.compile(
     r"(?<![\w.])(\([-+]?\d[\d.]* ± \d[\d.]*\)·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|[-+]?\d[\d.]*e[-+]\d+"
     rf"|[-+]?\d[\d.]* ± \d[\d.]*(?:{_UNIT})?|[-+]?\d[\d.]*{_UNIT})"
