@@ -6,6 +6,8 @@ from pathlib import Path
 
 from svg import BEAM, BLUE, EDGE, GREEN, INK, PLASTIC, RED, SOFT, Drawing, stapes
 
+from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
+
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "conventions.svg"
 
 
@@ -39,7 +41,8 @@ def footplate(drawing: Drawing) -> None:
     drawing.text(x + 8, 128, "y lateral, towards the head", GREEN)
     drawing.text(x + 100, y + 24, "x anterior, long axis", RED)
     drawing.text(x - 12, y + 30, "z superior\n(right ear: inferior)", BLUE, "end")
-    drawing.text(20, 60, "origin: centroid of the\nmedial face (normals\nwithin 60° of −y)", SOFT)
+    cone = f"within {FACE_ANGLE_DEG:g}° of −y"
+    drawing.text(20, 60, f"origin: centroid of the\nmedial face (normals\n{cone})", SOFT)
     drawing.line((100, 112, x - 8, y - 6), SOFT, 1)
     drawing.path(f"M{x + 62} {y - 10}A62 62 0 0 0 {x + 20} {y - 58}", "none", BLUE, 2)
     drawing.line((x + 24, y - 57, x + 18, y - 59), BLUE, 2, head=True)

@@ -1,7 +1,8 @@
 """The footplate frame: centre of the medial face, piston direction, long axis, with their covariance.
 
 The definition. On the surface, let n be the outward normals diffused over 0.05 mm, and for a direction y
-let the medial face F(y) be the connected part of the footplate where n lies within 60 degrees of -y. Then
+let the medial face F(y) be the connected part of the footplate where n lies within 60 degrees of -y
+(`FACE_ANGLE_DEG`). Then
 
 * y is the normal of the robust plane of F(y), pointing into the body (lateral, towards the head): a fixed
   point, found by iteration;
@@ -146,7 +147,7 @@ def _frame_of(solved: Solved) -> RigidTransform:
 def _solved(
     surface: SurfaceLike, hints: AnatomyHints, blur_mm: float
 ) -> tuple[Mesh, Solved, str, list[Notice]]:
-    """Return the surface, the solution with the sign of x, what decided that, and what to say."""
+    """Return the surface, the solution with the sign of x, the hint that decided it, and warnings."""
     check_head(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces), hints)
     mesh = Mesh(np.asarray(surface.vertices_mm, dtype=float), np.asarray(surface.faces, dtype=np.intp))
     extent = _extent(mesh)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
 from ct_inertia.frames.footplate import footplate_frame
+from ct_inertia.frames.footplate_face import FACE_ANGLE_DEG
 from ct_inertia.surface.surface import Surface
 from stapeskit.frames import rotation_from_vector, vector_from_rotation
 from tests.ct_inertia.shapes import PARTS, box, moved, outward, signed_permutations, stapes
@@ -218,3 +220,9 @@ class TestBodiesThatAreNoStapes:
         level = np.maximum(np.hypot(grid[..., 0], grid[..., 1]) - 1.2, np.abs(grid[..., 2] - 0.02) - 0.6)
         vertices, faces, _, _ = marching_cubes(level, 0.0)
         assert "long_axis_weak" in codes(footplate_frame(outward(vertices * 0.1 - 1.5, faces)))
+
+
+@pytest.mark.parametrize("name", ["conventions.md", "conventions.svg"])
+def test_the_pages_state_the_cone_of_the_definition(name):
+    page = Path(__file__).parents[2] / "docs" / name
+    assert f"within {FACE_ANGLE_DEG:g}° of −y" in page.read_text(encoding="utf-8")
