@@ -62,17 +62,19 @@ def kd_sections(fit: KDFit, outline_mm: Array | None = None, gap_mm: WithSd | No
     gap_mm : WithSd, optional
         Width of the gap around the footplate.
     """
-    sections = [_responses(fit), _matrices(fit), modes_section(fit, outline_mm)]
-    if fit.ligament is not None:
-        sections.insert(2, ligament_section(fit, fit.ligament))
-    if fit.diagnosis is not None:
-        sections.insert(1, causes_section(fit, fit.diagnosis))
-    axes = _axes(fit, outline_mm, gap_mm)
-    if axes is not None:
-        sections.append(axes)
-    if fit.frequency is not None:
-        sections.append(_frequency(fit.frequency))
-    return [*sections, _budget(fit), _residuals(fit), _identifiability(fit)]
+    sections = [
+        _responses(fit),
+        None if fit.diagnosis is None else causes_section(fit, fit.diagnosis),
+        _matrices(fit),
+        None if fit.ligament is None else ligament_section(fit, fit.ligament),
+        modes_section(fit, outline_mm),
+        _axes(fit, outline_mm, gap_mm),
+        None if fit.frequency is None else _frequency(fit.frequency),
+        _budget(fit),
+        _residuals(fit),
+        _identifiability(fit),
+    ]
+    return [section for section in sections if section is not None]
 
 
 def kd_page(
