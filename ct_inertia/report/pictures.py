@@ -15,6 +15,7 @@ from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
+from stapeskit.page.shading import View, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,22 +29,7 @@ _PIXELS = 720
 _MARGIN = 1.22
 
 
-@dataclass(frozen=True)
-class View:
-    """One side to look from: what points right, up and to the eye, (3,) each in footplate axes."""
-
-    right: Array
-    up: Array
-    eye: Array
-
-    @property
-    def matrix(self) -> Array:
-        """Rows right, up, eye: footplate coordinates to picture coordinates, (3, 3)."""
-        return np.stack([self.right, self.up, self.eye])
-
-
-_X, _Y, _Z = np.eye(3)
-VIEWS: tuple[View, ...] = (View(_X, _Y, _Z), View(-_Z, _Y, _X), View(_X, -_Z, _Y))
+VIEWS = views()
 
 
 @dataclass(frozen=True)
@@ -104,7 +90,7 @@ def render_scenes(scenes: Sequence[Scene]) -> list[bytes]:
 def _picture_from_scan(frame: RigidTransform, view: View) -> Array:
     """Return the 4x4 that maps scan coordinates to right, up and towards the eye, in mm."""
     turn = np.eye(4)
-    turn[:3, :3] = view.matrix
+    turn[:3, :3] = view.axes
     return np.asarray(turn @ frame.inverse().matrix)
 
 
@@ -124,7 +110,7 @@ def _framing(scene: Scene) -> tuple[list[Array], float]:
             corners = np.vstack([corners, origin, tips])
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * float(np.ptp(corners, axis=0).max()) * _MARGIN
-    return [view.matrix[:2] @ middle for view in VIEWS], half
+    return [view.axes[:2] @ middle for view in VIEWS], half
 
 
 def draw_scene(scene: Scene) -> Figure:
@@ -173,20 +159,16 @@ def draw_scene(scene: Scene) -> Figure:
     return drawing
 
 
-def _end(direction: Array) -> str:
-    """Return the key (``+x`` ... ``-z``) of an axis direction."""
-    axis = int(np.argmax(np.abs(direction)))
-    return ("+" if direction[axis] > 0 else "-") + "xyz"[axis]
-
-
 def _directions(axes: Axes, view: View, names: dict[str, str]) -> None:
     """Write what lies to the right, left, top and bottom of a panel, and from where it is seen."""
     style: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 8.5, "color": "#5d6b7a"}
-    axes.text(0.985, 0.5, names[_end(view.right)], ha="right", va="center", rotation=90, **style)
-    axes.text(0.015, 0.5, names[_end(-view.right)], ha="left", va="center", rotation=90, **style)
-    axes.text(0.5, 0.985, names[_end(view.up)], ha="center", va="top", **style)
-    axes.text(0.5, 0.015, names[_end(-view.up)], ha="center", va="bottom", **style)
-    axes.set_title(f"seen from {names[_end(view.eye)]}", fontsize=10)
+    right, up = names[view.right], names[view.up]
+    left, down = (names["-+"[end[0] == "-"] + end[1]] for end in (view.right, view.up))
+    axes.text(0.985, 0.5, right, ha="right", va="center", rotation=90, **style)
+    axes.text(0.015, 0.5, left, ha="left", va="center", rotation=90, **style)
+    axes.text(0.5, 0.985, up, ha="center", va="top", **style)
+    axes.text(0.5, 0.015, down, ha="center", va="bottom", **style)
+    axes.set_title(f"seen from {names[view.eye]}", fontsize=10)
 
 
 def _triad(
@@ -199,8 +181,8 @@ def _triad(
 ) -> None:
     """Draw the three axes of a frame; one that points at the eye or away is a ring with a dot or a cross."""
     inside = footplate.inverse()
-    origin = view.matrix @ inside.points(scan_from_frame.translation_mm)
-    tips = (inside.rotation @ scan_from_frame.rotation).T @ view.matrix.T
+    origin = view.axes @ inside.points(scan_from_frame.translation_mm)
+    tips = (inside.rotation @ scan_from_frame.rotation).T @ view.axes.T
     dashes = "--" if mark else "-"
     for axis in np.argsort(tips[:, 2]):
         colour, tip = AXIS_COLOURS[axis], tips[axis]

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.frames import axis_vector
+from stapeskit.page.depth_buffer import Pixels, fragments, nearest, vertex_normals
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _BONE = np.array([0.93, 0.89, 0.80])
 _LIGHT = np.array([-0.45, 0.55, 0.70])
-# Samples a pixel along each axis, and along the edge of a triangle.
+# Finer pixels along each side of a pixel, which smooth the edges.
 _FINER = 2
-_MOST_SAMPLES = 64
 
 
 @dataclass(frozen=True)
@@ -87,27 +87,17 @@ def shade(vertices_mm: Array, faces: Faces, view: View, pixels: int = 380) -> Sh
     view : View
     pixels : int
         Along the longer side of the picture.
-
-    Notes
-    -----
-    Triangles are sampled more densely than the pixels lie and sorted by nearness; pixels are halved
-    afterwards, which smooths the edges.
     """
     flat = view.flat(np.asarray(vertices_mm, dtype=float))
     low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
     pixel = float(np.max(high - low)) / pixels or 1.0
     low = low - 2.0 * pixel
     columns, rows = (int(np.ceil(side / pixel)) + 2 for side in (high - low))
-    light = _vertex_light(flat, faces)
-    place, near, bright = _samples(flat, faces, light, low, pixel / _FINER)
-    width, height = columns * _FINER, rows * _FINER
-    steps = (near - near.min()) * (65535.0 / max(float(np.ptp(near)), 1e-300))
-    order = np.argsort(steps.astype(np.uint16), kind="stable")
-    cell = ((height - 1 - place[order, 1]) * width + place[order, 0]).astype(np.int64)
-    tone = np.full(height * width, np.nan)
-    depth = np.full(height * width, -np.inf)
-    tone[cell], depth[cell] = bright[order], near[order]
-    tone, depth = _closed(tone.reshape(height, width), depth.reshape(height, width))
+    shape = rows * _FINER, columns * _FINER
+    place, near, face, shares = _visible(flat, faces, low, pixel / _FINER, shape)
+    tone, depth = np.full(shape, np.nan), np.full(shape, -np.inf)
+    tone.flat[place] = np.sum(shares * _vertex_light(flat, faces)[faces[face]], axis=1)
+    depth.flat[place] = near
     image, depth = _halved(tone, depth)
     right, top = low[0] + columns * pixel, low[1] + rows * pixel
     return Shaded(image, depth, (float(low[0]), float(right), float(low[1]), float(top)))
@@ -133,10 +123,9 @@ def silhouette(vertices_mm: Array, faces: Faces, view: View, pixels: int = 220) 
     pixel = float(np.max(high - low)) / pixels or 1.0
     low = low - 3.0 * pixel
     columns, rows = (int(np.ceil(side / pixel)) + 4 for side in (high - low))
-    place = _samples(flat, faces, np.zeros(len(flat)), low, pixel)[0]
     covered = np.zeros((rows, columns))
-    covered[place[:, 1], place[:, 0]] = 1.0
-    padded = np.pad(covered, 1)
+    covered.flat[_visible(flat, faces, low, pixel, (rows, columns))[0]] = 1.0
+    padded = np.pad(covered[::-1], 1)
     parts = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
     smooth = sum(parts, np.zeros_like(covered)) / 9.0
     return low[0] + (np.arange(columns) + 0.5) * pixel, low[1] + (np.arange(rows) + 0.5) * pixel, smooth
@@ -144,53 +133,25 @@ def silhouette(vertices_mm: Array, faces: Faces, view: View, pixels: int = 220) 
 
 def _vertex_light(flat: Array, faces: Faces) -> Array:
     """Return the brightness of every vertex, (n,), 0 to 1, from normals averaged over its triangles."""
-    corner = flat[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    owner = faces.ravel()
-    total = [np.bincount(owner, np.repeat(normal[:, k], 3), len(flat)) for k in range(3)]
-    mean = np.column_stack(total)
+    mean = vertex_normals(flat, faces)
     mean = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
     lit = np.clip(mean @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     facing = np.clip(mean[:, 2], 0.0, 1.0)
     return np.asarray(0.30 + 0.50 * lit + 0.20 * facing)
 
 
-def _samples(
-    flat: Array, faces: Faces, light: Array, low: Array, pixel: float
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return pixel (k, 2), nearness (k,) and brightness (k,) of samples of triangles facing the reader."""
-    corner = flat[faces]
-    edge_a, edge_b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    facing = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0] > 0.0
-    faces, corner = faces[facing], corner[facing]
-    edges = corner - np.roll(corner, 1, axis=1)
-    longest = np.sqrt(np.max(np.sum(edges[:, :, :2] ** 2, axis=2), axis=1)) / pixel
-    parts = np.clip(np.ceil(longest), 1, _MOST_SAMPLES).astype(int)
-    places, nears, brights = [], [], []
-    for count in np.unique(parts):
-        own = parts == count
-        i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
-        inside = (i + j) <= count
-        weight = np.column_stack([i[inside], j[inside], count - i[inside] - j[inside]]) / count
-        at = (weight @ corner[own]).reshape(-1, 3)
-        places.append(np.floor((at[:, :2] - low) / pixel).astype(np.int64))
-        nears.append(at[:, 2])
-        brights.append((light[faces[own]] @ weight.T).ravel())
-    return np.concatenate(places), np.concatenate(nears), np.concatenate(brights)
-
-
-def _closed(tone: Array, depth: Array) -> tuple[Array, Array]:
-    """Fill single empty pixels that have filled ones on opposite sides."""
-    padded, deep = np.pad(tone, 1, constant_values=np.nan), np.pad(depth, 1, constant_values=-np.inf)
-    empty = np.isnan(tone)
-    for first, second in (((0, 1), (2, 1)), ((1, 0), (1, 2))):
-        rows, columns = tone.shape
-        a, b = (padded[r : r + rows, c : c + columns] for r, c in (first, second))
-        near = np.minimum(*(deep[r : r + rows, c : c + columns] for r, c in (first, second)))
-        fill = empty & ~np.isnan(a) & ~np.isnan(b)
-        tone = np.where(fill, 0.5 * (a + b), tone)
-        depth = np.where(fill, near, depth)
-    return tone, depth
+def _visible(
+    flat: Array, faces: Faces, low: Array, pixel: float, shape: tuple[int, int]
+) -> tuple[Pixels, Array, Pixels, Array]:
+    """Return what is seen of triangles that face the eye: pixel, nearness, triangle, corner shares."""
+    corners = flat.copy()
+    corners[:, 0] = (flat[:, 0] - low[0]) / pixel - 0.5
+    corners[:, 1] = shape[0] - 0.5 - (flat[:, 1] - low[1]) / pixel
+    a, b, c = (flat[faces[:, k], :2].T for k in range(3))
+    facing = np.flatnonzero((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
+    place, near, face, shares = fragments(corners[faces[facing]], shape)
+    seen = nearest(place, near, shape[0] * shape[1])
+    return place[seen], near[seen], facing[face[seen]], shares[seen]
 
 
 def _halved(tone: Array, depth: Array) -> tuple[Array, Array]:

@@ -65,7 +65,7 @@ def expected_mask(view_axes, centre, half, pixels):
 def test_each_view_shows_the_exact_silhouette(scene, smooth):
     pixels = 200
     for view, (bodies, matrix, centre, half) in zip(VIEWS, panels(scene), strict=True):
-        truth = expected_mask((view.right, view.up), centre, half, pixels)
+        truth = expected_mask(view.axes[:2], centre, half, pixels)
         drawn = [replace(body, smooth=smooth) for body in bodies]
         picture = rasterise(drawn, matrix, centre, half, pixels)
         assert picture.shape == (pixels, pixels, 3)
@@ -114,7 +114,8 @@ def test_triangles_beyond_the_picture_and_without_area_do_no_harm():
 
 def test_views_are_right_handed():
     for view in VIEWS:
-        np.testing.assert_array_equal(np.cross(view.right, view.up), view.eye)
+        right, up, eye = view.axes
+        np.testing.assert_array_equal(np.cross(right, up), eye)
 
 
 def test_anatomy_is_named_only_when_known(scene):
