@@ -6,4 +6,4 @@ from stapeskit.faults import StapeskitError
 
 
 class CtInertiaError(StapeskitError):
-    """A fault in a volume, a segmentation, a surface or what was said about them."""
+    """A fault in a volume, a segmentation, a surface, or in the options about them."""

@@ -91,9 +91,9 @@ def verdict(kd: Mapping[str, Any], notices: Iterable[Notice]) -> Verdict:
 def _beyond(kd: Mapping[str, Any], letter: str, share: float = _MOST_RELATIVE_SD) -> list[str]:
     """Return the entries on the diagonal whose standard deviation is above a share of their value."""
     key = {"K": "stiffness", "D": "damping"}[letter]
-    found = []
+    names = []
     for place, dof in enumerate(kd["dof"]):
         value, sd = kd[f"{key}_si"][place][place], kd[f"{key}_sd_si"][place][place]
         if sd is not None and sd > share * abs(value):
-            found.append(f"{letter}({dof})")
-    return found
+            names.append(f"{letter}({dof})")
+    return names

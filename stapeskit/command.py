@@ -18,7 +18,7 @@ from stapeskit.warnings import Notice
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command has to tell: table rows (label, text), notices, files written, the full result."""
+    """The result of a command: table rows (label, text), warnings, files written, the full result."""
 
     title: str
     rows: Sequence[tuple[str, str]]

@@ -15,7 +15,7 @@ _TOKEN = re.compile(r'"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}]')
 
 
 def is_finite_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a number that a float can hold; whole ones may have any length."""
+    """Return whether a value is a number that a float can hold; whole ones may have any length."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 

@@ -204,7 +204,7 @@ def _same_thing(fault: Fault) -> Hashable:
 
 
 def _same_kind(fault: Fault) -> Hashable:
-    """Return what faults share that differ in their thing, place and value."""
+    """Return the fields that are equal in faults with different things, places and values."""
     return fault.expected or fault.thing, fault.next_step
 
 

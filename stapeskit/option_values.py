@@ -123,7 +123,7 @@ def read_path(value: Any) -> Path:
 
 
 def is_known(path: Path, look: Callable[[Path], bool]) -> bool:
-    """Return what the system says of a path; a name that it cannot look up is unfit."""
+    """Return the answer of the system about a path; a name that it cannot look up is unfit."""
     try:
         return look(path)
     except OSError as fault:

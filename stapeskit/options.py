@@ -166,7 +166,7 @@ class Values:
 
 @dataclass(frozen=True)
 class Rule:
-    """What options must not say together.
+    """A contradiction between options.
 
     Attributes
     ----------

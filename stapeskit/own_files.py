@@ -167,7 +167,7 @@ class OutputSet:
         return "Name another folder" if by_word else "Choose another place with --out"
 
     def _own(self, name: str, recorded: Mapping[str, Collection[str]]) -> bool:
-        """Tell whether a file is as the command wrote it."""
+        """Return whether a file is as the command wrote it."""
         if name.startswith(f"{RECORDS}/"):
             return True
         path = self.folder / name
@@ -180,7 +180,7 @@ class OutputSet:
         return False
 
     def _settle(self, kept: Collection[str], stage: Path) -> Callable[[], None] | None:
-        """Check and record what is about to appear; return what remains to be done when it has appeared."""
+        """Check and record the new outputs before they appear; return the work left for when they have."""
         hashes = {
             path.relative_to(stage).as_posix(): self.hash_of(path)
             for path in sorted(stage.rglob("*"))

@@ -29,7 +29,7 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class _State:
-    """What the threads of this process know of its end."""
+    """How this process is to end, shared by its threads."""
 
     prog = "stapeskit"
     interrupted = False

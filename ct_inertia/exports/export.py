@@ -1,4 +1,4 @@
-"""Choose formats by name, write them, and say in which units and coordinates each stands."""
+"""Choose formats by name, write them, and state the units and coordinates of each."""
 
 from __future__ import annotations
 

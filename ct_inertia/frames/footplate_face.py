@@ -57,7 +57,7 @@ class Face:
 
 @dataclass(frozen=True)
 class Region:
-    """The part of the surface around the footplate: ``points`` (n, 3) are where it stands without the blur.
+    """The part of the surface around the footplate: ``points`` (n, 3) are corrected for the blur.
 
     ``normals`` and ``smoother`` (n, 3) are its normals on the scale of the definition and on the next one;
     ``grain_mm`` is the standard deviation of what its grid takes of short waves, ``edge_mm`` the length of
@@ -139,7 +139,7 @@ def region_around(mesh: Mesh, outward: Array, depth_mm: float, extent_mm: float,
 
 
 def without_blur(diffusion: Diffusion, blur_mm: float) -> Array:
-    """Return the vertices (n, 3) moved along the normals to where the surface stands without the blur."""
+    """Return the vertices (n, 3) corrected for the blur, by a shift along the normals."""
     normals = unit(diffusion.normals())
     return np.asarray(diffusion.mesh.points + sunk_by_blur(diffusion, blur_mm, normals)[:, None] * normals)
 
@@ -172,12 +172,12 @@ def _face(cone: _Cone, y_axis: Array, cosine: float) -> Face:
     return Face(patch, centres, patch.areas, patch.areas @ centres / patch.areas.sum())
 
 
-def _no_face(found: str) -> CtInertiaError:
+def _no_face(got: str) -> CtInertiaError:
     return CtInertiaError(
         Fault(
             "the surface",
             "a stapes with a footplate: a near-planar face at one end",
-            f"no object that can be a stapes: {found}",
+            f"no object that can be a stapes: {got}",
             next_step="Check the segmentation or the mesh, or correct it with {seed} or {labels}",
         )
     )

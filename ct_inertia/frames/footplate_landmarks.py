@@ -51,7 +51,7 @@ def check_head(vertices_mm: Array, faces: NDArray[np.integer], hints: AnatomyHin
 
 
 def contradiction(origin_mm: Array, axes: Array, hints: AnatomyHints) -> Fault | None:
-    """Return what landmarks say against a footplate, or None.
+    """Return how landmarks contradict a footplate, or None.
 
     Parameters
     ----------

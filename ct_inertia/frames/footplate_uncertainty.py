@@ -124,7 +124,7 @@ def _remaining_blur(blur_mm: float, heights: Array) -> Array:
 
 
 def _unknown_blur(resolution_mm: float) -> Array:
-    """Return what a blur that nobody told may do, (6, 6), SI: the curved face sinks or rises and tilts.
+    """Return the covariance (6, 6), SI, from an unknown point spread: it shifts and tilts the curved face.
 
     Notes
     -----

@@ -206,7 +206,7 @@ def _left_by(
 
 
 def _ends(face: PlaneFace, other: PlaneFace) -> bool:
-    """Say whether another face bounds this one: at a fair angle, and with nearly all of it inside.
+    """Return whether another face bounds this one: at a fair angle, and with nearly all of it inside.
 
     What looks like a narrow face at a smaller angle is an edge rounded by the blur.
     """
@@ -216,7 +216,7 @@ def _ends(face: PlaneFace, other: PlaneFace) -> bool:
 
 
 def _covered(face: PlaneFace, points: Array) -> NDArray[np.bool_]:
-    """Say which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
+    """Return which points lie on the face as seen: in cells of 0.1 mm with samples, or between such."""
     # The grid lies about the middle of the face, so that one sample at the rim does not shift every cell.
     cells = np.floor((face.samples_mm - face.point_mm) @ face.basis / _CELL_MM).astype(int)
     start = cells.min(axis=0) - 2
@@ -296,14 +296,14 @@ def _darkest(squares: NDArray[np.intp], means: Array, spread: float) -> float:
 
 
 def _clean(means: Array, level: float, spread: float) -> NDArray[np.bool_]:
-    """Say in which columns the mean at one end is that of the material, but for noise."""
+    """Return in which columns the mean at one end equals that of the material within noise."""
     return np.asarray(np.isnan(means) | (np.abs(means - level) <= _DIRT * spread))
 
 
 def _alone(
     squares: NDArray[np.intp], means: Array, level: float, spread: float
 ) -> tuple[NDArray[np.bool_], float]:
-    """Say in which columns nothing lies at the end, and how much may lie there unseen.
+    """Return the columns whose end is empty, and how much material noise may hide there.
 
     By means over squares of columns: single ones are too noisy to tell the foot of the blur of bone near by.
     """

@@ -24,7 +24,7 @@ _COVERED_RAD = calibrated("plate_covered.tilt_rad")
 def covered_face(
     main: PlaneFace, faces: Sequence[PlaneFace], near: PlateFace | None, volume: Volume, sigma_mm: float
 ) -> tuple[PlaneFace, tuple[Notice, ...]]:
-    """Place a face that shows too little of itself to be fitted where it shows beside the stapes.
+    """Place a face whose visible part is too small for a fit at its visible voxels next to the stapes.
 
     Parameters
     ----------

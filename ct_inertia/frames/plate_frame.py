@@ -129,7 +129,7 @@ def plate_frame(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _PlatePose:
     """A frame built from planes: axes (3, 3), origin (3,), corners (n, 3) and the plane behind each edge."""
 
     axes: Array
@@ -184,7 +184,7 @@ def _sides(faces: Sequence[PlaneFace], main: PlaneFace) -> list[PlaneFace]:
 
 
 def _beside_one(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
-    """Say whether a face is but the rounded edge of a larger one."""
+    """Return whether a face is only the rounded edge of a larger one."""
     return any(
         face.normal @ other.normal > _LIKE
         and abs(float(np.median(other.distance(face.samples_mm)))) < _ROUNDING_MM
@@ -194,7 +194,7 @@ def _beside_one(face: PlaneFace, kept: Sequence[PlaneFace]) -> bool:
 
 def _frame(
     main: PlaneFace, sides: Sequence[PlaneFace], along: int | None = None, weights: Array | None = None
-) -> _Found:
+) -> _PlatePose:
     """Build the frame from the planes; ``along`` names the side whose edge gives x, with others by weight."""
     normal = main.normal
     u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
@@ -217,7 +217,7 @@ def _frame(
     axes = axes_matrix(positive_sense(direction), normal)
     corners = main.point_mm + polygon @ plane.T
     origin = main.point_mm + plane @ _centroid(polygon)
-    return _Found(axes, origin, corners, np.where(edge, lengths, 0.0), owners, along)
+    return _PlatePose(axes, origin, corners, np.where(edge, lengths, 0.0), owners, along)
 
 
 def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, weights: Array) -> Array:
@@ -235,27 +235,27 @@ def _mean_direction(normal: Array, sides: Sequence[PlaneFace], first: Array, wei
     return total
 
 
-def _agreeing(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found) -> Array:
-    """Return the weights (n,) with which the sides tell the direction of x; they sum to 1.
+def _agreeing(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose) -> Array:
+    """Return the weight (n,) of each side in the mean direction of x; they sum to 1.
 
-    A side that is parallel or square to the longest edge within what is known of both says the same as it,
-    and counts by its precision; others do not count.
+    Sides parallel or perpendicular to the longest edge, within their uncertainty, are weighted by the inverse
+    of their variance; the others have weight 0.
     """
     weights = np.zeros(len(sides))
-    if found.along < 0:
+    if pose.along < 0:
         return weights
-    first = np.cross(main.normal, sides[found.along].normal)
+    first = np.cross(main.normal, sides[pose.along].normal)
     first = first / np.linalg.norm(first)
     variances = np.array([_turn_variance(main, side) for side in sides])
     for place, side in enumerate(sides):
-        one = np.zeros(len(sides))
-        one[place] = 1.0
-        edge = _mean_direction(main.normal, sides, first, one)
+        alone = np.zeros(len(sides))
+        alone[place] = 1.0
+        edge = _mean_direction(main.normal, sides, first, alone)
         angle = float(np.arcsin(np.clip(np.cross(first, edge) @ main.normal, -1.0, 1.0)))
-        limit = _AGREEING_SD * float(np.sqrt(variances[place] + variances[found.along]))
+        limit = _AGREEING_SD * float(np.sqrt(variances[place] + variances[pose.along]))
         if not side.at_border and abs(angle) <= min(limit, _AGREEING_RAD):
             weights[place] = 1.0 / max(variances[place], 1e-16)
-    weights[found.along] = 1.0 / max(variances[found.along], 1e-16)
+    weights[pose.along] = 1.0 / max(variances[pose.along], 1e-16)
     return np.asarray(weights / weights.sum())
 
 
@@ -337,7 +337,7 @@ def _centroid(polygon: Array) -> Array:
     return np.asarray(np.array([(x + x2) @ cross, (y + y2) @ cross]) / (3.0 * cross.sum()))
 
 
-def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found, weights: Array) -> Array:
+def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], pose: _PlatePose, weights: Array) -> Array:
     """Carry the covariance of every plane to the frame by finite differences, (6, 6), m and rad."""
     covariance = np.zeros((6, 6))
     planes = [main, *sides]
@@ -348,23 +348,23 @@ def _propagated(main: PlaneFace, sides: Sequence[PlaneFace], found: _Found, weig
         for step in np.eye(3) * _STEP:
             moved = [*planes]
             moved[place] = plane.moved(step)
-            columns.append(_displacement(found, _frame(moved[0], moved[1:], found.along, weights)) / _STEP)
+            columns.append(_displacement(pose, _frame(moved[0], moved[1:], pose.along, weights)) / _STEP)
         jacobian = np.column_stack(columns)
         covariance += jacobian @ plane.covariance @ jacobian.T
-    if found.along < 0:
+    if pose.along < 0:
         covariance[4, 4] += _UNKNOWN_TURN_RAD**2
     return covariance
 
 
-def _displacement(base: _Found, moved: _Found) -> Array:
+def _displacement(base: _PlatePose, moved: _PlatePose) -> Array:
     shift = base.axes.T @ (moved.origin - base.origin) * 1e-3
     return np.concatenate([shift, vector_from_rotation(base.axes.T @ moved.axes)])
 
 
-def _notices(found: _Found, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
+def _notices(pose: _PlatePose, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
     notices = []
-    listed = ", ".join(f"{value:+.3f}" for value in found.axes[:, 0])
-    if found.along < 0:
+    listed = ", ".join(f"{value:+.3f}" for value in pose.axes[:, 0])
+    if pose.along < 0:
         text = (
             "No straight edge of the plate is in the scan: x of the plate frame is scan x laid into it, "
             f"and its turn about y says nothing about the plate. Give {named('plate_fiducials')}."
@@ -377,14 +377,14 @@ def _notices(found: _Found, sides: Sequence[PlaneFace]) -> tuple[Notice, ...]:
             f"{named('plate_fiducials')}."
         )
         notices.append(Notice("plate_axis_sign", text))
-        own = found.owners == found.along
-        across = sides[found.along].normal
+        own = pose.owners == pose.along
+        across = sides[pose.along].normal
         other = [
             length
-            for length, owner in zip(found.lengths, found.owners, strict=True)
+            for length, owner in zip(pose.lengths, pose.owners, strict=True)
             if owner >= 0 and abs(sides[owner].normal @ across) < 0.7
         ]
-        ratio = max(other, default=0.0) / float(found.lengths[own].max())
+        ratio = max(other, default=0.0) / float(pose.lengths[own].max())
         if ratio > _AMBIGUOUS:
             text = (
                 f"Two edges of the plate are nearly equally long (ratio {ratio:.3f}): which of them is x is "

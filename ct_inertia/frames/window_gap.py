@@ -112,16 +112,16 @@ def window_gap(
     share = float(np.mean(there))
     if share < _LEAST_SHARE:
         return None
-    found = along[there]
-    median = float(np.median(found))
+    widths = along[there]
+    median = float(np.median(widths))
     sd = _deviation(float(np.median(lifted[there])), median, wall)
     if sd > _MOST_SD * median:
         return None
     return WindowGap(
         median_mm=median,
         sd_mm=sd,
-        harmonic_mm=float(1.0 / np.mean(1.0 / found)),
-        spread_mm=float(np.std(found)),
+        harmonic_mm=float(1.0 / np.mean(1.0 / widths)),
+        spread_mm=float(np.std(widths)),
         rim_share=share,
         outline_mm=places,
         along_mm=along,
@@ -167,7 +167,7 @@ def _places(outline_mm: Array) -> tuple[Array, Array]:
 def _body(
     points: Array, faces: NDArray[np.integer], low: float, places: Array, blur_mm: float
 ) -> _Body | None:
-    """Return the part of a surface near the rim, where it stands without the blur."""
+    """Return the part of a surface near the rim, corrected for the blur."""
     from scipy.spatial import cKDTree
 
     margin = 2.0 * NORMAL_SCALE_MM

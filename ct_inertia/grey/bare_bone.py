@@ -76,7 +76,7 @@ class BareBone:
     def with_budget(
         self, moments: Moments, own: NDArray[np.bool_], volume: Volume, contrast: float
     ) -> tuple[Moments, tuple[Notice, ...]]:
-        """Return the moments with what each medium leaves uncertain, and what to say of it.
+        """Return the moments with the uncertainty of each subtracted medium, and warnings.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class BareBone:
 def bare_bone(
     volume: Volume, ready: Prepared, bone: Bone, blur: Blur, fitted: bool, guess: Guess, coat: Coat | None
 ) -> BareBone:
-    """Take off the grey values whatever is around the stapes and is not air.
+    """Subtract from the grey values all that surrounds the stapes and is not air.
 
     Parameters
     ----------

@@ -102,12 +102,12 @@ def find_cupping(
     return Cupping(curvature, plane, float(high - low) / contrast)
 
 
-def cupping_notice(found: Cupping, errors: tuple[float, float, float]) -> Notice:
-    """Tell of cupping and of the errors of volume (share), centre (mm) and inertia (share) that it makes."""
+def cupping_notice(cupping: Cupping, errors: tuple[float, float, float]) -> Notice:
+    """Return the warning on cupping, with its errors of volume (share), centre (mm) and inertia (share)."""
     volume, centre, inertia = errors
     text = (
-        f"Bone grows darker towards the scan's axis of rotation, by {100.0 * found.range_share:.1f} % across "
-        f"the stapes: cupping, which beam hardening leaves. It shifts the volume by about "
+        f"Bone grows darker towards the scan's axis of rotation, by {100.0 * cupping.range_share:.1f} % "
+        f"across the stapes: cupping, which beam hardening leaves. It shifts the volume by about "
         f"{100.0 * volume:.2f} %, the centre of mass by {1e3 * centre:.1f} um and the inertia by "
         f"{100.0 * inertia:.2f} %; the budget holds that (cupping, uneven bone). Reconstruct with more "
         f"correction of beam hardening, or scan with a stronger filter."
@@ -116,7 +116,7 @@ def cupping_notice(found: Cupping, errors: tuple[float, float, float]) -> Notice
 
 
 def deep_cupping_notice(change: float, contrast: float) -> tuple[Notice, ...]:
-    """Tell of bone whose deepest voxels are darker by ``-change`` than all that are free of blur."""
+    """Warn when the deepest bone voxels are darker, by ``-change``, than all voxels free of blur."""
     if change > -_LEAST_DEEP * contrast:
         return ()
     text = (

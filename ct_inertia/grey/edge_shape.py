@@ -65,11 +65,6 @@ class EdgeShape:
     overshoot: float
     softened: bool = False
 
-    @property
-    def widths_mm(self) -> Array:
-        """Return the standard deviations along x, y, z, (3,)."""
-        return np.sqrt(np.diag(self.covariance_mm2))
-
 
 def uneven_notice(shape: EdgeShape) -> Notice:
     """Name the direction of the widest blur."""

@@ -197,7 +197,7 @@ def _alike(grey: NDArray[np.float32], shell: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def _slope(air: Sums, spacing_mm: Array, noise: float) -> tuple[float, float, float]:
-    """Return the change of the level per mm along x, y, z between halves of the box, where it stands out."""
+    """Return the change of the level per mm along x, y, z between halves of the box, if significant."""
     slope = [0.0, 0.0, 0.0]
     for axis in range(3):
         count, total = air.count[2 - axis], air.total[2 - axis]
@@ -230,7 +230,7 @@ def unclipped(
     air: Air,
     expected: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Take off what clipping at the lowest grey value added on average.
+    """Subtract the mean bias of clipping at the lowest grey value.
 
     Parameters
     ----------

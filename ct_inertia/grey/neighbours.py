@@ -1,4 +1,4 @@
-"""The blur of other bone near the stapes, modelled and taken off the stapes' grey values."""
+"""The blur of other bone near the stapes, modelled and subtracted from the grey values of the stapes."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def face_near(
     reach_mm: float,
     start: tuple[float, float, float],
 ) -> FaceFit | None:
-    """Fit the plate's face that the stapes stands over, when it is within reach of the stapes' blur.
+    """Fit the face of the plate below the stapes, when the blur of the stapes reaches it.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def displaced_share(
     contrast: float,
     near: NDArray[np.bool_],
 ) -> NDArray[np.float32] | None:
-    """Return the grey values [z, y, x] of plastic that is not there because bone stands in its place.
+    """Return the grey values [z, y, x] of the plastic that bone displaces.
 
     Parameters
     ----------

@@ -182,7 +182,7 @@ def blur_of(
 def _unclipped(
     cut: Cut, around: Surroundings, own: NDArray[np.bool_], air: Air, bone: float, sigma_mm: float
 ) -> NDArray[np.float32]:
-    """Subtract what clipping added: first by the surroundings of each voxel, then by the body this shows."""
+    """Subtract the bias of clipping, estimated from each voxel's surroundings, then from the body found."""
     first = unclipped(cut.grey, own, air)
     contrast = np.float32(bone - air.level)
     share = gaussian((first - np.float32(air.level)) / contrast, 1.0, truncate=3.0)

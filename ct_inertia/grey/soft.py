@@ -1,4 +1,4 @@
-"""What surrounds the stapes and is neither air nor bone: ligament, fluid, glue; found, and taken off."""
+"""Ligament, fluid or glue around the stapes: material between air and bone, detected and subtracted."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def without_soft(
     levels: tuple[Air, float, float | None],
     sigma_mm: float,
 ) -> Soft | None:
-    """Find what is soft around the stapes and take it off the grey values; None where there is nothing.
+    """Detect soft material around the stapes and subtract it from the grey values; None where there is none.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def _seen(
 def by_soft(
     soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments, face: bool
 ) -> Array:
-    """Return the covariance (10, 10) of what was taken off, known to a part of itself.
+    """Return the covariance (10, 10) of the subtracted material, which has a relative standard deviation.
 
     ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
     half of it is common to all. Where the plate is part of it, for no plane face of it could be fitted
@@ -233,7 +233,7 @@ def by_soft(
 
 
 def soft_notices(soft: Soft, own: NDArray[np.bool_], volume: Volume, moments: Moments) -> list[Notice]:
-    """Say what surrounds the stapes, whose voxels are ``own`` [z, y, x], and how much of it was taken off."""
+    """Report the medium around the stapes, whose voxels are ``own`` [z, y, x], and the share subtracted."""
     share = float(soft.taken[own].sum(dtype=float)) * volume.voxel_mm3 / moments.volume_mm3
     if share < _TOLD:
         return []

@@ -1,4 +1,4 @@
-"""Scans that somebody has thresholded: what their grey values no longer tell, and how much that may be."""
+"""Thresholded scans: the error of the volume when grey values within a voxel are lost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PIECE = 1_000_000
 
 
 def is_thresholded(grey: NDArray[Any]) -> bool:
-    """Tell whether grey values [z, y, x] are so few different ones that they are classes, not a picture."""
+    """Return whether grey values [z, y, x] are so few different ones that they are classes, not a picture."""
     known: NDArray[Any] = np.zeros(0, dtype=grey.dtype)
     flat = grey.ravel()
     for start in range(0, flat.size, _PIECE):
@@ -32,7 +32,7 @@ def is_thresholded(grey: NDArray[Any]) -> bool:
 
 
 def with_threshold(moments: Moments, surface: Surface, voxel_mm: float) -> tuple[Moments, Notice]:
-    """Add what a threshold that nobody knows may have moved the surface by, and say so.
+    """Add the uncertainty of the surface from an unknown threshold, with a warning.
 
     Parameters
     ----------

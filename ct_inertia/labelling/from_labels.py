@@ -267,7 +267,7 @@ def _grid(volume: Volume) -> str:
 
 
 def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coat | None) -> Bodies:
-    """Let the labels say which voxels are whose, and the grey values how much bone is in them."""
+    """Take the bodies from the labels, and the share of bone in each voxel from its grey value."""
     from ct_inertia.grey.measure import measure
     from ct_inertia.volume.coarse import finite
 

@@ -157,7 +157,7 @@ def _number(table: dict[str, Any], key: str, file: str) -> float:
 def from_calibration(
     grey: Moments, shape: Moments, air: float, bone: float, line: Calibration
 ) -> MassProperties:
-    """Give a body its mass properties with the density that each voxel's grey value tells.
+    """Return the mass properties of a body with a density from the grey value of each voxel.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Three ways to a mass (balance, calibrated grey values, density): which leads, what the others say."""
+"""Three ways to a mass (balance, calibrated grey values, density): which is used, how others differ."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def implausible(footplate: FootplateFrame, volume_mm3: float) -> list[str]:
 
 
 def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> CtInertiaError:
-    """Return the refusal of a body that nobody named, with what the notices tell of the scan's border."""
+    """Return the error for a body that cannot be a stapes, with the warnings about the scan's border."""
     border = [notice.text for notice in notices if notice.code == "touches_border"]
     step = (
         f"Name the stapes with {named('seed')} X,Y,Z (a point inside it, scan mm) or {named('labels')}, "

@@ -1,4 +1,4 @@
-"""The scale of the voxels: known lengths in the scan against what the voxel size says."""
+"""The scale of the voxels: known lengths against those measured in the scan with the stated voxel size."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def solver(
 
 
 def in_hull(points: Indices, asked: Indices) -> NDArray[np.bool_]:
-    """Say which points (m, 3) lie in the convex hull of points (n, 3) that span a body; all whole, from 0."""
+    """Return which points (m, 3) are in the convex hull of points (n, 3) that span a body; integers >= 0."""
     kernels = compiled()
     if kernels is None or max(points.max(), asked.max()) > 511:
         from scipy.spatial import ConvexHull

@@ -70,7 +70,7 @@ class Refit:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the scores say of every cause, what refits say of a few, and what no data can show.
+    """Scores of every cause, refits of a few, and the causes that no data can show.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Diagnosis:
     corrected: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def evidence(self, refit: Refit) -> float:
-        """Return the fall of chi2 less what its unknowns explain by chance and what its size costs."""
+        """Return the decrease of chi2, minus the penalties for the unknowns and for the size of the cause."""
         return refit.fall - self.threshold * refit.unknowns - refit.strange
 
     @property
@@ -184,7 +184,7 @@ def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:
 
 
 def _large(name: str) -> bool:
-    """Return whether a cause may be so large that its score says little of it."""
+    """Return whether a cause may be too large for its score, a linear test."""
     return len(CAUSES[name].starts) > 1
 
 

@@ -163,7 +163,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What a plan promises, and what changes of it would.
+    """Expected standard deviations of a plan, and of changed plans.
 
     Attributes
     ----------

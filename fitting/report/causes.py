@@ -1,4 +1,4 @@
-"""What may be wrong, what a mass of fluid is, and what no data can show: for kd.json and the page."""
+"""Possible errors, the mass of fluid, and errors that no data can show: for kd.json and the page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Apply what the user says about files to their recordings: beams, units, amplitudes, bodies, runs."""
+"""Apply the options about files to their recordings: beams, units, amplitudes, bodies, runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the options of the command, or of a study, to what is known about the files beside their content."""
+"""Options of the command or of a study, turned into facts about the files that the files do not contain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user says about vibrometer files that the files do not say: bodies, runs, beams, units."""
+"""Facts about vibrometer files that the files do not contain: bodies, runs, beams, units."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Chosen:
     last: int = -1
 
     def holds(self, file: str, point: str) -> bool:
-        """Tell whether a point of a file is meant."""
+        """Return whether a point of a file is meant."""
         if self.file and not is_file(self.file, file):
             return False
         if self.name:
@@ -43,13 +43,13 @@ class Chosen:
 
 
 def is_file(item: str, file: str) -> bool:
-    """Tell whether a file is named by its name, with or without the ending."""
+    """Return whether a file is named by its name, with or without the ending."""
     return item in (file, file.rsplit(".", 1)[0])
 
 
 @dataclass(frozen=True)
 class InputOptions:
-    """What is said about the files.
+    """Facts about the files that the options give.
 
     Attributes
     ----------

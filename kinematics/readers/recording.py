@@ -17,7 +17,7 @@ QUANTITIES = ("displacement", "velocity", "acceleration")
 
 
 def unknown_vector() -> Array:
-    """Return three NaN: a position or direction that the file does not say."""
+    """Return three NaN: a position or direction that is not in the file."""
     return np.full(3, np.nan)
 
 

@@ -1,4 +1,4 @@
-"""The noise of a body's channels from what its recordings say: sd, coherence and averages."""
+"""The noise of a body's channels from its recordings: sd, or coherence and averages."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _MOST = 60
 
 
 def lines_of(text: str) -> list[str]:
-    """Split at line feeds and carriage returns only: other marks stand for letters in Latin-1."""
+    """Split at line feeds and carriage returns only: other separators of Unicode are letters in Latin-1."""
     lines = _LINE.split(text)
     return lines[:-1] if lines and not lines[-1] else lines
 
@@ -34,7 +34,7 @@ def shown(text: str) -> str:
 
 @contextmanager
 def openable(path: Path) -> Iterator[None]:
-    """Turn what the system says of a file that cannot be opened or read into a sentence.
+    """Turn an error of the system on opening or reading a file into a fault.
 
     Raises
     ------

@@ -43,7 +43,7 @@ class MotionUnit:
 
 
 def is_none(label: str) -> bool:
-    """Tell whether a label says nothing."""
+    """Return whether a label says nothing."""
     return label.strip().strip("[]()").strip().lower() in _NONE
 
 

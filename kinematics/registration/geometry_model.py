@@ -22,7 +22,7 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class GeometryPriors:
-    """How well the geometry is known before the data speak.
+    """Standard deviations of the geometry before the fit.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class GeometryModel:
         return cls(measurement, tuple(names), np.array(sd), lasers, means, places)
 
     def moved(self, values: Array) -> Measurement:
-        """Return the measurement with the geometry that the parameters say; gains divide the readings."""
+        """Return the measurement with the geometry of the parameters; gains divide the readings."""
         return replace(
             self.measurement,
             bodies=tuple(self.body(number, values) for number in range(len(self.measurement.bodies))),

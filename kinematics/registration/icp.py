@@ -151,7 +151,7 @@ def _facing(fits: list[Refined], towards: Array | None) -> list[Refined]:
 
 
 def _from_guess(cloud: Cloud, surface: TriangleSurface, guess: Guess, towards: Array | None) -> Refined:
-    """Refine from a first guess; where that ends beside the surface, from everywhere, with its pull."""
+    """Refine from a first guess; where that ends off the surface, from all starts, the guess as a prior."""
     near = Candidate(guess[0].rotation, guess[0].translation_mm, 0.0)
     fit = refined(cloud, surface, near, guess)
     good = np.mean(fit.near) > 0.8 and fit.scale < 0.01 * surface.diagonal_mm

@@ -36,7 +36,7 @@ _MOST_SDS = 6.0
 
 @dataclass(frozen=True)
 class LaserEstimate:
-    """What the data say of the lasers.
+    """Estimated errors of the lasers.
 
     Attributes
     ----------

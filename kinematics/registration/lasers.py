@@ -137,7 +137,7 @@ class Lasers:
         left_out: Mapping[tuple[int, int], Sequence[int]] | None = None,
         applied: Array | None = None,
     ) -> LaserEstimate:
-        """Return what the beams say; see `laser_estimate`."""
+        """Return the errors of the lasers that the beams show; see `laser_estimate`."""
         return laser_estimate(
             fits, placed.bodies, self.of_channel, placed.freq_hz, self.prior_sd, left_out, applied
         )

@@ -45,7 +45,7 @@ def check_surfaces(
     surfaces: ScanSurfaces,
     bone: Cloud | None = None,
 ) -> Placement:
-    """Add to a placement what the points' distances from the scan's surfaces tell.
+    """Add to a placement the tests of the points' distances from the surfaces of the scan.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def _told(check: SurfaceCheck, alone: list[str]) -> SurfaceCheck:
             f"point {alone[0]} of {check.body} lies {away * 1e3:+.0f} um off the {check.surface} of the "
             "scan, the others lie on it; check its position."
         )
-        return replace(check, off=tuple(alone), notices=(Notice("point_off_surface", text),))
+        return replace(check, notices=(Notice("point_off_surface", text),))
     rms = float(np.sqrt(np.mean(check.distance_mm**2)))
     turn = ", ".join(
         f"{name} {value:+.2f} ± {sd:.2f}°"

@@ -232,7 +232,7 @@ def label_surface(labels: LabelVolume, label: int, points_mm: Array) -> Triangle
 
 
 def _points_inward(blurred: Array, vertices: Array, faces: NDArray[np.int64], labels: LabelVolume) -> bool:
-    """Tell whether most triangles point towards larger values, in index space seen in scan axes."""
+    """Return whether most triangles point towards larger values, in index space seen in scan axes."""
     some = faces[:: max(1, len(faces) // 500)]
     corners = vertices[some][:, :, ::-1] @ labels.scan_from_index[:, :3].T
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -37,8 +37,6 @@ class SurfaceCheck:
         Length of the shift, and its standard deviation along itself.
     open_motions : tuple of str
         Motions that these distances do not show.
-    off : tuple of str
-        Points that alone lie off the surface.
     notices : tuple of Notice
     """
 
@@ -57,7 +55,6 @@ class SurfaceCheck:
     turn_sd_deg: Array
     size_mm: tuple[float, float]
     open_motions: tuple[str, ...] = ()
-    off: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
 
 

@@ -92,11 +92,6 @@ class RunRepeats:
         return "repeats_agree" if self.tests else "repeats_untested"
 
     @property
-    def change(self) -> float:
-        """Largest relative change of shape among the tests, 0 without any."""
-        return max((t.size for t in self.tests if t.name in SHAPE), default=0.0)
-
-    @property
     def summary(self) -> str:
         """Return one sentence for the terminal and the report."""
         many = _counted(self.takes)

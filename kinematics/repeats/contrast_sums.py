@@ -27,7 +27,7 @@ def contrasts(gain: ComplexArray, columns: Sequence[Array]) -> ComplexArray:
 
 @dataclass
 class ContrastSums:
-    """Sums over lines of one contrast and of what remains beside it.
+    """Sums over lines of one contrast and of the residual from it.
 
     Attributes
     ----------

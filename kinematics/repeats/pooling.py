@@ -26,7 +26,7 @@ _WIDENED_SCATTER: float = calibrated("repeats.widened_scatter")
 
 @dataclass(frozen=True)
 class Pooled:
-    """A measurement without repeats, and what its repeats said.
+    """A measurement with its repeats pooled, and the comparison of the repeats.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ def _pool(
 
 
 def _mean_gain(shapes: Shapes, takes: Sequence[Take]) -> ComplexArray:
-    """Return the gain (freq,) to which the takes are brought."""
+    """Return the gain (freq,) to which the takes are scaled."""
     own = shapes.gain * shapes.take_scale
     size = np.abs(own)
     level = np.array([take.level for take in takes])

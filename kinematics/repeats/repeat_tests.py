@@ -121,7 +121,7 @@ def _gain_outlier(design: Array, values: Array) -> RepeatTest | None:
 
 
 def _collinear(columns: Sequence[Array], new: Array) -> bool:
-    """Tell whether a regressor hardly differs from a combination of others."""
+    """Return whether a regressor hardly differs from a combination of others."""
     centred = new - new.mean()
     base = np.column_stack(columns)
     left = centred - base @ np.linalg.lstsq(base, centred, rcond=None)[0]
@@ -129,7 +129,7 @@ def _collinear(columns: Sequence[Array], new: Array) -> bool:
 
 
 def shape_tests(shapes: Shapes, time: Array | None, level: Array | None, stated: bool) -> list[RepeatTest]:
-    """Test what the takes leave beside one shape for a trend, an effect of the level, and an outlier."""
+    """Test the residuals of the takes from one common shape for trend, effect of level, outliers."""
     lines = shapes.clear
     if not np.any(lines):
         return []

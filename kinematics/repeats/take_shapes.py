@@ -214,7 +214,7 @@ def _noise_scales(sd: Array, used: NDArray[np.bool_], doubted: bool) -> tuple[Ar
 
 
 def _clear(values: Array, counts: NDArray[np.intp], takes: int) -> NDArray[np.bool_]:
-    """Tell the lines whose common part stands well above what noise alone would give."""
+    """Return the lines whose common part is well above the noise."""
     left = np.maximum(np.sum(values[:, :-1], axis=1), 0.0)
     freedom = np.maximum((takes - 1) * (counts - 1), 1)
     noise = left / freedom

@@ -39,7 +39,7 @@ def vertices_of(motion: RigidMotion, runs: int) -> int:
 
 
 def is_light(motion: RigidMotion, runs: int) -> bool:
-    """Tell whether a vector drawing of some runs stays small."""
+    """Return whether a vector drawing of some runs stays small."""
     return vertices_of(motion, runs) <= _MOST_VERTICES
 
 

@@ -126,7 +126,7 @@ def verdict_section(result: Points2Dof) -> Section:
 
 
 def clean_words(result: Points2Dof) -> str:
-    """Say that no channel stands out, and whether all of them err by more than their noise."""
+    """State that no channel is an outlier, and whether all residuals exceed the stated noise."""
     codes = {notice.code for notice in result.notices}
     if "noise_level" in codes:
         return "None stands out, but all err by more than their stated noise (warning noise_level)."

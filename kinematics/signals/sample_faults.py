@@ -75,7 +75,7 @@ def _listed(counts: Mapping[str, int], file: str) -> str:
 
 
 def is_clipped(row: Array) -> bool:
-    """Tell whether samples (n,) crowd at an extreme: the outermost 0.2 % of the range against what is below.
+    """Return whether samples (n,) crowd in the outermost 0.2 % of their range, against the part below it.
 
     Towards its extremes noise thins out, and a sine, the most crowded of smooth signals, has three times as
     many samples in the outermost stretch as in the mean of the next five. A pulse rests at one extreme: a

@@ -1,4 +1,4 @@
-"""What a study file says about an ear besides its files."""
+"""The description of an ear in its study file."""
 
 from __future__ import annotations
 

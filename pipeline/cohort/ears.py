@@ -262,7 +262,7 @@ def damping_exponent(ears: Sequence[Ear]) -> float:
 
 
 def labels(ears: Sequence[Ear]) -> list[str]:
-    """Return a name for each ear that no other has: its folder stands with it where studies share a name."""
+    """Return a unique name for each ear: with its folder where studies share a name."""
     times = Counter(ear.name for ear in ears)
     return [ear.name if times[ear.name] == 1 else f"{ear.name} ({ear.folder})" for ear in ears]
 

@@ -166,7 +166,7 @@ def _grid(pairs: LogPairs, profile: Profile) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What the ears of all other persons say of each ear.
+    """Each ear predicted from the ears of all other persons.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ _EXTRA = "stapeskit[cluster]"
 
 @dataclass(frozen=True)
 class _Order:
-    """What a worker gets: a study, what must agree with the machine that asks, and where progress goes."""
+    """What a worker gets: a study, versions that must agree with the client, and where progress goes."""
 
     task: Task
     versions: Mapping[str, str]

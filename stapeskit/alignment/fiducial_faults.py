@@ -278,7 +278,7 @@ def _cycle_words(cycle: Sequence[int], names: Sequence[str]) -> str:
 
 
 def inconsistent(energy: float, n_dof: int) -> bool:
-    """Tell whether a sum of squares in units of sd is too large for noise (p < 0.001)."""
+    """Return whether a sum of squares in units of sd is too large for noise (p < 0.001)."""
     from scipy.special import chdtri
 
     return n_dof > 0 and energy > float(chdtri(n_dof, INCONSISTENT))

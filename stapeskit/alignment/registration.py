@@ -172,7 +172,7 @@ def _checked(
     mirrored: bool,
     names: tuple[str, ...],
 ) -> Registration:
-    """Add to a fit its covariance and what its residuals tell."""
+    """Add to a fit its covariance and the warnings about its residuals."""
     n_dof = 3 * len(a) - 6
     sd = 1.0 / np.sqrt(weights) if stated else np.full(len(a), np.sqrt(energy / n_dof))
     flat, extent = _flatness(b)

@@ -78,7 +78,7 @@ def unit(name: str, per_reference: str = "") -> tuple[float, str]:
 
 
 def log_spaced(freq_hz: Array) -> bool:
-    """Tell whether lines are spaced more evenly on a logarithmic axis than on a linear one."""
+    """Return whether lines are spaced more evenly on a logarithmic axis than on a linear one."""
     if len(freq_hz) < 4 or freq_hz[0] <= 0.0:
         return False
     step, ratio = np.diff(freq_hz), np.diff(np.log(freq_hz))

@@ -111,7 +111,7 @@ def test_a_blur_that_is_longer_along_long_voxels_is_seen_and_evened_out():
     nothing = np.zeros(grey.shape, dtype=bool)
     found = edge_shape(grey, np.abs(ball) < 0.1, nothing, (0.0, 1000.0), spacing)
     assert found.uneven
-    assert found.widths_mm == pytest.approx(sigma, rel=0.08)
+    assert np.sqrt(np.diag(found.covariance_mm2)) == pytest.approx(sigma, rel=0.08)
     placed, volume = scan(tuple(spacing), plate=False, bone=False)
     bodies = find_bodies(volume)
     second = placed.scan_from_footplate.rotation

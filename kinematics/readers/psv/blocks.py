@@ -120,7 +120,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
 
 
 def _is_export(path: Path) -> bool:
-    """Tell whether a file of a folder may be an export: by its ending, and not hidden."""
+    """Return whether a file of a folder may be an export: by its ending, and not hidden."""
     return path.is_file() and path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
 
 
@@ -206,7 +206,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _is_numbers(line: str) -> bool:
-    """Tell whether a line holds numbers only, two at least or one alone."""
+    """Return whether a line holds numbers only, two at least or one alone."""
     cells = _cells(line) if line.strip() else []
     return (
         bool(cells) and value_of(cells[0]) is not None and all(value_of(cell) is not None for cell in cells)
@@ -227,7 +227,7 @@ def value_of(cell: str) -> float | None:
 def _numbers(
     table: list[list[str]], line: int, columns: tuple[str, ...], file: str, faults: list[Fault]
 ) -> Array:
-    """Return the numbers of the rows that have as many as there are columns; tell the others."""
+    """Return the numbers of the rows with a cell for every column; report the other rows."""
     step = "It may be cut short: export it again"
     good = []
     for number, cells in enumerate(table, line):

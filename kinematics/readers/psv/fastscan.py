@@ -43,7 +43,7 @@ class _Line:
 
 
 def looks_like_fastscan(text: str) -> bool:
-    """Tell from its head whether a text is one frequency of a FastScan export."""
+    """Return whether a text begins as one frequency of a FastScan export."""
     fields = fields_of(text)
     lines = [line for line in lines_of(text)[:40] if line.lower().startswith("index")]
     return bool(lines) and any(name in fields for name in _FREQUENCY)
@@ -175,7 +175,7 @@ def _several_scans(lines: Sequence[_Line], name: str) -> list[Fault]:
 
 
 def _treated(lines: Sequence[_Line], name: str) -> list[Notice]:
-    """Warn of values that were not measured where they stand."""
+    """Warn of values that were interpolated or filtered, not measured."""
     marks = [
         key for key in ("interpolated", "filtered") if any(_yes(line.block.fields.get(key)) for line in lines)
     ]
@@ -237,7 +237,7 @@ def _recordings(lines: Sequence[_Line], name: str, faults: list[Fault]) -> tuple
 
 
 def axes_notice(name: str) -> Notice:
-    """Tell that x, y, z of a point are mixtures of what its beams read."""
+    """Warn that x, y, z of a point are linear combinations of its beam readings."""
     text = (
         f"{name} holds x, y, z computed from several beams: their noise is correlated, and larger across the "
         "beams than along them; sd and verdicts, which take channels as independent, are approximate. "

@@ -33,7 +33,7 @@ _IN_SIGNAL = re.compile(r"\bvib\s+([+-]?)([xyz])\b", re.IGNORECASE)
 
 
 def looks_like_points(text: str) -> bool:
-    """Tell from its head whether a text is a per-point export."""
+    """Return whether a text begins as a per-point export."""
     return any(name in fields_of(text) for name in _POINT)
 
 
@@ -213,7 +213,7 @@ def _by_source(entries: list[tuple[Recording, str]], name: str) -> tuple[tuple[R
 
 
 def _joined(entries: list[tuple[Recording, str]], name: str) -> list[Notice]:
-    """Tell that points of several measurements were taken as one run."""
+    """Warn that points of several measurements were joined into one run."""
     sources = list(dict.fromkeys(source for _, source in entries))
     if len(sources) < 2 or len(sources) == len({recording.where for recording, _ in entries}):
         return []

@@ -81,7 +81,7 @@ def signals(block: Block) -> list[Signal]:
 
 
 def _unit_fault(label: str, axes: list[str], where: Place | str) -> Fault:
-    """Say that the unit of some axes is no motion."""
+    """Return the fault of axes whose unit is not one of motion."""
     named = [axis for axis in axes if axis]
     of_axes = f" of ax{'e' if len(named) > 1 else 'i'}s {', '.join(named)}" if named else ""
     expected = "m, mm, um, nm, m/s, mm/s, um/s, m/s2, g [per unit of a reference]"
@@ -90,7 +90,7 @@ def _unit_fault(label: str, axes: list[str], where: Place | str) -> Fault:
 
 
 def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, ComplexArray]:
-    """Return the column that says the unit of an axis, and its complex values in that unit."""
+    """Return the column that gives the unit of an axis, and its complex values in that unit."""
     of_axis = f" of axis {axis}" if axis else ""
     if {"re", "im"} <= set(parts):
         first, second = parts["re"], parts["im"]

@@ -1,4 +1,4 @@
-"""The channel table of time series: which column of the file is what beam at what point of what body.
+"""The channel table of time series: the beam, point and body of each column.
 
 ``channels.csv``, one row a channel::
 

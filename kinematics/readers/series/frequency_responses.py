@@ -72,7 +72,7 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
 
 
 def empty_band(file: str) -> Fault:
-    """Say that no line lies within ``--frf-band``."""
+    """Return the fault of a ``--frf-band`` without a line in it."""
     step = f"Widen {named('frf_band')}, or record longer"
     return Fault("the band", "with one line at least", "none", file, step)
 
@@ -154,7 +154,7 @@ class _Group:
 def _groups(
     series: Series, responses: Sequence[Channel], reference: Channel | None
 ) -> tuple[list[_Group], list[Notice]]:
-    """Tell what was recorded together: channels with a point, and each row of channels without one."""
+    """Return what was recorded together: channels with a point, and each row of channels without one."""
     ref = None if reference is None else series.channels[reference.name]
     scale = 1.0 if reference is None else reference.scale
     faults, groups, notices = [], [], []

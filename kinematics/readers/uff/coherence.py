@@ -103,7 +103,7 @@ def reference_of(function: Function) -> tuple[int, int]:
 
 
 def _stated(coherence: Function, response: Function, where: str) -> Array:
-    """Return a coherence function as it stands, checked."""
+    """Return a coherence function unchanged, after checks."""
     same = len(coherence.x) == len(response.x) and np.allclose(coherence.x, response.x, rtol=1e-6)
     if not same:
         step = "Export both with the same frequencies, or leave the coherence out"

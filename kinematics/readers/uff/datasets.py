@@ -58,7 +58,7 @@ class Dataset:
 
 
 def looks_like_uff(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a universal file."""
+    """Return whether a file begins as a universal file."""
     match = _LOOSE.match(head.lstrip(b"\r\n"))
     return match is not None and _NUMBER.match(head.lstrip(b"\r\n"), match.end()) is not None
 
@@ -115,7 +115,7 @@ def datasets(content: bytes, file: str, faults: list[Fault] | None = None) -> It
 
 
 def _next_start(content: bytes, position: int) -> int:
-    """Return where the next line of -1 stands that the number of a dataset follows; else the end."""
+    """Return the offset of the next line of -1 before the number of a dataset; else the end."""
     while (rule := _RULE.search(content, position)) is not None:
         if _FIRST.match(content, min(rule.end() + 1, len(content))):
             return rule.start()
@@ -126,7 +126,7 @@ def _next_start(content: bytes, position: int) -> int:
 
 
 def _dataset(content: bytes, start: int, place: tuple[int, int], file: str) -> tuple[Dataset, int]:
-    """Read the dataset whose number stands at ``start``; return it and where the next one may begin."""
+    """Read the dataset whose number is at ``start``; return it and the offset from which to seek the next."""
     where = f"{file}, dataset {place[0]}, line {place[1]}"
     number = _NUMBER.match(content, start)
     if number is None:

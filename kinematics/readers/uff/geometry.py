@@ -166,7 +166,7 @@ def _length_factor(dataset: Dataset, where: str) -> float:
 
 
 def _reals(text: str) -> list[float]:
-    """Read Fortran numbers, which may touch where a sign begins the next; none beside any other text."""
+    """Read Fortran numbers, separated by blanks or the next sign; none if there is other text."""
     numbers: list[float] = []
     last = 0
     for match in _REAL.finditer(text):

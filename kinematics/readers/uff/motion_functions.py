@@ -65,7 +65,7 @@ def usable_motions(
 
 
 def is_motion(function: Function) -> bool:
-    """Tell whether a function is motion by its data type, of unknown or general type by its unit."""
+    """Return whether a function is motion by its data type, of unknown or general type by its unit."""
     ordinate = function.ordinate
     if ordinate.kind in ORDERS:
         return True

@@ -141,7 +141,7 @@ def _chosen(
 
 
 def _nothing(functions: Sequence[Function], left: Mapping[str, int], file: str) -> Fault:
-    """Say what is there instead of motion over frequency."""
+    """Return the fault of a file without motion over frequency, with what it holds instead."""
     listed = ", ".join(f"{count} {name}" for name, count in left.items() if count) or KINDS[COHERENCE]
     step = "Export complex spectra or frequency responses of velocity or displacement"
     if any(function.kind == TIME for function in functions):

@@ -40,7 +40,7 @@ _MOST_NAMED = 12
 
 @dataclass(frozen=True)
 class _Signal:
-    """What one node and direction recorded in one run: its records in order, and what they are."""
+    """The records of one node and direction in one run, in order, with their quantity."""
 
     channel: Channel
     records: tuple[Function, ...]
@@ -113,7 +113,7 @@ def read_responses(
 
 
 def _is_other(function: Function) -> bool:
-    """Tell whether a time response is over something else than time, or complex."""
+    """Return whether a time response is over something else than time, or complex."""
     return function.abscissa.kind not in (0, 1, _TIME) or not function.real
 
 
@@ -183,7 +183,7 @@ def _signals(
 def _channel(
     function: Function, geometry: Geometry, file: str, leads: bool, run: str, faults: list[Fault]
 ) -> Channel:
-    """Say what one record holds as a row of a table of channels would."""
+    """Describe one record as a row of a table of channels."""
     where = f"{file}, dataset {function.place}"
     scale, order, unit = 1.0, -1, plain(function.ordinate.unit)
     if is_motion(function):
@@ -236,7 +236,7 @@ def _parts(signals: Sequence[_Signal], name: str, file: str, faults: list[Fault]
 def _in_turn(
     responses: Sequence[_Signal], lead: _Signal, file: str, faults: list[Fault]
 ) -> list[list[_Signal]]:
-    """Give each record of the reference the responses that stand behind it, or before it, in the file."""
+    """Assign to each record of the reference the responses that follow, or precede, it in the file."""
     by_place: Mapping[int, _Signal] = {response.records[0].place: response for response in responses}
     leads = sorted(lead.records, key=lambda record: record.place)
     behind = leads[0].place < min(by_place)

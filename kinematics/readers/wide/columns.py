@@ -57,7 +57,7 @@ class Beam:
 
 
 def is_frequency(name: str) -> bool:
-    """Tell whether a column holds the frequencies."""
+    """Return whether a column holds the frequencies."""
     words = [word.lower() for word in _WORD.findall(name)]
     return bool(words) and words[0] in _FREQUENCY and set(words[1:]) <= {*HERTZ, "axis"}
 
@@ -87,7 +87,7 @@ def meaning(name: str) -> tuple[str, str, str] | None:
 
 
 def looks_wide(names: Sequence[str]) -> bool:
-    """Tell whether names are those of a wide table: frequencies, and a pair of columns at least."""
+    """Return whether names are those of a wide table: frequencies, and a pair of columns at least."""
     parts = {meant[0] for name in names if (meant := meaning(name))}
     if not _TIDY.isdisjoint(name.lower() for name in names):
         return False

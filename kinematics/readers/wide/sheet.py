@@ -127,5 +127,5 @@ def _is_row(cells: Sequence[str]) -> bool:
 
 
 def _is_unit(cell: str) -> bool:
-    """Tell whether a cell is a unit alone: in brackets, or one of the usual ones."""
+    """Return whether a cell is a unit alone: in brackets, or one of the usual ones."""
     return bool(re.fullmatch(r"[\[(].*[\])]|k?Hz|°|deg|rad|[munp]?m(/s[2²]?)?|µm(/s)?|g|", cell))
