@@ -26,7 +26,8 @@ RECORDS = ".stapeskit"
 """Folder of the records beside the outputs; what lies in it is the program's."""
 SCHEMA = "stapeskit.outputs/1"
 FOREIGN_FILE_KEPT = "foreign_file_kept"
-_LONGEST_NAME = 180  # bytes; file systems allow 255, temporary endings included
+_LONGEST_NAME = 180  # bytes, of what a record is named after
+_LONGEST_OUTPUT = 255  # bytes, of file systems
 _Inode = tuple[int, int]
 
 
@@ -131,6 +132,11 @@ class OutputSet:
             faults.append(Fault(f"{records}", "the folder of records", "a file", "", "Move it away"))
         for name in names:
             path = self.folder / name
+            if len(os.fsencode(path.name)) > _LONGEST_OUTPUT:
+                got = f"{len(os.fsencode(path.name))}: {name[:40]}...{name[-20:]}"
+                expected = f"of at most {_LONGEST_OUTPUT} bytes"
+                faults.append(Fault("the name of an output", expected, got, "", "Choose a shorter one"))
+                continue
             if not os.path.lexists(path) or _inode(path) in read or self._own(name, recorded):
                 continue
             if path.is_dir():

@@ -75,12 +75,13 @@ def _draw_law(panel: Any, law: CohortLaw, pairs: LogPairs, predictor: Predictor,
 
 def exponents_figure(laws: Sequence[CohortLaw]) -> Figure:
     """Draw the exponents of laws with their intervals, one below another."""
-    drawing = page.new_figure(7.5, 0.5 + 0.4 * len(laws))
+    drawing = page.new_figure(7.5, 0.5 + 0.4 * max(len(laws), 1))
     panel = drawing.subplots()
     ends = np.array([cohort_law.law.interval for cohort_law in laws], dtype=float)
     finite = ends[np.isfinite(ends)]
     exponents = [cohort_law.law.exponent for cohort_law in laws]
-    limits = (min([*exponents, *finite]) - 1.0, max([*exponents, *finite]) + 1.0)
+    shown = [*exponents, *finite] or [0.0]  # a cohort of few ears has no laws
+    limits = (min(shown) - 1.0, max(shown) + 1.0)
     for place, law in enumerate(laws):
         low, high = np.clip(np.nan_to_num(law.law.interval, neginf=limits[0], posinf=limits[1]), *limits)
         panel.plot([low, high], [place, place], color=_BLUE, lw=1.5)

@@ -28,6 +28,7 @@ from tests.fuzz.targets import TARGETS
 BLOCK = 100
 """Cases that follow from one state of the random numbers."""
 LIMIT_S = 10
+_COLLECTED = 10  # cases between two collections of garbage, which take as long as a case
 ROOT = Path(__file__).resolve().parents[2]
 _ROOMS = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")
 
@@ -103,7 +104,8 @@ def work(start: Place, until: int, folder: Path, pipe: int) -> None:
             resource.setrlimit(resource.RLIMIT_AS, limit)
             signal.setitimer(signal.ITIMER_PROF, 0.0)
         _send(pipe, {"end": number, **found})
-        gc.collect()
+        if number % _COLLECTED == 0:
+            gc.collect()
     os._exit(0)
 
 

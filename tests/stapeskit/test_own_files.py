@@ -219,3 +219,9 @@ def test_long_names_have_a_record_too(tmp_path):
         made.check()
         with made.staged() as stage:
             (stage / name).write_text("1")
+
+
+def test_names_that_no_file_can_have_are_told_before_the_work(tmp_path):
+    made = OutputSet("command", tmp_path, ("x.csv", "x" * 244 + ".channels.csv"))
+    with pytest.raises(StapeskitError, match="the name of an output must be of at most 255 bytes"):
+        made.check()

@@ -10,9 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
+from pipeline.cohort.cohort_laws import cohort_laws_or_notice
 from pipeline.cohort.exports import EXPORTS
 from pipeline.cohort.exports.latex import escaped
 from pipeline.cohort.files import write_cohort
+from tests.pipeline.cohort.simulated_ears import ear
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,16 @@ def test_every_export_writes_what_its_entry_lists(written):
     for entry in EXPORTS.values():
         assert set(entry.files) <= set(names)
     assert {path.name for path in folder.iterdir()} == set(names)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_cohorts_of_too_few_ears_for_laws_are_exported_too(count, tmp_path):
+    rng = np.random.default_rng(1)
+    few = cohort_laws_or_notice([ear(k, rng) for k in range(count)], {})
+    assert not few.laws
+    assert set(write_cohort(tmp_path, few, {}, {}, {}, tuple(EXPORTS))) == {
+        p.name for p in tmp_path.iterdir()
+    }
 
 
 def test_the_table_of_laws_has_an_end_of_an_interval_a_column(written, studied):
