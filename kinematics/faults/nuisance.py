@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,8 @@ from kinematics.faults.state import DELAY, IMAGINARY, REAL, SHIFTS, Model, State
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 WHICH = (*SHIFTS, REAL, IMAGINARY, DELAY)
+# Rows of groups of lines that differ by less, relative to the largest, are the same.
+_ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -107,15 +109,42 @@ class Marginal:
     nuisance: Nuisance
 
     @cached_property
+    def turn(self) -> ComplexArray | None:
+        """Orthonormal columns (group column, k) that hold all motion; None where groups differ in their rows.
+
+        Where all groups have the same rows, all tangents are rows times motion, and their products those of
+        these few columns.
+        """
+        own = self.state.own
+        if len(own) == 1 or WHICH.index(DELAY) in self.nuisance.which:
+            return None
+        if np.max(np.abs(own - own[0])) > _ALIKE * np.max(np.abs(own)):
+            return None
+        return np.linalg.qr(_side_by_side(self.state.z)[0].conj().T)[0]
+
+    @cached_property
+    def merged(self) -> State:
+        """The state in the columns that hold the motion."""
+        state, turn = self.state, self.turn
+        if turn is None:
+            return state
+        first = {name: getattr(state, name)[:1] for name in ("own", "span", "upper")}
+        data = replace(state.data, weight=state.data.weight[:1], tau=np.zeros(1), ratio=np.ones(1))
+        factor = state.model.factor
+        model = state.model._replace(factor=None if factor is None else factor[:1])
+        z, e = _side_by_side(state.z) @ turn, _side_by_side(state.e) @ turn
+        return replace(state, data=data, model=model, z=z, e=e, **first)
+
+    @cached_property
     def tangents(self) -> ComplexArray:
         """Tangents (q, group, channel, column) of all channels."""
         channels = np.arange(len(self.state.data.points))
-        return self.state.tangents(channels, [WHICH[k] for k in self.nuisance.which])
+        return self.merged.tangents(channels, [WHICH[k] for k in self.nuisance.which])
 
     @cached_property
     def turned(self) -> ComplexArray:
         """Their products with the norm of the channels."""
-        return self.state.products(np.arange(len(self.state.data.points)), self.tangents)
+        return self.merged.products(np.arange(len(self.state.data.points)), self.tangents)
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
@@ -128,7 +157,7 @@ class Marginal:
         """Projections (V, D) of the tangents on the motion."""
         from scipy.sparse import csr_array
 
-        span = self.state.own_span.conj().transpose(1, 0, 2)[:, None, :, :, None]
+        span = self.merged.own_span.conj().transpose(1, 0, 2)[:, None, :, :, None]
         seen = span * self.tangents.transpose(2, 0, 1, 3)[:, :, :, None]
         flat = seen.reshape(self.owner.size, -1)
         at = self.owner.ravel()
@@ -139,7 +168,7 @@ class Marginal:
     @cached_property
     def score(self) -> Array:
         """Score (V,) of the residual, without the priors."""
-        own = np.real(np.sum(self.tangents.conj() * self.state.own_e[None], axis=(1, 3))).T
+        own = np.real(np.sum(self.tangents.conj() * self.merged.own_e[None], axis=(1, 3))).T
         count = len(self.nuisance.sd)
         return np.asarray(np.bincount(self.owner.ravel(), own.ravel(), count + 1)[:count], dtype=float)
 
@@ -152,20 +181,49 @@ class Marginal:
             for t in (self.tangents, self.turned)
         )
         own = np.real(one.conj() @ two.swapaxes(1, 2))
-        at = self.owner[:, :, None] * (count + 1) + self.owner[:, None, :]
-        whole = np.bincount(at.ravel(), own.ravel(), (count + 1) ** 2).reshape(count + 1, count + 1)
-        made = whole[:count, :count] - self.taken @ self.taken.T
-        return np.asarray(0.5 * (made + made.T))
+        made = np.asarray(self.taken @ self.taken.T)
+        np.negative(made, out=made)
+        row, column = np.broadcast_arrays(self.owner[:, :, None], self.owner[:, None, :])
+        held = (row < count) & (column < count)
+        np.add.at(made, (row[held], column[held]), own[held])
+        return made
+
+    @cached_property
+    def root(self) -> Array:
+        """Lower triangular root (V, V) of the information with the priors."""
+        scale = np.outer(self.nuisance.sd, self.nuisance.sd)
+        relative, prior = self.information * scale, 0.5 * np.eye(len(scale))
+        try:
+            root = np.linalg.cholesky(relative + prior)
+        except np.linalg.LinAlgError:
+            # Rounding, where the beams hardly determine the motion.
+            values, vectors = np.linalg.eigh(relative)
+            root = np.linalg.cholesky((vectors * np.maximum(values, 0.0)) @ vectors.T + prior)
+        return root / self.nuisance.sd[:, None]
 
     @cached_property
     def inverse(self) -> Array:
         """Inverse (V, V) of the information with the priors."""
-        return np.asarray(np.linalg.inv(self.information + np.diag(0.5 / self.nuisance.sd**2)))
+        return self.solved(np.eye(len(self.root)))
+
+    def halved(self, value: Array) -> Array:
+        """Solve the root for values (V, k): their products are those of the values with the inverse."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.root, value, lower=True, check_finite=False))
+
+    def solved(self, value: Array) -> Array:
+        """Solve the information with the priors for values (V,) or (V, k)."""
+        from scipy.linalg import cho_solve
+
+        return np.asarray(cho_solve((self.root, True), value, check_finite=False))
 
     def common(self, groups: NDArray[np.intp], tangents: ComplexArray, taken: Array) -> Array:
         """Return the information (B, p, V) that tangents (p, group, B, n, column) share with the nuisance."""
         sets, count = taken.shape[:2]
         number = len(self.nuisance.sd)
+        if self.turn is not None:
+            tangents, taken = self._in_columns(tangents, taken, self.turn)
         made = np.zeros(sets * count * (number + 1))
         at = np.arange(sets * count).reshape(sets, count, 1) * (number + 1)
         for member in range(groups.shape[1]):
@@ -177,11 +235,30 @@ class Marginal:
             made += np.bincount(index.ravel(), own.ravel(), len(made))
         return made.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
 
+    def _in_columns(
+        self, tangents: ComplexArray, taken: Array, turn: ComplexArray
+    ) -> tuple[ComplexArray, Array]:
+        """Return tangents and their projections, as of ``State.sums``, in the columns of ``turn``."""
+        own = _side_by_side(tangents.transpose(0, 2, 1, 3, 4)) @ turn
+        half = taken.shape[2] // 2
+        whole = taken[:, :, :half] + 1j * taken[:, :, half:]
+        seen = _side_by_side(whole.reshape(*taken.shape[:2], len(self.state.z), -1, tangents.shape[4]))
+        seen = (seen @ turn).reshape(*taken.shape[:2], -1)
+        return own.transpose(0, 2, 1, 3, 4), np.concatenate([seen.real, seen.imag], axis=2)
+
     def remaining(self, groups: NDArray[np.intp], tangents: ComplexArray, sums: Sums) -> tuple[Array, Array]:
         """Return score and information of tangents next to the nuisance, which is not at its best here."""
         shared = self.common(groups, tangents, sums.taken)
-        held = shared @ self.inverse
-        return sums.score - held @ self.score, sums.information - held @ shared.swapaxes(1, 2)
+        sets, count, number = shared.shape
+        half = self.halved(shared.reshape(-1, number).T).T.reshape(sets, count, number)
+        pull = self.halved(self.score[:, None])[:, 0]
+        return sums.score - half @ pull, sums.information - half @ half.swapaxes(1, 2)
+
+
+def _side_by_side(value: ComplexArray) -> ComplexArray:
+    """Return values (..., group, n, column) as those of one group (..., 1, n, group column)."""
+    swapped = value.swapaxes(-3, -2)
+    return swapped.reshape(*swapped.shape[:-2], -1)[..., None, :, :]
 
 
 def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, Array]:
@@ -192,7 +269,7 @@ def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, A
     value = state.energy
     for _ in range(rounds if len(x) else 0):
         found = Marginal(state, nuisance)
-        step = found.inverse @ (found.score - 0.5 * x / nuisance.sd**2)
+        step = found.solved(found.score - 0.5 * x / nuisance.sd**2)
         for part in (1.0, 0.5, 0.25):
             trial = State.of(data, nuisance.applied(base, x + part * step, data))
             left = trial.energy + nuisance.penalty(x + part * step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, lgamma, log, pi
@@ -25,6 +26,8 @@ _MANY = ("laser", "lasers", "body")
 _COARSE = 4
 # Steps of the numerical derivatives, in units of the prior size.
 _STEP = 1e-5
+# Share of the information next to the motion alone below which parameters of a fault are not seen.
+_UNSEEN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class Refit:
         self.start = start
         self.flat = flat
         self.lever = data.source.beams.lever_m
+        self._unmoved: dict[int, Marginal] = {}
 
     @property
     def coarse(self) -> bool:
@@ -115,6 +119,24 @@ class Refit:
         zero = np.zeros(0)
         starts = [self.start, np.zeros_like(self.start)] if len(self.start) else [self.start]
         return min(self._try(self.flat, fault, zero, x).value for x in starts)
+
+    def most(self, channels: Sequence[int]) -> float:
+        """Return by how much the objective falls when channels are left out: no fault of theirs takes more.
+
+        To first order in the nuisance parameters, from where they are zero and from where they were found:
+        next to a large fault only the first is near what is left without it.
+        """
+        if self.data.whiten is not None:
+            return np.inf
+        weight, y = self.data.weight.copy(), self.data.y.copy()
+        weight[:, channels], y[:, channels] = 0.0, 0.0
+        data, least = replace(self.data, weight=weight, y=y), np.inf
+        for x in (np.zeros_like(self.start), self.start):
+            state = State.of(data, self.nuisance.applied(model_of(data), x, data))
+            near = Marginal(state, self.nuisance)
+            pull = near.score - 0.5 * x / self.nuisance.sd**2
+            least = min(least, state.energy + self.nuisance.penalty(x) - float(pull @ near.solved(pull)))
+        return self.before - least
 
     def fit(self, fault: Fault) -> FaultFit:
         """Fit a fault by Gauss and Newton's method; a step that does not improve is shortened."""
@@ -220,27 +242,51 @@ class Refit:
         return np.stack(made) if made else np.zeros((0, *z[:, :1].shape), dtype=complex)
 
     def _step(self, data: Packed, fault: Fault, now: _Trial) -> tuple[Array, Array]:
-        """Return the step of all parameters, and the inverse of their information."""
-        size, count = fault.size, len(self.start)
-        normal = np.zeros((size + count, size + count))
-        score = np.zeros(size + count)
+        """Return the step of all parameters, and the inverse of the information on those of the fault.
+
+        The nuisance parameters are eliminated first (Schur complement), so that their information is
+        factorised once for all faults that start from the same fit.
+        """
+        size, near = fault.size, self._near(data, fault, now)
+        pull = near.score - 0.5 * now.x / self.nuisance.sd**2 if near else now.x
+        free = near.solved(pull) if near else now.x
+        if not size:
+            return free, np.zeros((0, 0))
         groups = np.array([fault.channels])
-        if size:
-            base = self.nuisance.applied(model_of(data), now.x, data)
-            t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
-            sums = now.state.sums(groups, t)
-            normal[:size, :size], score[:size] = sums.information[0], sums.score[0]
-        if count:
-            found = Marginal(now.state, self.nuisance)
-            normal[size:, size:] = found.information + np.diag(0.5 / self.nuisance.sd**2)
-            score[size:] = found.score - 0.5 * now.x / self.nuisance.sd**2
-            if size:
-                shared = found.common(groups, t, sums.taken)[0]
-                normal[:size, size:], normal[size:, :size] = shared, shared.T
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        even = np.linalg.pinv(normal * np.outer(unit, unit), rcond=1e-9, hermitian=True)
-        inverse = even * np.outer(unit, unit)
-        return inverse @ score, inverse
+        base = self.nuisance.applied(model_of(data), now.x, data)
+        t = self._tangents(data, fault, now.theta, base, now.state.z)[:, :, None]
+        sums = now.state.sums(groups, t)
+        score, information = sums.score[0], sums.information[0]
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        if near is None:
+            inverse = _inverse(information, unit)
+            return inverse @ score, inverse
+        shared = near.common(groups, t, sums.taken)[0]
+        held = near.solved(shared.T)
+        inverse = _inverse(information - shared @ held, unit)
+        step = inverse @ (score - pull @ held)
+        return np.concatenate([step, free - held @ step]), inverse
+
+    def _near(self, data: Packed, fault: Fault, now: _Trial) -> Marginal | None:
+        """Return the information on the nuisance parameters; that of the fit without any error is kept."""
+        if not len(self.start):
+            return None
+        if not fault.size or np.any(now.theta) or np.any(now.x):
+            return Marginal(now.state, self.nuisance)
+        if id(data) not in self._unmoved:
+            self._unmoved[id(data)] = Marginal(State.of(data), self.nuisance)
+        return self._unmoved[id(data)]
+
+
+def _inverse(information: Array, unit: Array) -> Array:
+    """Invert the information on a fault; what the data do not show of it is left at zero.
+
+    ``unit`` (p,) scales the parameters to equal information next to the motion alone.
+    """
+    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    seen = values > _UNSEEN
+    half = vectors[:, seen] * values[seen] ** -0.5
+    return np.asarray((half @ half.T) * np.outer(unit, unit))
 
 
 def log_evidence(fit: FaultFit, level: float, lever_m: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
+from kinematics.faults.bounds import Bounds
 from kinematics.faults.catalogue import EXCHANGES, KINDS, Fault, Layout
 from kinematics.faults.findings import Finding, differ
 from kinematics.faults.flexible import Structure, structure_of
@@ -354,14 +355,13 @@ class Search:
         return made
 
     def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
-        """Fit faults, without those that cannot come near the best: none takes more than leaving out does."""
-        if len(self.x):
-            return [self.refit.fit(fault) for fault in faults]
-        most = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
+        """Fit faults, without those that cannot come near the best."""
+        fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
+        bounds = Bounds(self.refit, self.suspected, {own: -value for own, value in fall.items()})
         # Next to a body that bends, what explains less than half of that is no rival.
         made, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
-        for fault in sorted(faults, key=lambda fault: most[tuple(fault.channels)]):
-            if -most[tuple(fault.channels)] / self.scale < best - _NEAR:
+        for fault in bounds.ordered(faults):
+            if not bounds.reach(fault, (best - _NEAR) * self.scale):
                 continue
             fit = self.refit.fit(fault)
             made.append(fit)

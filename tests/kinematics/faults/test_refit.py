@@ -1,0 +1,107 @@
+"""Faults are fitted next to the errors of all positions, and skipped only where they explain little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinematics.faults.catalogue import Fault
+from kinematics.faults.nuisance import Marginal, Nuisance, settled
+from kinematics.faults.refit import Refit
+from kinematics.faults.search import Search
+from kinematics.faults.state import State
+from tests.kinematics.faults.test_catalogue import CHANNELS, data_of
+from tests.kinematics.simulated import scene
+
+SD_M = 3e-5
+FAULTS = [
+    Fault(kind, owner, CHANNELS[owner])
+    for kind, owner in [
+        ("gain", "channel"), ("direction", "channel"), ("delay", "channel"), ("position", "point"),
+        ("gain", "laser"), ("drift", "point"),
+    ]
+]  # fmt: skip
+
+
+def refit_of(spoiled, factor, noisy=True):
+    """Return the refit of a scene with a factor on some channels, next to errors of positions."""
+    made = scene(31)
+    made.value = made.value if noisy else scene(31, snr=np.inf).value
+    made.value[spoiled] *= factor
+    data = data_of(made)
+    nuisance = Nuisance.of(data, np.full(27, SD_M))
+    flat = data.merged(State.of(data).z)
+    x = settled(flat, nuisance)[1]
+    state = State.of(data, nuisance.applied(State.of(data).model, x, data))
+    return Refit(data, nuisance, x, state.energy + nuisance.penalty(x), flat)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.kind} of a {fault.owner}")
+@pytest.mark.parametrize("factor", [1.02, -1.0])
+def test_no_fault_lowers_the_objective_further_than_leaving_its_channels_out(fault, factor):
+    refit = refit_of(CHANNELS["point"], factor)
+    assert refit.fit(fault).drop <= 1.01 * refit.most(fault.channels) + 1e-3
+
+
+@pytest.mark.parametrize("fault", FAULTS[:4], ids=lambda fault: fault.kind)
+def test_a_fit_next_to_errors_of_positions_ends_where_its_objective_is_least(fault):
+    refit = refit_of([4], 1.02)
+    data = refit.data if fault.varies else refit.flat
+    now = refit._try(data, fault, np.zeros(fault.size), np.zeros_like(refit.start))
+    now, inverse = refit._improved(data, fault, now)
+    rng = np.random.default_rng(1)
+    scale = np.concatenate([np.sqrt(np.diag(inverse)), refit.nuisance.sd])
+    for _ in range(20):
+        step = 0.05 * scale * rng.normal(size=len(scale))
+        other = refit._try(data, fault, now.theta + step[: fault.size], now.x + step[fault.size :])
+        assert other.value > now.value - 1e-3
+
+
+def test_the_covariance_of_a_fault_holds_what_errors_of_positions_add():
+    refit = refit_of([4], 1.02, noisy=False)
+    fault = FAULTS[0]
+    now = refit._try(refit.flat, fault, np.zeros(1), np.zeros_like(refit.start))
+    now, inverse = refit._improved(refit.flat, fault, now)
+    size = np.concatenate([[1e-4], 1e-2 * refit.nuisance.sd])
+    count = len(size)
+
+    def value(*steps):
+        moved = sum(sign * size[k] * np.eye(count)[k] for k, sign in steps)
+        return refit._try(refit.flat, fault, now.theta + moved[:1], now.x + moved[1:]).value
+
+    hessian = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            around = [a * b * value((i, a), (j, b)) for a in (1, -1) for b in (1, -1)]
+            hessian[i, j] = hessian[j, i] = sum(around) / (4.0 * size[i] * size[j])
+    # The objective is a sum of squares: its second derivatives are twice the information.
+    assert inverse[0, 0] == pytest.approx(np.linalg.inv(0.5 * hessian)[0, 0], rel=1e-3)
+
+
+def test_groups_of_lines_with_the_same_rows_hold_what_they_hold_one_by_one():
+    data = data_of(scene(32))
+    nuisance = Nuisance.of(data, np.full(27, SD_M))
+    near, plain = (Marginal(State.of(data), nuisance) for _ in range(2))
+    plain.__dict__["turn"] = None
+    assert near.turn is not None
+    np.testing.assert_allclose(near.score, plain.score, atol=1e-9 * np.max(np.abs(plain.score)))
+    np.testing.assert_allclose(near.information, plain.information, atol=1e-9 * np.max(plain.information))
+    groups = np.array([CHANNELS["point"], [0, 1, 2]])
+    tangents = near.state.tangents(groups.ravel(), [0, 1]).reshape(2, len(data.y), 2, 3, -1)
+    taken = near.state.sums(groups, tangents).taken
+    made, expected = (one.common(groups, tangents, taken) for one in (near, plain))
+    np.testing.assert_allclose(made, expected, atol=1e-9 * np.max(np.abs(expected)))
+
+
+def test_what_is_skipped_would_have_been_no_rival():
+    made = scene(33)
+    made.value[4] *= 1.05
+    data = data_of(made)
+    frame = (np.zeros((27, 3)), np.eye(3))
+    search = Search(data, np.full(27, SD_M), frame, True)
+    fitted = {(fit.fault.kind, tuple(fit.channels)): fit for fit in search._suspects(False)}
+    faults = [Fault(test.kind, test.owner, list(own)) for test in search.tested for own in test.sets]
+    best = max(search._evidence(fit) for fit in fitted.values())
+    for fault in faults:
+        if (fault.kind, tuple(fault.channels)) not in fitted and 4 in fault.channels:
+            assert search._evidence(search.refit.fit(fault)) < best - 3.0
