@@ -12,7 +12,6 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.moments import Moments
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
-from stapeskit.page.quantities import MASS
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
 
@@ -47,7 +46,7 @@ class PointMass:
                 Fault(
                     "{add_mass}",
                     "a positive mass in mg",
-                    MASS.text(self.mass_kg),
+                    f"{1e6 * self.mass_kg:g} mg",
                     next_step="Give X,Y,Z,MG with MG above 0",
                 )
             )
@@ -170,7 +169,7 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
                 "{mass_mg}",
                 f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
                 "(500 to 4000 kg/m3)",
-                f"{MASS.text(mass_kg)}, that is {density:.4g} kg/m3",
+                f"{1e6 * mass_kg:g} mg, that is {density:.4g} kg/m3",
                 next_step="Check the mass (mg) and the voxel size",
             )
         )

@@ -42,8 +42,8 @@ class ShownUnit:
 
         Examples
         --------
-        >>> MASS.text(2.71828e-6, ".3f"), LENGTH.text(0.0031), SMALL_LENGTH.text(4.2e-6)
-        ('2.718 mg', '3.1 mm', '4.2 µm')
+        >>> LENGTH.text(2.71828e-3, ".3f"), LENGTH.text(0.0031), SMALL_LENGTH.text(4.2e-6)
+        ('2.718 mm', '3.1 mm', '4.2 µm')
         """
         return f"{self.of(value):{form}} {self.symbol}"
 
@@ -52,8 +52,8 @@ class ShownUnit:
 
         Examples
         --------
-        >>> MASS.with_sd(2.71828e-6, 3e-8)
-        '2.718 ± 0.030 mg'
+        >>> LENGTH.with_sd(2.71828e-3, 3e-5)
+        '2.718 ± 0.030 mm'
         """
         return f"{plus_minus(self.of(value), None if sd is None else self.of(sd))} {self.symbol}"
 
@@ -62,8 +62,8 @@ class ShownUnit:
 
         Examples
         --------
-        >>> MASS.times(LENGTH)
-        ShownUnit(symbol='mg mm', per_si=1000000000.0)
+        >>> STIFFNESS.times(LENGTH)
+        ShownUnit(symbol='N/m mm', per_si=1000.0)
         """
         return ShownUnit(f"{self.symbol} {other.symbol}", self.per_si * other.per_si)
 

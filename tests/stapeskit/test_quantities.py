@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stapeskit.page import quantities
-from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME, diagonal_unit
+from stapeskit.page.quantities import FIRST_MOMENT, INERTIA, LENGTH, MASS, SMALL_LENGTH, VOLUME, diagonal_unit
 
 
 def test_examples():
@@ -15,7 +15,7 @@ def test_examples():
 
 @pytest.mark.parametrize(
     ("unit", "si", "shown"),
-    [(MASS, 3e-6, 3.0), (VOLUME, 1.5e-9, 1.5), (LENGTH, 0.0034, 3.4), (SMALL_LENGTH, 2e-6, 2.0)],
+    [(VOLUME, 1.5e-9, 1.5), (LENGTH, 0.0034, 3.4), (SMALL_LENGTH, 2e-6, 2.0)],
 )
 def test_factors_and_back(unit, si, shown):
     assert unit.of(si) == pytest.approx(shown)
@@ -24,7 +24,14 @@ def test_factors_and_back(unit, si, shown):
 
 
 def test_a_value_without_a_standard_deviation_says_so():
-    assert MASS.with_sd(2e-6, None) == "2 ± unknown mg"
+    assert LENGTH.with_sd(2e-3, None) == "2 ± unknown mm"
+
+
+def test_moments_of_mass_follow_the_unit_of_mass():
+    arm_m = 0.002
+    assert FIRST_MOMENT.of(3e-6 * arm_m) == pytest.approx(MASS.of(3e-6) * LENGTH.of(arm_m))
+    assert INERTIA.of(3e-6 * arm_m**2) == pytest.approx(MASS.of(3e-6) * LENGTH.of(arm_m) ** 2)
+    assert (FIRST_MOMENT.symbol, INERTIA.symbol) == (f"{MASS.symbol} mm", f"{MASS.symbol} mm²")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from ct_inertia.cli import work
 from ct_inertia.report.report_evidence import evidence_rows
 from ct_inertia.surface.surface import write_surface
+from stapeskit.page.quantities import MASS
 from tests.ct_inertia.shapes import stapes
 
 TOLD = {
@@ -85,7 +86,8 @@ def test_the_ways_to_the_mass_stand_side_by_side(page):
 
 def test_added_mass_display_surface_and_exports_are_told(page):
     html, content = page
-    assert "0.2 ± 0.02 mg at 0, 2, 0.4 (scan, mm)" in cells(html, "What was found")
+    mass = f"{MASS.of(0.2e-6):g} ± {MASS.of(0.02e-6):g} {MASS.symbol}"
+    assert f"{mass} at 0, 2, 0.4 (scan, mm)" in cells(html, "What was found")
     (step,) = content["display_mesh"]["steps"]
     told = cells(html, "Inputs")
     assert f"{step['mass_change_percent']:+.4f}" in told
