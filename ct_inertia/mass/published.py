@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stapeskit.page.quantities import MASS
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -69,12 +70,17 @@ PUBLISHED = (
 )
 NAMES = {
     "volume_mm3": ("volume", "mm3"),
-    "mass_mg": ("mass", "mg"),
+    "mass_mg": ("mass", MASS.symbol),
     "density_kg_m3": ("density", "kg/m3"),
     "height_mm": ("height", "mm"),
     "footplate_length_mm": ("footplate length", "mm"),
     "footplate_width_mm": ("footplate width", "mm"),
 }
+
+
+def shown(quantity: str, value: float) -> float:
+    """Return a value of a quantity in the unit of `NAMES`."""
+    return MASS.of(1e-6 * value) if quantity == "mass_mg" else value
 
 
 def comparisons(values: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -109,8 +115,9 @@ def unusual_notice(values: Mapping[str, float]) -> list[Notice]:
             z, nearest = min(of, key=lambda entry: entry[0])
             name, unit = NAMES[quantity]
             signed = np.copysign(z, value - nearest.mean)
+            here, mean, sd = (shown(quantity, number or 0.0) for number in (value, nearest.mean, nearest.sd))
             unusual.append(
-                f"{name} {value:.3g} {unit} (published {nearest.mean:g} +- {nearest.sd:g}, z {signed:+.1f}; "
+                f"{name} {here:.3g} {unit} (published {mean:g} +- {sd:g}, z {signed:+.1f}; "
                 f"{nearest.reference})"
             )
     if not unusual:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ct_inertia.mass.budget import mass_sd_missing
-from ct_inertia.mass.published import NAMES
+from ct_inertia.mass.published import NAMES, shown
 from stapeskit.page import page
 from stapeskit.page.quantities import LENGTH, MASS, SMALL_LENGTH, VOLUME
 
@@ -83,8 +83,9 @@ def gap_words(evidence: Mapping[str, Any]) -> str:
 
 def _compared(row: Mapping[str, Any]) -> tuple[str, ...]:
     name, unit = NAMES[row["quantity"]]
-    sd = "" if row["sd"] is None else f" ± {row['sd']:.3g}"
+    value, mean = (shown(row["quantity"], row[key]) for key in ("value", "mean"))
+    sd = "" if row["sd"] is None else f" ± {shown(row['quantity'], row['sd']):.3g}"
     number = f" (n = {row['n']})" if row["n"] else ""
     z = "" if row["z"] is None else f"{row['z']:+.1f}"
-    shown = unit.replace("mm3", "mm³").replace("m3", "m³")
-    return f"{name} ({shown})", f"{row['value']:.4g}", f"{row['mean']:.4g}{sd}{number}", z, row["reference"]
+    unit = unit.replace("mm3", "mm³").replace("m3", "m³")
+    return f"{name} ({unit})", f"{value:.4g}", f"{mean:.4g}{sd}{number}", z, row["reference"]
