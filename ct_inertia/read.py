@@ -17,7 +17,6 @@ from ct_inertia.readers.raw_layout import RawLayout
 from ct_inertia.readers.tiff_pages import WHITE_IS_ZERO
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume, check_axis
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -122,26 +121,22 @@ def check_values(volume: Volume) -> None:
     if floating and not volume.nan_as_air:
         _check_finite(array, where)
     if not settled and all(np.all(piece == first) for piece in array):
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "a picture with differing grey values",
-                f"{first} in every voxel",
-                where,
-                next_step="Check that this is the reconstructed volume, and export it again",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "a picture with differing grey values",
+            f"{first} in every voxel",
+            where,
+            next_step="Check that this is the reconstructed volume, and export it again",
         )
 
 
 def _check_finite(array: NDArray[Any], where: str) -> None:
     bad = sum(int(np.count_nonzero(~np.isfinite(piece))) for piece in array)
     if bad:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "finite",
-                f"{bad} voxels of NaN or infinity",
-                where,
-                "Replace them, or let them count as air with {nan_as_air}",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            "finite",
+            f"{bad} voxels of NaN or infinity",
+            where,
+            "Replace them, or let them count as air with {nan_as_air}",
         )

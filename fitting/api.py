@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
-from stapeskit.faults import Fault, worded
+from stapeskit.faults import worded
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.measured_mass import HasMass, MassInput, MeasuredMass, measured_mass
 from stapeskit.records.motion import RigidMotion
@@ -69,7 +69,7 @@ def dof2kd(
     if chosen.dof_reordered and _is_plain(mass):
         step = "Order rows and columns of the matrix so, too"
         wanted = "in the order x,y,z,alpha,beta,gamma where a plain mass matrix counts by it"
-        raise FittingError(Fault("{dof}", wanted, "another order", "", step))
+        raise FittingError.of("{dof}", wanted, "another order", "", step)
     files: dict[str, Any] = {}
     if isinstance(mass, str | os.PathLike):
         files["mass"] = Path(mass)

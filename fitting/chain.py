@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from fitting.errors import FittingError
-from stapeskit.faults import Fault
 from stapeskit.provenance import content_hash, document_hash
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import RigidMotion
@@ -59,14 +58,12 @@ def check_chain(
     origin = f"{used.get('file', 'mass.json')} of {used.get('modified', 'unknown date')} ({used['hash']})"
     got = f"{name} with the content {given}"
     if not force:
-        raise FittingError(
-            Fault(
-                "{mass}",
-                f"the file whose frames {motion_name} was computed with, {origin}",
-                got,
-                "" if mass_file is None else str(mass_file),
-                f"Give that file, run points2dof again with {name}, or use the given one by {{force}}",
-            )
+        raise FittingError.of(
+            "{mass}",
+            f"the file whose frames {motion_name} was computed with, {origin}",
+            got,
+            "" if mass_file is None else str(mass_file),
+            f"Give that file, run points2dof again with {name}, or use the given one by {{force}}",
         )
     text = f"{motion_name} was computed with the frames of {origin}, not with {got} ({named('force')})."
     return [Notice("other_mass_file", text), *travelling]

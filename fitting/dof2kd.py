@@ -18,7 +18,6 @@ from fitting.plan.plan import Expectation, expect, plan_json
 from fitting.plan.plan_file import read_plan
 from fitting.plan.plan_page import plan_page
 from fitting.results import KDResult
-from stapeskit.faults import Fault
 from stapeskit.own_files import OutputSet
 from stapeskit.progress import Tell, silent
 from stapeskit.provenance import record
@@ -142,5 +141,5 @@ def _json_name(out: Path) -> Path:
     out = Path(out)
     if out.suffix.lower() != ".json":
         step = f"Give {{out}} {out.with_suffix('.json').name}" if out.name else "Give {out} kd.json"
-        raise FittingError(Fault("{out}", "a file name that ends with .json", out.name or out, "", step))
+        raise FittingError.of("{out}", "a file name that ends with .json", out.name or out, "", step)
     return out

@@ -20,7 +20,6 @@ from fitting.estimators.problem import Problem
 from fitting.model.lines import forward, real_rows
 from fitting.model.symmetric import entry_names
 from fitting.uncertainty.identifiability import relative_sizes
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -101,24 +100,20 @@ def choose(problem: Problem, choice: str) -> tuple[Problem, InplaneChoice]:
     without = replace(problem, observation=problem.observation.without_load())
     if not others:
         if choice == LOAD:
-            raise FittingError(
-                Fault(
-                    "{inplane} load",
-                    "given with measured motion outside {dof}",
-                    "none",
-                    next_step="Run points2dof with {dof} all, or use {inplane} ignore",
-                )
+            raise FittingError.of(
+                "{inplane} load",
+                "given with measured motion outside {dof}",
+                "none",
+                next_step="Run points2dof with {dof} all, or use {inplane} ignore",
             )
         return without, InplaneChoice(False, (), "no motion outside the model was measured")
     if not problem.inertia.complete:
         if choice == LOAD:
-            raise FittingError(
-                Fault(
-                    "{inplane} load",
-                    "given with the mass matrix of all six degrees of freedom",
-                    "one of the chosen ones only",
-                    next_step="Give {mass} mass.json, or use {inplane} ignore",
-                )
+            raise FittingError.of(
+                "{inplane} load",
+                "given with the mass matrix of all six degrees of freedom",
+                "one of the chosen ones only",
+                next_step="Give {mass} mass.json, or use {inplane} ignore",
             )
         reason = "the mass matrix of the other degrees of freedom is not given"
         return without, InplaneChoice(False, others, reason, mass_known=choice != AUTO)

@@ -87,7 +87,7 @@ class BodyChannels:
         ]
         raise_all(KinematicsError, faults)
         if not np.all(np.abs(np.linalg.norm(self.directions, axis=1) - 1.0) < 1e-3):
-            raise KinematicsError(Fault(f"the beam directions of body {self.body}", "unit vectors", "others"))
+            raise KinematicsError.of(f"the beam directions of body {self.body}", "unit vectors", "others")
 
     def channel_name(self, channel: int) -> str:
         """Return ``body point (direction)`` for messages."""
@@ -270,7 +270,7 @@ def mirror_sign(axis: str) -> tuple[float, float, float]:
         The axis is not x, y or z.
     """
     if axis not in MIRRORS:
-        raise KinematicsError(Fault("{mirror}", "x, y or z", axis))
+        raise KinematicsError.of("{mirror}", "x, y or z", axis)
     return MIRRORS[axis]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.own_files import OutputSet
 
 _EXPORTS = ("points.csv", "scan.uff", "fastscan.txt", "scan.mat", "wide.csv")
@@ -27,8 +27,8 @@ def sample_folder() -> Path:
     for folder in (here / "sample_study", here.parent / "sample_volumes"):
         if all((folder / name).is_file() for name in FILES):
             return folder
-    raise StapeskitError(
-        Fault("the sample study", "part of this installation", "none", "", "Install stapeskit again")
+    raise StapeskitError.of(
+        "the sample study", "part of this installation", "none", "", "Install stapeskit again"
     )
 
 

@@ -82,18 +82,16 @@ def read_study(path: Path) -> Study:
     """
     path = Path(path)
     if not path.is_file():
-        raise PipelineError(
-            Fault(
-                "the study file",
-                "an existing TOML file",
-                path,
-                next_step="scan2kd --template prints one to start from",
-            )
+        raise PipelineError.of(
+            "the study file",
+            "an existing TOML file",
+            path,
+            next_step="scan2kd --template prints one to start from",
         )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise PipelineError(Fault("the study file", "UTF-8 text", fault, path.name)) from fault
+        raise PipelineError.of("the study file", "UTF-8 text", fault, path.name) from fault
     return parse_study(text, path.absolute().parent, path.name)
 
 
@@ -112,8 +110,8 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     try:
         tables = parse_toml(text)
     except ValueError as fault:
-        raise PipelineError(
-            Fault("the study file", "valid TOML", fault, name, "Texts and paths stand in quotes")
+        raise PipelineError.of(
+            "the study file", "valid TOML", fault, name, "Texts and paths stand in quotes"
         ) from fault
     faults = [_unknown(key, name) for key in tables if key not in TABLES]
     read: dict[str, Any] = {}
@@ -132,7 +130,7 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
     sides = {study.study.side, study.scan.side} - {None}
     if len(sides) > 1:
         got = f"{study.study.side} in [study] and {study.scan.side} in [scan]"
-        raise PipelineError(Fault("the side of the ear", "stated once or alike", got, name))
+        raise PipelineError.of("the side of the ear", "stated once or alike", got, name)
     return study
 
 

@@ -116,13 +116,13 @@ def _sample(words: Sequence[str]) -> None:
     """Copy the sample study into the folder that the words name."""
     from pathlib import Path
 
-    from stapeskit.faults import Fault, StapeskitError
+    from stapeskit.faults import StapeskitError
 
     folders = [word for word in words if word != "--force"]
     if len(folders) != 1 or folders[0].startswith("-"):
         got = " ".join(words) or "nothing"
-        raise StapeskitError(
-            Fault("stapeskit sample", "given one folder", got, "", "Write for example stapeskit sample ear")
+        raise StapeskitError.of(
+            "stapeskit sample", "given one folder", got, "", "Write for example stapeskit sample ear"
         )
     from pipeline.sample import copy_sample
 
@@ -138,13 +138,13 @@ def _figures(words: Sequence[str]) -> None:
     """Write the figures and tables of the page that the words name."""
     from pathlib import Path
 
-    from stapeskit.faults import Fault, StapeskitError
+    from stapeskit.faults import StapeskitError
 
     names = [word for word in words if word != "--force"]
     if len(names) != 2 or any(name.startswith("-") for name in names):
         step = "Write for example stapeskit figures results/report.html figures"
         got = " ".join(words) or "nothing"
-        raise StapeskitError(Fault("stapeskit figures", "given a page and a folder", got, "", step))
+        raise StapeskitError.of("stapeskit figures", "given a page and a folder", got, "", step)
     from pipeline.figures import write_figures
 
     files = write_figures(Path(names[0]), Path(names[1]), force="--force" in words)
@@ -154,11 +154,11 @@ def _figures(words: Sequence[str]) -> None:
 def _completion(words: Sequence[str]) -> None:
     """Print the completion for a shell."""
     from pipeline.completion import SHELLS, completion
-    from stapeskit.faults import Fault, StapeskitError
+    from stapeskit.faults import StapeskitError
 
     if len(words) != 1 or words[0] not in SHELLS:
         got = " ".join(words) or "nothing"
-        raise StapeskitError(Fault("stapeskit completion", f"one of {', '.join(SHELLS)}", got))
+        raise StapeskitError.of("stapeskit completion", f"one of {', '.join(SHELLS)}", got)
     from pipeline.options_page import COMMANDS as TABLES
     from stapeskit.options import declared
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Self
 
 from stapeskit.vocabulary import Vocabulary, named, using, written
 
@@ -128,6 +129,13 @@ class StapeskitError(ValueError):
             fault if isinstance(fault, Fault) else Fault(fault) for fault in faults
         )
         super().__init__(*self.faults)
+
+    @classmethod
+    def of(
+        cls, thing: str, expected: str = "", got: object = "", where: str | Place = "", next_step: str = ""
+    ) -> Self:
+        """Return the error with one fault; for the arguments see `Fault`."""
+        return cls(Fault(thing, expected, got, where, next_step))
 
     def __str__(self) -> str:
         return message(self.faults)

@@ -196,10 +196,10 @@ def axes_matrix(x: Sequence[float] | Array, y: Sequence[float] | Array) -> Array
     x_axis = np.asarray(x, dtype=float)
     length = float(np.linalg.norm(y_axis))
     if not length > 0.0:
-        raise StapeskitError(Fault("the y direction", "a non-zero vector", y_axis.tolist()))
+        raise StapeskitError.of("the y direction", "a non-zero vector", y_axis.tolist())
     y_axis = y_axis / length
     across = x_axis - (x_axis @ y_axis) * y_axis
     if not float(np.linalg.norm(across)) > 1e-9 * float(np.linalg.norm(x_axis)):
-        raise StapeskitError(Fault("the x direction", "not parallel to y", x_axis.tolist()))
+        raise StapeskitError.of("the x direction", "not parallel to y", x_axis.tolist())
     across = across / np.linalg.norm(across)
     return np.column_stack([across, y_axis, np.cross(across, y_axis)])

@@ -174,8 +174,8 @@ def existing_folder(folder: Path) -> Path:
             exists = link or candidate.exists()
         except (OSError, ValueError) as fault:
             got = getattr(fault, "strerror", None) or str(fault)
-            raise StapeskitError(Fault("the output folder", "a folder", got, "", _ELSEWHERE)) from fault
+            raise StapeskitError.of("the output folder", "a folder", got, "", _ELSEWHERE) from fault
         if exists:
             got = f"the {'link that leads to no folder' if link else 'file'} {candidate}"
-            raise StapeskitError(Fault("the output folder", "a folder", got, next_step=_ELSEWHERE))
+            raise StapeskitError.of("the output folder", "a folder", got, next_step=_ELSEWHERE)
     return Path.cwd()

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.export_formats import EXPORTS, FORMATS
 from ct_inertia.exports.body import body_of
-from stapeskit.faults import Fault
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
@@ -30,13 +29,11 @@ def parse_formats(text: str) -> tuple[str, ...]:
         return FORMATS
     wrong = sorted(names - set(FORMATS))
     if wrong or not names:
-        raise CtInertiaError(
-            Fault(
-                "{export}",
-                f"a list out of {', '.join(FORMATS)}, or all",
-                ", ".join(wrong) or "nothing",
-                next_step="Write for example {export} stl,mjcf",
-            )
+        raise CtInertiaError.of(
+            "{export}",
+            f"a list out of {', '.join(FORMATS)}, or all",
+            ", ".join(wrong) or "nothing",
+            next_step="Write for example {export} stl,mjcf",
         )
     return tuple(name for name in FORMATS if name in names)
 

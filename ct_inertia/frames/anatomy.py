@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -53,41 +52,35 @@ class AnatomyHints:
         if self.anterior is not None:
             direction = np.asarray(self.anterior, dtype=float)
             if direction.shape != (3,) or not np.all(np.isfinite(direction)) or not np.any(direction):
-                raise CtInertiaError(
-                    Fault(
-                        "{anterior}",
-                        "a non-zero direction X,Y,Z in scan axes",
-                        direction.tolist(),
-                        next_step="Give the direction from posterior to anterior",
-                    )
+                raise CtInertiaError.of(
+                    "{anterior}",
+                    "a non-zero direction X,Y,Z in scan axes",
+                    direction.tolist(),
+                    next_step="Give the direction from posterior to anterior",
                 )
             object.__setattr__(self, "anterior", direction / np.linalg.norm(direction))
         if self.side not in (None, "left", "right"):
-            raise CtInertiaError(
-                Fault("{side}", "left or right", self.side, next_step="Give {side} left or {side} right")
+            raise CtInertiaError.of(
+                "{side}", "left or right", self.side, next_step="Give {side} left or {side} right"
             )
         points = {name: np.asarray(point, dtype=float) for name, point in self.landmarks.items()}
         for name, point in points.items():
             if point.shape != (3,) or not np.all(np.isfinite(point)):
-                raise CtInertiaError(
-                    Fault(
-                        f"landmark {name}",
-                        "three finite numbers in mm",
-                        point.tolist(),
-                        next_step="Set the point again in the program it was placed in",
-                    )
+                raise CtInertiaError.of(
+                    f"landmark {name}",
+                    "three finite numbers in mm",
+                    point.tolist(),
+                    next_step="Set the point again in the program it was placed in",
                 )
         object.__setattr__(self, "landmarks", points)
         sideways = {"superior", "inferior"} & points.keys()
         lengthways = self.anterior is not None or bool({"anterior", "posterior"} & points.keys())
         if sideways and self.side is None and not lengthways:
-            raise CtInertiaError(
-                Fault(
-                    f"landmark {min(sideways)}",
-                    "given together with the side of the ear",
-                    "no {side}",
-                    next_step="Add {side} left or {side} right, or an anterior landmark",
-                )
+            raise CtInertiaError.of(
+                f"landmark {min(sideways)}",
+                "given together with the side of the ear",
+                "no {side}",
+                next_step="Add {side} left or {side} right, or an anterior landmark",
             )
 
 
@@ -146,14 +139,12 @@ def orient_long_axis(hints: AnatomyHints, origin_mm: Array, x_axis: Array, y_axi
     signs = {sign for sign, _ in votes}
     if len(signs) > 1:
         told = "; ".join(f"{name} says {'+' if sign > 0 else '-'}" for sign, name in votes)
-        raise CtInertiaError(
-            Fault(
-                "the anatomical hints",
-                "of one mind about which end of the footplate is anterior",
-                told,
-                next_step="Correct the wrong one; a wrong {side} or a mirrored scan ({mirror}) does this to "
-                "superior and inferior",
-            )
+        raise CtInertiaError.of(
+            "the anatomical hints",
+            "of one mind about which end of the footplate is anterior",
+            told,
+            next_step="Correct the wrong one; a wrong {side} or a mirrored scan ({mirror}) does this to "
+            "superior and inferior",
         )
     return Orientation(votes[0][0], ", ".join(name for _, name in votes), tuple(notices))
 
@@ -174,13 +165,11 @@ def _votes(
     if hints.anterior is not None:
         angle = float(np.degrees(np.arccos(np.clip(abs(hints.anterior @ x_axis), 0.0, 1.0))))
         if angle > _SQUARE_DEG:
-            raise CtInertiaError(
-                Fault(
-                    "{anterior}",
-                    f"within {_SQUARE_DEG:.0f} degrees of the long axis of the footplate",
-                    f"{angle:.0f} degrees (long axis {_listed(x_axis)} in scan axes)",
-                    next_step="Give the direction from the posterior to the anterior end of the footplate",
-                )
+            raise CtInertiaError.of(
+                "{anterior}",
+                f"within {_SQUARE_DEG:.0f} degrees of the long axis of the footplate",
+                f"{angle:.0f} degrees (long axis {_listed(x_axis)} in scan axes)",
+                next_step="Give the direction from the posterior to the anterior end of the footplate",
             )
         if angle > _WEAK_DEG:
             text = (

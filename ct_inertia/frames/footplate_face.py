@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 
@@ -173,13 +172,11 @@ def _face(cone: _Cone, y_axis: Array, cosine: float) -> Face:
 
 
 def _no_face(got: str) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            "the surface",
-            "a stapes with a footplate: a near-planar face at one end",
-            f"no object that can be a stapes: {got}",
-            next_step="Check the segmentation or the mesh, or correct it with {seed} or {labels}",
-        )
+    return CtInertiaError.of(
+        "the surface",
+        "a stapes with a footplate: a near-planar face at one end",
+        f"no object that can be a stapes: {got}",
+        next_step="Check the segmentation or the mesh, or correct it with {seed} or {labels}",
     )
 
 

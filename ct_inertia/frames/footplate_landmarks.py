@@ -40,13 +40,11 @@ def check_head(vertices_mm: Array, faces: NDArray[np.integer], hints: AnatomyHin
     nearest = closest_point(corners, np.broadcast_to(head, (len(corners), 3)))
     distance = float(np.min(np.linalg.norm(nearest - head, axis=1)))
     if distance > _HEAD_MM:
-        raise CtInertiaError(
-            Fault(
-                "landmark head",
-                f"within {_HEAD_MM:g} mm of the surface of the stapes",
-                f"{distance:.2f} mm",
-                next_step=_LANDMARK_STEP,
-            )
+        raise CtInertiaError.of(
+            "landmark head",
+            f"within {_HEAD_MM:g} mm of the surface of the stapes",
+            f"{distance:.2f} mm",
+            next_step=_LANDMARK_STEP,
         )
 
 

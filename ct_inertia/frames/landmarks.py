@@ -51,7 +51,7 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(Fault("the landmark file", "an existing file", path, next_step="Check the path"))
+        raise CtInertiaError.of("the landmark file", "an existing file", path, next_step="Check the path")
     name = path.name.lower()
     readers: dict[str, Callable[[Path], Named]] = {
         ".json": _slicer_json,
@@ -61,13 +61,11 @@ def read_landmarks(path: Path) -> dict[str, Array]:
     }
     reader = next((read for ending, read in readers.items() if name.endswith(ending)), None)
     if reader is None:
-        raise CtInertiaError(
-            Fault(
-                "the landmark file",
-                "a .mrk.json, .fcsv, .pp or .csv file",
-                path.name,
-                next_step="Save the landmarks in one of these formats",
-            )
+        raise CtInertiaError.of(
+            "the landmark file",
+            "a .mrk.json, .fcsv, .pp or .csv file",
+            path.name,
+            next_step="Save the landmarks in one of these formats",
         )
     return _checked(reader(path), path.name)
 
@@ -106,14 +104,12 @@ def _checked(points: Iterable[tuple[str, Array]], file: str) -> dict[str, Array]
         by_name[name] = point
     raise_all(CtInertiaError, faults)
     if not by_name.keys() & set(LANDMARK_NAMES):
-        raise CtInertiaError(
-            Fault(
-                "the landmarks",
-                f"named out of {', '.join(LANDMARK_NAMES)}",
-                ", ".join(by_name) or "no point at all",
-                file,
-                "Rename them in the program they were set in",
-            )
+        raise CtInertiaError.of(
+            "the landmarks",
+            f"named out of {', '.join(LANDMARK_NAMES)}",
+            ", ".join(by_name) or "no point at all",
+            file,
+            "Rename them in the program they were set in",
         )
     return by_name
 
@@ -122,14 +118,12 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise CtInertiaError(
-            Fault(
-                "the landmark file",
-                "text in UTF-8",
-                "another encoding",
-                path.name,
-                next_step="Save the file again as UTF-8",
-            )
+        raise CtInertiaError.of(
+            "the landmark file",
+            "text in UTF-8",
+            "another encoding",
+            path.name,
+            next_step="Save the file again as UTF-8",
         ) from fault
 
 
@@ -137,14 +131,12 @@ def _signs(system: object, file: str) -> Array:
     """Return the signs (3,) that lead to LPS."""
     told = {"0": "RAS", "1": "LPS"}.get(str(system), str(system)).upper()
     if told not in _LPS_FROM:
-        raise CtInertiaError(
-            Fault(
-                "the coordinate system",
-                "LPS or RAS",
-                system,
-                file,
-                next_step="Save the markups in one of the two",
-            )
+        raise CtInertiaError.of(
+            "the coordinate system",
+            "LPS or RAS",
+            system,
+            file,
+            next_step="Save the markups in one of the two",
         )
     return _LPS_FROM[told]
 
@@ -161,14 +153,12 @@ def _slicer_json(path: Path) -> Named:
     except CtInertiaError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as fault:
-        raise CtInertiaError(
-            Fault(
-                "the landmark file",
-                "a markups file of 3D Slicer",
-                "a file without a list of markups",
-                path.name,
-                "Save the markups as .mrk.json",
-            )
+        raise CtInertiaError.of(
+            "the landmark file",
+            "a markups file of 3D Slicer",
+            "a file without a list of markups",
+            path.name,
+            "Save the markups as .mrk.json",
         ) from fault
 
 
@@ -182,8 +172,8 @@ def _mm_per_unit(told: object, file: str) -> float:
     units = {str(unit) for unit in (told if isinstance(told, list) else [told])}
     factor = mm_per_unit(units.pop()) if len(units) == 1 else None
     if factor is None:
-        raise CtInertiaError(
-            Fault("coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm")
+        raise CtInertiaError.of(
+            "coordinateUnits", "one unit of length", told, file, next_step="Save the markups in mm"
         )
     return factor
 
@@ -194,14 +184,12 @@ def _point(values: Any, file: str) -> Array:
     except (TypeError, ValueError, OverflowError):
         point = np.zeros(0)
     if point.shape != (3,):
-        raise CtInertiaError(
-            Fault(
-                "a landmark's position",
-                "three numbers",
-                values,
-                file,
-                next_step="Set the point again, or correct the file",
-            )
+        raise CtInertiaError.of(
+            "a landmark's position",
+            "three numbers",
+            values,
+            file,
+            next_step="Set the point again, or correct the file",
         )
     return point
 
@@ -223,14 +211,12 @@ def _slicer_fcsv(path: Path) -> Named:
         # Labels with commas stand in quotes.
         cells = dict(zip(columns, next(csv.reader([line])), strict=False))
         if "label" not in cells:
-            raise CtInertiaError(
-                Fault(
-                    "a row of an .fcsv file",
-                    "complete up to its label",
-                    line,
-                    path.name,
-                    next_step="Save the list again in 3D Slicer",
-                )
+            raise CtInertiaError.of(
+                "a row of an .fcsv file",
+                "complete up to its label",
+                line,
+                path.name,
+                next_step="Save the list again in 3D Slicer",
             )
         position = _point([cells.get(axis) for axis in "xyz"], path.name)
         points.append((cells["label"], signs * position))
@@ -243,14 +229,12 @@ def _meshlab(path: Path) -> Named:
     try:
         root = ElementTree.fromstring(_text(path))
     except ElementTree.ParseError as fault:
-        raise CtInertiaError(
-            Fault(
-                "the landmark file",
-                "XML of MeshLab",
-                fault,
-                path.name,
-                next_step="Save the points again in MeshLab",
-            )
+        raise CtInertiaError.of(
+            "the landmark file",
+            "XML of MeshLab",
+            fault,
+            path.name,
+            next_step="Save the points again in MeshLab",
         ) from fault
     return [
         (point.get("name", ""), _point([point.get(axis) for axis in "xyz"], path.name))
@@ -263,14 +247,12 @@ def _csv(path: Path) -> Named:
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         missing = [column for column in ("name", *_COLUMNS) if column not in header]
         if missing:
-            raise CtInertiaError(
-                Fault(
-                    "the columns",
-                    "name, x_mm, y_mm, z_mm",
-                    f"no {', '.join(missing)}",
-                    file,
-                    next_step="Add the missing columns",
-                )
+            raise CtInertiaError.of(
+                "the columns",
+                "name, x_mm, y_mm, z_mm",
+                f"no {', '.join(missing)}",
+                file,
+                next_step="Add the missing columns",
             )
         return set(_COLUMNS), {"name"}
 

@@ -60,14 +60,12 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
         wanted = [*_SCAN, *(_PLATE if any(name in header for name in _PLATE) else ())]
         missing = [name for name in ("name", *wanted) if name not in header]
         if missing:
-            raise CtInertiaError(
-                Fault(
-                    "the columns of {plate_fiducials}",
-                    "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm",
-                    f"no {', '.join(missing)}",
-                    file,
-                    next_step="Add the missing columns",
-                )
+            raise CtInertiaError.of(
+                "the columns of {plate_fiducials}",
+                "name, x_mm, y_mm, z_mm, or these with x_ref_mm, y_ref_mm, z_ref_mm",
+                f"no {', '.join(missing)}",
+                file,
+                next_step="Add the missing columns",
             )
         return {*wanted, *(("sd_mm",) if "sd_mm" in header else ())}, {"name"}
 
@@ -82,37 +80,31 @@ def read_plate_fiducials(path: Path) -> PlateFiducials:
     codes, known = table.texts["name"].codes, table.texts["name"].names
     names = tuple(known[code] if code >= 0 else str(row + 1) for row, code in enumerate(codes))
     if len(set(names)) != len(names):
-        raise CtInertiaError(
-            Fault(
-                "the names of {plate_fiducials}",
-                "different",
-                ", ".join(names),
-                path.name,
-                next_step="Rename one of them",
-            )
+        raise CtInertiaError.of(
+            "the names of {plate_fiducials}",
+            "different",
+            ", ".join(names),
+            path.name,
+            next_step="Rename one of them",
         )
     if len(names) < 3:
-        raise CtInertiaError(
-            Fault(
-                "{plate_fiducials}",
-                "at least 3 points",
-                len(names),
-                path.name,
-                next_step="Add points that are not on one line",
-            )
+        raise CtInertiaError.of(
+            "{plate_fiducials}",
+            "at least 3 points",
+            len(names),
+            path.name,
+            next_step="Add points that are not on one line",
         )
     scan = np.column_stack([table.numbers[name] for name in _SCAN])
     plate = np.column_stack([table.numbers[name] for name in _PLATE]) if _PLATE[0] in columns else None
     sd = table.numbers.get("sd_mm")
     if sd is not None and np.any(sd <= 0.0):
-        raise CtInertiaError(
-            Fault(
-                "sd_mm",
-                "positive",
-                float(sd.min()),
-                path.name,
-                next_step="Give the standard deviation of a point in mm, or leave the column out",
-            )
+        raise CtInertiaError.of(
+            "sd_mm",
+            "positive",
+            float(sd.min()),
+            path.name,
+            next_step="Give the standard deviation of a point in mm, or leave the column out",
         )
     return PlateFiducials(names, scan, plate, sd)
 
@@ -153,13 +145,11 @@ def _from_corners(fiducials: PlateFiducials, stapes_mm: Array) -> PlateFrame:
     centre = points.mean(axis=0)
     _, size, axes = np.linalg.svd(points - centre)
     if size[1] < 1e-3 * size[0]:
-        raise CtInertiaError(
-            Fault(
-                "the points of {plate_fiducials}",
-                "corners of a face",
-                "points on a line",
-                next_step="Add a point off that line",
-            )
+        raise CtInertiaError.of(
+            "the points of {plate_fiducials}",
+            "corners of a face",
+            "points on a line",
+            next_step="Add a point off that line",
         )
     normal = axes[2] * (np.sign(axes[2] @ (stapes_mm - centre)) or 1.0)
     flat = (points - centre) @ axes[:2].T

@@ -22,7 +22,6 @@ from ct_inertia.frames.plane_fit import fitted_to_grey
 from ct_inertia.frames.plate_covered import covered_face
 from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform, axes_matrix, vector_from_rotation
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -159,13 +158,11 @@ def _main_face(faces: Sequence[PlaneFace], stapes_mm: Array) -> PlaneFace:
     for face in faces:
         if not face.at_border and face.distance(stapes_mm[None, :])[0] > 0.0:
             return face
-    raise CtInertiaError(
-        Fault(
-            "the plate",
-            "a solid with a plane face towards the stapes",
-            f"{len(faces)} plane faces, none of which has the stapes on its outer side",
-            next_step="Check the segmentation in the report, or give {plate_fiducials}",
-        )
+    raise CtInertiaError.of(
+        "the plate",
+        "a solid with a plane face towards the stapes",
+        f"{len(faces)} plane faces, none of which has the stapes on its outer side",
+        next_step="Check the segmentation in the report, or give {plate_fiducials}",
     )
 
 
@@ -289,13 +286,11 @@ def _polygon(points: Array, lines: Sequence[tuple[Array, float]]) -> tuple[Array
         if not np.any(directions @ across > _COVERED):
             polygon, owners = _clipped(polygon, owners, across, offset, -1)
     if len(polygon) < 3:
-        raise CtInertiaError(
-            Fault(
-                "the sides of the plate",
-                "planes around its face",
-                "planes that leave nothing of it",
-                next_step="Check the segmentation in the report, or give {plate_fiducials}",
-            )
+        raise CtInertiaError.of(
+            "the sides of the plate",
+            "planes around its face",
+            "planes that leave nothing of it",
+            next_step="Check the segmentation in the report, or give {plate_fiducials}",
         )
     return polygon, owners
 

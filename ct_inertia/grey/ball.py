@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 
@@ -71,8 +70,6 @@ def _around(volume: Volume, centre_mm: Array, reach_mm: float) -> tuple[Array, A
 
 
 def _unseen(got: str, expected: str) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            "the ball of {scale_ball}", expected, got, next_step="Check its place (scan mm) and diameter (mm)"
-        )
+    return CtInertiaError.of(
+        "the ball of {scale_ball}", expected, got, next_step="Check its place (scan mm) and diameter (mm)"
     )

@@ -15,7 +15,6 @@ from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.grey.store import Level, Store, level_of, store_of
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -158,13 +157,11 @@ def _check(air: Level, bone: Level) -> None:
         ("bone", bone.at_high, bone.at_high > 1.0 - _PILE * _PILE or bone.sd > unknown, "ends above bone"),
     ):
         if open_ and pile > _PILE:
-            raise CtInertiaError(
-                Fault(
-                    f"the grey value of {name}",
-                    "within the range that was exported",
-                    f"{100.0 * pile:.1f} % of the voxels of {name} at the end of the range",
-                    next_step=f"Export with a window that {step} and its noise",
-                )
+            raise CtInertiaError.of(
+                f"the grey value of {name}",
+                "within the range that was exported",
+                f"{100.0 * pile:.1f} % of the voxels of {name} at the end of the range",
+                next_step=f"Export with a window that {step} and its noise",
             )
 
 

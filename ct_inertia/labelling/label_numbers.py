@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.grids import boxes_and_sizes, labelled
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 # Of labels without names and without options: as this package writes them.
@@ -45,14 +44,12 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
         stapes = _named(names, r"stapes|stapedi", where)
         if stapes is None and not _silent(names.get(STAPES_NUMBER, "")):
             listed = ", ".join(f"{number} {name}" for number, name in sorted(names.items()))
-            raise CtInertiaError(
-                Fault(
-                    "the label volume",
-                    "one with a segment named stapes",
-                    listed,
-                    where,
-                    "Rename the segment, or give its number with {stapes_label}",
-                )
+            raise CtInertiaError.of(
+                "the label volume",
+                "one with a segment named stapes",
+                listed,
+                where,
+                "Rename the segment, or give its number with {stapes_label}",
             )
         stapes = STAPES_NUMBER if stapes is None else stapes
     if plate is None:
@@ -60,8 +57,8 @@ def body_numbers(labels: Volume, stapes: int | None, plate: int | None) -> tuple
         if plate is None and stapes != PLATE_NUMBER and _silent(names.get(PLATE_NUMBER, "")):
             plate = PLATE_NUMBER
     if plate == stapes:
-        raise CtInertiaError(
-            Fault("{plate_label}", "another number than the stapes'", plate, where, "Give both numbers")
+        raise CtInertiaError.of(
+            "{plate_label}", "another number than the stapes'", plate, where, "Give both numbers"
         )
     return stapes, plate
 
@@ -76,14 +73,12 @@ def _named(names: Mapping[int, str], pattern: str, where: str, other: int | None
     exact = [n for n in matching if re.fullmatch(pattern, names[n].strip(), re.IGNORECASE)]
     matching = exact if len(exact) == 1 else matching
     if len(matching) > 1:
-        raise CtInertiaError(
-            Fault(
-                "the label volume",
-                "one with a single segment of that name",
-                ", ".join(f"{number} {names[number]}" for number in matching),
-                where,
-                "Rename the others, or give {stapes_label} and {plate_label}",
-            )
+        raise CtInertiaError.of(
+            "the label volume",
+            "one with a single segment of that name",
+            ", ".join(f"{number} {names[number]}" for number in matching),
+            where,
+            "Rename the others, or give {stapes_label} and {plate_label}",
         )
     return matching[0] if matching else None
 
@@ -110,14 +105,12 @@ def without_islands(labels: Volume, number: int) -> tuple[NDArray[np.bool_], lis
     middle = labels.scan_points(np.array([0.5 * (s.start + s.stop - 1) for s in reversed(place)]))
     where = ", ".join(f"{v:.2f}" for v in middle)
     if rest > _MOST_ISLANDS * sizes[main]:
-        raise CtInertiaError(
-            Fault(
-                "the stapes of the label volume",
-                "one connected body",
-                f"{count} parts; the second largest, {sizes[second]} voxels, around {where} mm",
-                "" if labels.source is None else Path(labels.source).name,
-                "Remove the islands, or connect the parts",
-            )
+        raise CtInertiaError.of(
+            "the stapes of the label volume",
+            "one connected body",
+            f"{count} parts; the second largest, {sizes[second]} voxels, around {where} mm",
+            "" if labels.source is None else Path(labels.source).name,
+            "Remove the islands, or connect the parts",
         )
     text = (
         f"The label of the stapes has {count - 1} islands away from the body, {rest} voxels "

@@ -13,7 +13,6 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.surface.moments import Moments
 from stapeskit.documents import is_finite_number, parse_toml
-from stapeskit.faults import Fault
 from stapeskit.records.mass_record import parameter_transfer
 
 Array = NDArray[np.float64]
@@ -64,36 +63,30 @@ def read_calibration(path: Path) -> Calibration:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(
-            Fault("{calibration}", "an existing TOML file", path, next_step="Check the path")
-        )
+        raise CtInertiaError.of("{calibration}", "an existing TOML file", path, next_step="Check the path")
     try:
         table = parse_toml(path.read_text(encoding="utf-8"))
     except ValueError as fault:
-        raise CtInertiaError(
-            Fault("{calibration}", "valid TOML", fault, path.name, next_step="Correct the file")
+        raise CtInertiaError.of(
+            "{calibration}", "valid TOML", fault, path.name, next_step="Correct the file"
         ) from fault
     unknown = sorted(set(table) - set(_KEYS))
     if unknown:
-        raise CtInertiaError(
-            Fault(
-                "a key of {calibration}",
-                f"one of {', '.join(_KEYS)}",
-                unknown[0],
-                path.name,
-                next_step="Correct or remove that key",
-            )
+        raise CtInertiaError.of(
+            "a key of {calibration}",
+            f"one of {', '.join(_KEYS)}",
+            unknown[0],
+            path.name,
+            next_step="Correct or remove that key",
         )
     mineral = "points_mg_ha_cm3" in table
     if mineral == ("points" in table):
-        raise CtInertiaError(
-            Fault(
-                "{calibration}",
-                "a file with either points or points_mg_ha_cm3",
-                "both" if mineral else "neither",
-                path.name,
-                next_step="Keep one of the two",
-            )
+        raise CtInertiaError.of(
+            "{calibration}",
+            "a file with either points or points_mg_ha_cm3",
+            "both" if mineral else "neither",
+            path.name,
+            next_step="Keep one of the two",
         )
     points = _points(table["points_mg_ha_cm3" if mineral else "points"], path.name)
     if mineral:
@@ -101,20 +94,16 @@ def read_calibration(path: Path) -> Calibration:
         points[:, 1] = offset + factor * points[:, 1]
     slope, intercept = np.polyfit(points[:, 0], points[:, 1], 1)
     if not slope > 0.0:
-        raise CtInertiaError(
-            Fault(
-                "the calibration line",
-                "rising with the grey value",
-                f"slope {slope:g}",
-                path.name,
-                next_step="Check the order of grey value and density in each pair",
-            )
+        raise CtInertiaError.of(
+            "the calibration line",
+            "rising with the grey value",
+            f"slope {slope:g}",
+            path.name,
+            next_step="Check the order of grey value and density in each pair",
         )
     sd = _number(table, "sd_kg_m3", path.name) if "sd_kg_m3" in table else None
     if sd is not None and sd < 0.0:
-        raise CtInertiaError(
-            Fault("sd_kg_m3", "0 or more", sd, path.name, next_step="Correct it in the file")
-        )
+        raise CtInertiaError.of("sd_kg_m3", "0 or more", sd, path.name, next_step="Correct it in the file")
     return Calibration(float(slope), float(intercept), sd)
 
 
@@ -124,25 +113,21 @@ def _points(value: Any, file: str) -> Array:
     except (TypeError, ValueError, OverflowError):
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(np.unique(points[:, 0])) < 2:
-        raise CtInertiaError(
-            Fault(
-                "the calibration points",
-                "at least two pairs [grey, density]",
-                value,
-                file,
-                next_step="Give for example points = [[2000, 0], [20000, 1900]]",
-            )
+        raise CtInertiaError.of(
+            "the calibration points",
+            "at least two pairs [grey, density]",
+            value,
+            file,
+            next_step="Give for example points = [[2000, 0], [20000, 1900]]",
         )
     # Squares of larger numbers, and quotients of smaller differences, are no numbers any more.
     if not np.all(np.abs(points) < _LARGEST) or np.ptp(points[:, 0]) < 1.0 / _LARGEST:
-        raise CtInertiaError(
-            Fault(
-                "the calibration points",
-                f"finite, below {_LARGEST:g}, at different grey values",
-                value,
-                file,
-                next_step="Correct them in the file",
-            )
+        raise CtInertiaError.of(
+            "the calibration points",
+            f"finite, below {_LARGEST:g}, at different grey values",
+            value,
+            file,
+            next_step="Correct them in the file",
         )
     return points
 
@@ -151,7 +136,7 @@ def _number(table: dict[str, Any], key: str, file: str) -> float:
     value: Any = table.get(key)
     if isinstance(value, int | float) and is_finite_number(value):
         return float(value)
-    raise CtInertiaError(Fault(key, "a number", value, file, next_step="Correct it in the file"))
+    raise CtInertiaError.of(key, "a number", value, file, next_step="Correct it in the file")
 
 
 def from_calibration(
@@ -186,13 +171,11 @@ def from_calibration(
     rest = line.density(air)
     density = (inner * grey.volume_mm3 + rest * shape.volume_mm3) / shape.volume_mm3
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
-        raise CtInertiaError(
-            Fault(
-                "{calibration}",
-                "a line that gives the stapes a density of 500 to 4000 kg/m3",
-                f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})",
-                next_step="Check the grey values and units of its points",
-            )
+        raise CtInertiaError.of(
+            "{calibration}",
+            "a line that gives the stapes a density of 500 to 4000 kg/m3",
+            f"{density:.4g} kg/m3 at its mean grey value (bone {bone:.5g}, air {air:.5g})",
+            next_step="Check the grey values and units of its points",
         )
     main = from_density(grey, density, None)
     share = inner / density

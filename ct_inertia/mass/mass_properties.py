@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
@@ -42,13 +41,11 @@ class PointMass:
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_mm", np.asarray(self.position_mm, dtype=float))
         if not (np.isfinite(self.mass_kg) and self.mass_kg > 0.0):
-            raise CtInertiaError(
-                Fault(
-                    "{add_mass}",
-                    "a positive mass in mg",
-                    f"{1e6 * self.mass_kg:g} mg",
-                    next_step="Give X,Y,Z,MG with MG above 0",
-                )
+            raise CtInertiaError.of(
+                "{add_mass}",
+                "a positive mass in mg",
+                f"{1e6 * self.mass_kg:g} mg",
+                next_step="Give X,Y,Z,MG with MG above 0",
             )
 
     def parameters(self, about_mm: Array, length_scale: float = 1.0) -> Array:
@@ -126,13 +123,11 @@ def from_density(moments: Moments, density_kg_m3: float, sd_kg_m3: float | None)
         The density lies outside 500 to 4000 kg/m3, where no bone is (a wrong unit).
     """
     if not PLAUSIBLE_DENSITY[0] <= density_kg_m3 <= PLAUSIBLE_DENSITY[1]:
-        raise CtInertiaError(
-            Fault(
-                "{density}",
-                "between 500 and 4000 kg/m3",
-                f"{density_kg_m3:g}",
-                next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
-            )
+        raise CtInertiaError.of(
+            "{density}",
+            "between 500 and 4000 kg/m3",
+            f"{density_kg_m3:g}",
+            next_step="Bone has 1400 to 2200 kg/m3; 1 g/cm3 is 1000 kg/m3",
         )
     linear = density_kg_m3 * _by_moments(moments)
     parameters = unit_parameters(moments) * density_kg_m3
@@ -164,14 +159,12 @@ def from_mass(moments: Moments, mass_kg: float, sd_kg: float | None) -> MassProp
     """
     density = mass_kg / (moments.volume_mm3 * 1e-9)
     if not PLAUSIBLE_DENSITY[0] <= density <= PLAUSIBLE_DENSITY[1]:
-        raise CtInertiaError(
-            Fault(
-                "{mass_mg}",
-                f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
-                "(500 to 4000 kg/m3)",
-                f"{1e6 * mass_kg:g} mg, that is {density:.4g} kg/m3",
-                next_step="Check the mass (mg) and the voxel size",
-            )
+        raise CtInertiaError.of(
+            "{mass_mg}",
+            f"a mass that gives the volume of {moments.volume_mm3:.4g} mm3 the density of a bone "
+            "(500 to 4000 kg/m3)",
+            f"{1e6 * mass_kg:g} mg, that is {density:.4g} kg/m3",
+            next_step="Check the mass (mg) and the voxel size",
         )
     parameters = unit_parameters(moments) * density
     linear = density * _by_moments(moments)

@@ -13,7 +13,6 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import MassProperties, from_density, from_mass
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import Fault
 from stapeskit.page.quantities import MASS
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.vocabulary import named
@@ -112,13 +111,11 @@ def masses_by_way(
         from ct_inertia.mass.calibration import from_calibration
 
         if bodies is None or bodies.levels is None or calibration is None:
-            raise CtInertiaError(
-                Fault(
-                    "{calibration}",
-                    "used with grey values",
-                    "labels alone",
-                    next_step="Give the scan as well, or {density}",
-                )
+            raise CtInertiaError.of(
+                "{calibration}",
+                "used with grey values",
+                "labels alone",
+                next_step="Give the scan as well, or {density}",
             )
         from ct_inertia.grey.bone_shape import shape_moments
 

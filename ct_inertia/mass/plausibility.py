@@ -10,7 +10,6 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.footplate import FootplateFrame
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.graphs import graph_pieces
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -57,13 +56,11 @@ def unsuitable(reasons: Sequence[str], notices: Sequence[Notice]) -> CtInertiaEr
         "leave other bone out "
         f"with {named('box')} or {named('threshold')}, and check the voxel spacing"
     )
-    return CtInertiaError(
-        Fault(
-            "the scan",
-            "one with a body that can be a stapes",
-            f"no object that can be a stapes: the likeliest has {', '.join(reasons)}",
-            next_step=" ".join([f"{step}.", *border]),
-        )
+    return CtInertiaError.of(
+        "the scan",
+        "one with a body that can be a stapes",
+        f"no object that can be a stapes: the likeliest has {', '.join(reasons)}",
+        next_step=" ".join([f"{step}.", *border]),
     )
 
 
@@ -93,27 +90,23 @@ def check_mesh(surface: Surface, name: str) -> None:
     """
     twice = repeated_faces(surface)
     if twice:
-        raise CtInertiaError(
-            Fault(
-                "the mesh",
-                "a surface that holds each triangle once",
-                f"{twice} of {len(surface.faces)} triangles repeated: parts of the surface count twice",
-                name,
-                "Remove doubled shells and faces, and export it again",
-            )
+        raise CtInertiaError.of(
+            "the mesh",
+            "a surface that holds each triangle once",
+            f"{twice} of {len(surface.faces)} triangles repeated: parts of the surface count twice",
+            name,
+            "Remove doubled shells and faces, and export it again",
         )
     volumes = body_volumes(surface)
     bodies = [volume for volume in volumes if volume > _LEAST_BODY * max(volumes)]
     if len(bodies) > 1:
         listed = ", ".join(f"{volume:.3g}" for volume in sorted(bodies, reverse=True)[:4])
-        raise CtInertiaError(
-            Fault(
-                "the mesh",
-                "one closed body, the stapes",
-                f"{len(bodies)} bodies (of {listed}{' ...' if len(bodies) > 4 else ''} mm3)",
-                name,
-                "Remove the others, or join them into one closed body, and export it again",
-            )
+        raise CtInertiaError.of(
+            "the mesh",
+            "one closed body, the stapes",
+            f"{len(bodies)} bodies (of {listed}{' ...' if len(bodies) > 4 else ''} mm3)",
+            name,
+            "Remove the others, or join them into one closed body, and export it again",
         )
     size = float(np.max(np.ptp(surface.vertices_mm, axis=0)))
     if _MESH_MM[0] <= size <= _MESH_MM[1]:
@@ -122,8 +115,8 @@ def check_mesh(surface: Surface, name: str) -> None:
     known = _TYPICAL_MM / 2.0 < size * factor < _TYPICAL_MM * 2.0
     probable = f"it is probably in {unit}" if known else "its unit may be that of the voxels"
     step = f"Export it in mm (multiply it by {factor:g})" if known else "Export it in mm"
-    raise CtInertiaError(
-        Fault("the mesh", "in mm: a stapes is 3 to 4 mm long", f"{size:.3g} mm; {probable}", name, step)
+    raise CtInertiaError.of(
+        "the mesh", "in mm: a stapes is 3 to 4 mm long", f"{size:.3g} mm; {probable}", name, step
     )
 
 

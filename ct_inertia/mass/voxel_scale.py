@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -98,11 +97,9 @@ def voxel_scale(options: MassOptions, volume: Volume) -> VoxelScale | None:
 
 
 def _unfit(name: str, stated: float, measured: float) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            name,
-            "within 10 % of the length in the scan",
-            f"{stated:g} against {measured:g}",
-            next_step="Check the points (scan coordinates, mm), the length in mm, and {spacing}",
-        )
+    return CtInertiaError.of(
+        name,
+        "within 10 % of the length in the scan",
+        f"{stated:g} against {measured:g}",
+        next_step="Check the points (scan coordinates, mm), the length in mm, and {spacing}",
     )

@@ -12,7 +12,6 @@ from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 
 _TYPES = {"byte": "u1", "short": "i2", "ushort": "u2", "int": "i4", "float": "f4", "double": "f8"}
 # Most bytes of the text header: headers have some kilobytes, and a damaged file may have no end of it.
@@ -38,8 +37,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     if "AmiraMesh" not in first and "Avizo" not in first:
         raise header_fault(path, "Amira lattice", "a file that does not begin as one")
     if "BINARY" not in first.upper() and "RAW" not in first.upper():
-        raise CtInertiaError(
-            Fault("the lattice", "binary", "text (ASCII)", path.name, "Save it as AmiraMesh binary")
+        raise CtInertiaError.of(
+            "the lattice", "binary", "text (ASCII)", path.name, "Save it as AmiraMesh binary"
         )
     end = re.search(rb"^@1[ \t]*\r?\n", start, re.M)
     if end is None:
@@ -48,18 +47,16 @@ def read(path: Path, options: ReadOptions) -> Volume:
     size = _sizes(text, path)
     field = re.search(r"Lattice\s*\{\s*(\w+)(\[\d+\])?\s+\w+\s*\}\s*=?\s*@1(\(\w+)?", text)
     if field is None or field[1] not in _TYPES or field[2] not in (None, "[1]"):
-        raise CtInertiaError(
-            Fault(
-                "the lattice",
-                "one grey value per voxel",
-                field[0] if field else "none",
-                path.name,
-                "Export one channel",
-            )
+        raise CtInertiaError.of(
+            "the lattice",
+            "one grey value per voxel",
+            field[0] if field else "none",
+            path.name,
+            "Export one channel",
         )
     if field[3]:
-        raise CtInertiaError(
-            Fault("the lattice", "not packed", field[3][1:], path.name, "Save it as AmiraMesh binary")
+        raise CtInertiaError.of(
+            "the lattice", "not packed", field[3][1:], path.name, "Save it as AmiraMesh binary"
         )
     order = "<" if "LITTLE" in first.upper() else ">"
     box = re.search(r"BoundingBox\s+([-+0-9.eE ]+)", text)

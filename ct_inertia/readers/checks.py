@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
 from stapeskit.memory import available_memory
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -64,13 +63,11 @@ def settle_spacing(
     if given is not None:
         values = np.asarray(given, dtype=float).ravel()
         if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
-            raise CtInertiaError(
-                Fault(
-                    "{spacing}",
-                    "one or three positive numbers in mm (H or DX,DY,DZ)",
-                    values.tolist(),
-                    next_step="Give it in mm, for example {spacing} 0.018",
-                )
+            raise CtInertiaError.of(
+                "{spacing}",
+                "one or three positive numbers in mm (H or DX,DY,DZ)",
+                values.tolist(),
+                next_step="Give it in mm, for example {spacing} 0.018",
             )
         spacing = np.broadcast_to(values, 3).copy()
         if from_file is not None and np.max(np.abs(spacing / from_file - 1.0)) > 1e-3:
@@ -80,14 +77,12 @@ def settle_spacing(
             return spacing, (Notice("spacing_overridden", text),)
         return spacing, ()
     if from_file is None:
-        raise CtInertiaError(
-            Fault(
-                "the voxel spacing",
-                "in the file or given",
-                f"none{': ' + known if known else ''}",
-                name,
-                "Give it in mm with {spacing} H or {spacing} DX,DY,DZ",
-            )
+        raise CtInertiaError.of(
+            "the voxel spacing",
+            "in the file or given",
+            f"none{': ' + known if known else ''}",
+            name,
+            "Give it in mm with {spacing} H or {spacing} DX,DY,DZ",
         )
     return np.asarray(from_file, dtype=float), ()
 
@@ -126,14 +121,12 @@ def check_size(
         claimed *= int(n)
     size = " x ".join(str(int(n)) for n in reversed(list(shape)))
     if claimed > stored_bytes * _MOST_PACKED.get(packing, np.inf):
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                f"as large as its header says ({size} voxels, {amount(claimed)})",
-                f"{amount(stored_bytes)} in the file",
-                name,
-                "The file is truncated or its header is wrong: copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            f"as large as its header says ({size} voxels, {amount(claimed)})",
+            f"{amount(stored_bytes)} in the file",
+            name,
+            "The file is truncated or its header is wrong: copy or export it again",
         )
     if held:
         check_memory(claimed, name)
@@ -149,14 +142,12 @@ def check_memory(needed: int, name: str) -> None:
     # Half: what was unpacked is copied once more where it is measured.
     most = available_memory() // 2
     if needed > most:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                f"small enough to unpack in memory ({amount(most)})",
-                amount(needed),
-                name,
-                "Export it uncompressed, or crop it",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            f"small enough to unpack in memory ({amount(most)})",
+            amount(needed),
+            name,
+            "Export it uncompressed, or crop it",
         )
 
 
@@ -171,24 +162,18 @@ def existing_file(path: Path) -> Path:
     try:
         status = path.stat()
     except FileNotFoundError:
-        raise CtInertiaError(
-            Fault("the scan", "an existing file or folder", path, next_step="Check the path")
+        raise CtInertiaError.of(
+            "the scan", "an existing file or folder", path, next_step="Check the path"
         ) from None
     except (OSError, ValueError) as fault:
         raise unreadable(path, fault) from fault
     if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
-        raise CtInertiaError(
-            Fault("the scan", "a file or folder", "a pipe or a device", path.name, "Save it as a file first")
+        raise CtInertiaError.of(
+            "the scan", "a file or folder", "a pipe or a device", path.name, "Save it as a file first"
         )
     if stat.S_ISREG(status.st_mode) and status.st_size == 0:
-        raise CtInertiaError(
-            Fault(
-                "the scan",
-                "a file with content",
-                "an empty file",
-                path.name,
-                next_step="Copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the scan", "a file with content", "an empty file", path.name, next_step="Copy or export it again"
         )
     return path
 
@@ -196,8 +181,8 @@ def existing_file(path: Path) -> Path:
 def unreadable(path: Path, fault: Exception) -> CtInertiaError:
     """Make the error for a file that the system does not let be read."""
     why = getattr(fault, "strerror", None) or str(fault)
-    return CtInertiaError(
-        Fault("the scan", "a file that can be read", why, path.name, "Check its name, permissions and disk")
+    return CtInertiaError.of(
+        "the scan", "a file that can be read", why, path.name, "Check its name, permissions and disk"
     )
 
 
@@ -220,44 +205,40 @@ def beside(path: Path, name: str, follow: bool) -> Path:
     """
     if not name or "\0" in name or any(len(part.encode()) > _LONGEST_NAME for part in Path(name).parts):
         got = f"a name of {len(name)} characters" if len(name) > 60 else repr(name)
-        raise CtInertiaError(Fault("the data file", "a file name", got, path.name, "Correct the header"))
+        raise CtInertiaError.of("the data file", "a file name", got, path.name, "Correct the header")
     outside = Path(name).is_absolute() or ".." in Path(name).parts
     if outside and not follow:
-        raise CtInertiaError(
-            Fault(
-                "the data file",
-                "in the folder of its header",
-                name if len(name) <= 200 else f"{name[:200]}...",
-                path.name,
-                "Put both files into one folder, or let {follow} allow it if you trust the header",
-            )
+        raise CtInertiaError.of(
+            "the data file",
+            "in the folder of its header",
+            name if len(name) <= 200 else f"{name[:200]}...",
+            path.name,
+            "Put both files into one folder, or let {follow} allow it if you trust the header",
         )
     return path.parent / name
 
 
 def no_data_file(path: Path, data: Path) -> CtInertiaError:
     """Make the error for a header whose data file is not there."""
-    return CtInertiaError(
-        Fault("the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together")
+    return CtInertiaError.of(
+        "the header", "beside its data file", f"no {data.name}", path.name, "Copy both files together"
     )
 
 
 def header_fault(path: Path, kind: str, what: str) -> CtInertiaError:
     """Return the error for a header with an impossible value or without a needed one."""
-    return CtInertiaError(Fault("the scan", f"a readable {kind}", what, path.name, "Copy or export it again"))
+    return CtInertiaError.of("the scan", f"a readable {kind}", what, path.name, "Copy or export it again")
 
 
 def check_positive(size: Sequence[int], name: str) -> None:
     """Refuse a size with a number of voxels that is not positive."""
     if min(size) <= 0:
-        raise CtInertiaError(
-            Fault(
-                "the size in the header",
-                "positive",
-                " x ".join(map(str, size)),
-                name,
-                next_step="Copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the size in the header",
+            "positive",
+            " x ".join(map(str, size)),
+            name,
+            next_step="Copy or export it again",
         )
 
 
@@ -297,14 +278,12 @@ def numbered_names(words: Sequence[str], path: Path, kind: str, most: int) -> li
 
 def not_readable(path: Path, kind: str, fault: Exception) -> CtInertiaError:
     """Make the error for a file that its library cannot read."""
-    return CtInertiaError(
-        Fault(
-            "the scan",
-            f"a readable {kind}",
-            f"a file that {'ends too early' if isinstance(fault, EOFError) else 'cannot be read as one'}",
-            path.name,
-            "The file is truncated or damaged: copy or export it again",
-        )
+    return CtInertiaError.of(
+        "the scan",
+        f"a readable {kind}",
+        f"a file that {'ends too early' if isinstance(fault, EOFError) else 'cannot be read as one'}",
+        path.name,
+        "The file is truncated or damaged: copy or export it again",
     )
 
 

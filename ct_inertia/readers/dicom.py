@@ -17,7 +17,6 @@ from ct_inertia.readers.dicom_lengths import dicom_size
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.volume.blocks import BlockArray
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -88,14 +87,12 @@ def _read_folder(folder: Path, options: ReadOptions) -> Volume:
         check_memory(2 * dicom_size(file).claimed_bytes, file.name)
     series = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
-        raise CtInertiaError(
-            Fault(
-                "the folder",
-                "one DICOM series",
-                f"{len(series)} series{_listed(folder, series)}",
-                folder.name,
-                "Put the slices of one scan into a folder of their own",
-            )
+        raise CtInertiaError.of(
+            "the folder",
+            "one DICOM series",
+            f"{len(series)} series{_listed(folder, series)}",
+            folder.name,
+            "Put the slices of one scan into a folder of their own",
         )
     names = list(sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0]))
     if len(names) == 1:
@@ -136,14 +133,12 @@ def _read_file(path: Path, options: ReadOptions) -> Volume:
     check_memory(dicom_size(path).claimed_bytes, path.name)
     head = _slice(str(path))
     if len(head.size) < 3 or head.size[2] < 2:
-        raise CtInertiaError(
-            Fault(
-                "the DICOM file",
-                "one of several frames",
-                "a single slice",
-                path.name,
-                next_step="Give the folder of the whole series",
-            )
+        raise CtInertiaError.of(
+            "the DICOM file",
+            "one of several frames",
+            "a single slice",
+            path.name,
+            next_step="Give the folder of the whole series",
         )
     try:
         image = sitk.ReadImage(str(path))
@@ -170,14 +165,12 @@ def _slice(name: str) -> _Slice:
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
     kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
     if reader.GetNumberOfComponents() > 1 or kind not in _TYPES:
-        raise CtInertiaError(
-            Fault(
-                "the DICOM file",
-                "grey values",
-                f"{reader.GetNumberOfComponents()} values per voxel ({kind})",
-                Path(name).name,
-                "Export it as grey values",
-            )
+        raise CtInertiaError.of(
+            "the DICOM file",
+            "grey values",
+            f"{reader.GetNumberOfComponents()} values per voxel ({kind})",
+            Path(name).name,
+            "Export it as grey values",
         )
     return _Slice(
         name,
@@ -194,14 +187,12 @@ def _check_alike(slices: Sequence[_Slice], folder: Path) -> None:
     for other in slices:
         turned = np.max(np.abs(other.direction - first.direction)) > 1e-4
         if other.size != first.size or turned or np.max(np.abs(other.spacing - first.spacing)[:2]) > 1e-6:
-            raise CtInertiaError(
-                Fault(
-                    f"slice {Path(other.file).name}",
-                    f"of the size, pixel spacing and orientation of {Path(first.file).name}",
-                    f"{other.size[0]} x {other.size[1]} at {other.spacing[0]:.6g} mm",
-                    folder.name,
-                    "Put the slices of one scan into a folder of their own",
-                )
+            raise CtInertiaError.of(
+                f"slice {Path(other.file).name}",
+                f"of the size, pixel spacing and orientation of {Path(first.file).name}",
+                f"{other.size[0]} x {other.size[1]} at {other.spacing[0]:.6g} mm",
+                folder.name,
+                "Put the slices of one scan into a folder of their own",
             )
 
 
@@ -210,14 +201,12 @@ def _even_step(places: Array, folder: Path) -> float:
     middle = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - middle)))
     if abs(steps[worst] - middle) > _UNEVEN * abs(middle):
-        raise CtInertiaError(
-            Fault(
-                "the distance of DICOM slices",
-                f"even ({middle:.6g} mm)",
-                f"{steps[worst]:.6g} mm after slice {worst + 1}",
-                folder.name,
-                "Slices are missing: export the whole series again",
-            )
+        raise CtInertiaError.of(
+            "the distance of DICOM slices",
+            f"even ({middle:.6g} mm)",
+            f"{steps[worst]:.6g} mm after slice {worst + 1}",
+            folder.name,
+            "Slices are missing: export the whole series again",
         )
     return float(np.mean(steps))
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 
 if TYPE_CHECKING:
     from ct_inertia.readers.raw_layout import RawLayout
@@ -216,13 +216,11 @@ def format_of(path: Path, raw: RawLayout | None = None) -> Format:
     for entry in FORMATS:
         if entry.recognises(path):
             return entry
-    raise CtInertiaError(
-        Fault(
-            "the scan",
-            f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
-            path.name,
-            next_step="Export it in one of these formats, or as raw voxels with {shape} and {dtype}",
-        )
+    raise CtInertiaError.of(
+        "the scan",
+        f"a volume of a known format ({', '.join(entry.title for entry in FORMATS)})",
+        path.name,
+        next_step="Export it in one of these formats, or as raw voxels with {shape} and {dtype}",
     )
 
 

@@ -17,7 +17,6 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.mapping import mapped
 from ct_inertia.volume.blocks import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -138,14 +137,12 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
 def check_dimensions(size: Sequence[int], name: str) -> None:
     """Refuse sizes that are not those of a volume."""
     if len(size) != 3 or min(size) < 2:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "three-dimensional",
-                f"an image of shape {' x '.join(map(str, size))}",
-                name,
-                next_step="Give the whole stack",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "three-dimensional",
+            f"an image of shape {' x '.join(map(str, size))}",
+            name,
+            next_step="Give the whole stack",
         )
 
 
@@ -156,14 +153,12 @@ def _stacked(grid: Grid, path: Path) -> NDArray[Any]:
     depth = grid.slab or nz // max(count, 1)
     rest = nz - (count - 1) * depth
     if not 0 < rest <= depth or (rest != depth and not grid.slab) or grid.packing != "raw" or grid.layers > 1:
-        raise CtInertiaError(
-            Fault(
-                "the list of data files",
-                f"uncompressed files of equal numbers of the {nz} slices",
-                f"{count} files",
-                path.name,
-                "Export the volume as one file",
-            )
+        raise CtInertiaError.of(
+            "the list of data files",
+            f"uncompressed files of equal numbers of the {nz} slices",
+            f"{count} files",
+            path.name,
+            "Export the volume as one file",
         )
     for number, (file, offset) in enumerate(grid.files):
         here = depth if number < count - 1 else rest
@@ -186,14 +181,12 @@ def _unpacked(file: Path, offset: int, grid: Grid, shape: Sequence[int], path: P
     except (OSError, EOFError, zlib.error) as fault:
         raise not_readable(path, f"{grid.packing} file", fault) from fault
     if filled < len(room):
-        raise CtInertiaError(
-            Fault(
-                "the compressed volume",
-                f"complete ({len(room)} bytes of voxels)",
-                f"{filled} bytes",
-                path.name,
-                "Copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the compressed volume",
+            f"complete ({len(room)} bytes of voxels)",
+            f"{filled} bytes",
+            path.name,
+            "Copy or export it again",
         )
     return array
 

@@ -15,7 +15,6 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.native import compiled
 from ct_inertia.readers.checks import check_size, unreadable
 from ct_inertia.volume.blocks import BlockArray
-from stapeskit.faults import Fault
 
 # Read at once: large enough that the calls cost little, small enough for a part of a plane.
 _PIECE_BYTES = 1 << 18
@@ -153,6 +152,6 @@ def _read(file: Path, offset: int, count: int) -> bytearray:
 
 
 def _short(file: Path) -> CtInertiaError:
-    return CtInertiaError(
-        Fault("the scan", "complete", "a file that ends too early", file.name, "Copy or export it again")
+    return CtInertiaError.of(
+        "the scan", "complete", "a file that ends too early", file.name, "Copy or export it again"
     )

@@ -17,7 +17,6 @@ from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbere
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _TYPES = {
@@ -61,14 +60,12 @@ def read(path: Path, options: ReadOptions) -> Volume:
     check_dimensions(size, path.name)
     channels = int(channels_told)
     if channels > 1:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "one grey value per voxel",
-                f"{channels} (a colour or vector image)",
-                path.name,
-                "Export one channel",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "one grey value per voxel",
+            f"{channels} (a colour or vector image)",
+            path.name,
+            "Export one channel",
         )
     return grid_volume(_grid(path, fields, size, start, rest, options.follow), path, options)
 
@@ -118,18 +115,16 @@ def _grid(
 ) -> Grid:
     kind = fields.get("ElementType", "")
     if kind not in _TYPES:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "integers or floating point numbers",
-                f"ElementType {kind or 'missing'}",
-                path.name,
-                next_step="Export it as grey values",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            "integers or floating point numbers",
+            f"ElementType {kind or 'missing'}",
+            path.name,
+            next_step="Export it as grey values",
         )
     if fields.get("BinaryData", "True").lower() == "false":
-        raise CtInertiaError(
-            Fault("BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data")
+        raise CtInertiaError.of(
+            "BinaryData", "True", "False (voxels as text)", path.name, "Export it as binary data"
         )
     order = ">" if _true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     unit = mm_per_unit(fields.get("DistanceUnits", "mm")) or 1.0
@@ -174,14 +169,12 @@ def _files(
         name for name in names if Path(name).suffix.lower() in (".tif", ".tiff", ".png", ".jpg", ".bmp")
     ]
     if pictures or not names:
-        raise CtInertiaError(
-            Fault(
-                "the data files",
-                "raw voxels",
-                pictures[0] if pictures else "an empty list",
-                path.name,
-                "Give the folder of slices itself, with {spacing}",
-            )
+        raise CtInertiaError.of(
+            "the data files",
+            "raw voxels",
+            pictures[0] if pictures else "an empty list",
+            path.name,
+            "Give the folder of slices itself, with {spacing}",
         )
     return [(beside(path, name, follow), skip) for name in names]
 

@@ -18,7 +18,6 @@ from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbere
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -60,14 +59,12 @@ def read(path: Path, options: ReadOptions) -> Volume:
         return replace(grid_volume(grid, path, options), segment_names=names)
     if layers != [0] or not segments:
         count = int(np.prod([sizes[k] for k in layers]))
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "one grey value per voxel",
-                f"{count} (a colour, vector or time image)",
-                path.name,
-                "Export one channel",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "one grey value per voxel",
+            f"{count} (a colour, vector or time image)",
+            path.name,
+            "Export one channel",
         )
     labels, notice = _flattened(grid_array(grid, path), segments)
     volume = grid_volume(grid, path, options, labels)
@@ -147,36 +144,26 @@ def _grid(
 ) -> Grid:
     kind = fields.get("type", "").lower()
     if kind not in _TYPES:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "integers or floating point numbers",
-                f"type {kind or 'missing'}",
-                path.name,
-                next_step="Export it as grey values",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            "integers or floating point numbers",
+            f"type {kind or 'missing'}",
+            path.name,
+            next_step="Export it as grey values",
         )
     packing = _PACKINGS.get(fields.get("encoding", "").lower())
     if packing is None:
-        raise CtInertiaError(
-            Fault(
-                "the encoding",
-                "raw, gzip or bzip2",
-                fields.get("encoding", "none"),
-                path.name,
-                next_step="Export it as raw or gzip",
-            )
+        raise CtInertiaError.of(
+            "the encoding",
+            "raw, gzip or bzip2",
+            fields.get("encoding", "none"),
+            path.name,
+            next_step="Export it as raw or gzip",
         )
     if len(axes) != 3 or min(sizes) < 1 or min(sizes[k] for k in axes) < 2:
         shape = " x ".join(map(str, sizes))
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "three-dimensional",
-                f"an image of shape {shape}",
-                path.name,
-                "Give the whole stack",
-            )
+        raise CtInertiaError.of(
+            "the volume", "three-dimensional", f"an image of shape {shape}", path.name, "Give the whole stack"
         )
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
     spacing, direction, origin, anatomical, notices = _place(path, fields, axes, sizes)
@@ -248,8 +235,8 @@ def _signs(space: str, path: Path) -> tuple[Array, bool]:
     if len(words) == 3 and all(word in signs for word in words):
         return np.array([signs[word] for word in words]), True
     if space == "3d-left-handed":
-        raise CtInertiaError(
-            Fault("the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS")
+        raise CtInertiaError.of(
+            "the space", "right-handed", "3D-left-handed", path.name, "Export it in LPS or RAS"
         )
     return np.ones(3), False
 

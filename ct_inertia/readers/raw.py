@@ -9,7 +9,6 @@ from ct_inertia.readers.checks import amount
 from ct_inertia.readers.formats import FORMATS, ReadOptions, format_of
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 
 # Other programs use .hdr for headers of their own: those of NIfTI belong to .img alone.
@@ -41,14 +40,12 @@ def read(path: Path, options: ReadOptions) -> Volume:
         if stored > needed:
             surplus = layout.header_bytes + stored - needed
             guess += f"; {named('header_bytes')} {surplus} would fit if the surplus is a header"
-        raise CtInertiaError(
-            Fault(
-                "the raw file",
-                f"as long as {shape} voxels of {layout.dtype} ({amount(needed)}, {needed} bytes)",
-                f"{stored} bytes after the header",
-                path.name,
-                guess,
-            )
+        raise CtInertiaError.of(
+            "the raw file",
+            f"as long as {shape} voxels of {layout.dtype} ({amount(needed)}, {needed} bytes)",
+            f"{stored} bytes after the header",
+            path.name,
+            guess,
         )
     size = (int(layout.shape[0]), int(layout.shape[1]), int(layout.shape[2]))
     grid = Grid(
@@ -73,12 +70,10 @@ def _header_beside(path: Path) -> Path | None:
 
 def _layout_missing(path: Path) -> CtInertiaError:
     """Make the error for a raw file with neither a header beside it nor a layout given."""
-    return CtInertiaError(
-        Fault(
-            "raw voxels",
-            f"beside a header ({', '.join(_HEADERS)}) or described by {{shape}} and {{dtype}}",
-            "neither",
-            path.name,
-            "Give {shape} NX,NY,NZ {dtype} uint16 [{byte_order} big] [{header_bytes} N] {spacing} H",
-        )
+    return CtInertiaError.of(
+        "raw voxels",
+        f"beside a header ({', '.join(_HEADERS)}) or described by {{shape}} and {{dtype}}",
+        "neither",
+        path.name,
+        "Give {shape} NX,NY,NZ {dtype} uint16 [{byte_order} big] [{header_bytes} N] {spacing} H",
     )

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
 from stapeskit.option_kinds import VOXEL_TYPE
 from stapeskit.vocabulary import named
 
@@ -40,25 +39,23 @@ class RawLayout:
 
     def __post_init__(self) -> None:
         if len(self.shape) != 3 or min(self.shape) < 2 or any(int(n) != n for n in self.shape):
-            raise CtInertiaError(
-                Fault(
-                    "{shape}",
-                    "three whole numbers NX,NY,NZ of at least 2",
-                    ",".join(f"{n:g}" for n in self.shape),
-                    next_step="Give the number of voxels along x (runs fastest), y and z",
-                )
+            raise CtInertiaError.of(
+                "{shape}",
+                "three whole numbers NX,NY,NZ of at least 2",
+                ",".join(f"{n:g}" for n in self.shape),
+                next_step="Give the number of voxels along x (runs fastest), y and z",
             )
         for option, value, known in (
             (named("dtype"), self.dtype, VOXEL_TYPE.choices),
             (named("byte_order"), self.byte_order, ("little", "big")),
         ):
             if value not in known:
-                raise CtInertiaError(
-                    Fault(option, f"one of {', '.join(known)}", value, next_step="Choose one of them")
+                raise CtInertiaError.of(
+                    option, f"one of {', '.join(known)}", value, next_step="Choose one of them"
                 )
         if self.header_bytes < 0:
-            raise CtInertiaError(
-                Fault("{header_bytes}", "0 or more", self.header_bytes, next_step="Count from the start")
+            raise CtInertiaError.of(
+                "{header_bytes}", "0 or more", self.header_bytes, next_step="Count from the start"
             )
 
     @property

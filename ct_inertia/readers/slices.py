@@ -23,7 +23,6 @@ from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import check_offsets, check_pieces, turned_notice, white_is_zero
 from ct_inertia.volume.blocks import BlockArray, turned
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 SLICE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
@@ -91,39 +90,33 @@ def slice_files(folder: Path) -> tuple[list[Path], list[Notice]]:
         if match:
             series[(match[1] + "#" + match[3], path.suffix.lower())].append((int(match[2]), path))
     if not series or max(len(v) for v in series.values()) < 2:
-        raise CtInertiaError(
-            Fault(
-                "the folder",
-                "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series",
-                f"{len(images)} image files",
-                folder.name,
-                "Give the folder that holds the slices themselves",
-            )
+        raise CtInertiaError.of(
+            "the folder",
+            "a series of numbered slices (TIFF, PNG, BMP, JPEG) or a DICOM series",
+            f"{len(images)} image files",
+            folder.name,
+            "Give the folder that holds the slices themselves",
         )
     ranked = sorted(series, key=lambda name: -len(series[name]))
     if len(ranked) > 1 and len(series[ranked[1]]) >= max(2, _RIVAL * len(series[ranked[0]])):
         listed = ", ".join(f"{name}{end} ({len(series[name, end])} slices)" for name, end in ranked[:4])
-        raise CtInertiaError(
-            Fault(
-                "the folder",
-                "one series of numbered slices",
-                listed,
-                folder.name,
-                "Put the slices of one scan into a folder of their own",
-            )
+        raise CtInertiaError.of(
+            "the folder",
+            "one series of numbered slices",
+            listed,
+            folder.name,
+            "Put the slices of one scan into a folder of their own",
         )
     chosen = sorted(series[ranked[0]], key=lambda pair: (pair[0], pair[1].name))
     numbers = [number for number, _ in chosen]
     doubled = [number for number, count in Counter(numbers).items() if count > 1]
     if doubled:
-        raise CtInertiaError(
-            Fault(
-                "the slice numbers",
-                "unique",
-                f"number {doubled[0]} twice",
-                folder.name,
-                next_step="Leave one series of slices in the folder",
-            )
+        raise CtInertiaError.of(
+            "the slice numbers",
+            "unique",
+            f"number {doubled[0]} twice",
+            folder.name,
+            next_step="Leave one series of slices in the folder",
         )
     notices = []
     others = len(images) - len(chosen)
@@ -174,13 +167,11 @@ def stacked_slices(files: Sequence[Path]) -> NDArray[Any]:
 def _different(
     path: Path, shape: tuple[int, ...], dtype: np.dtype, other: Path, expected: _Look
 ) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            f"slice {path.name}",
-            f"{expected.shape[1]} x {expected.shape[0]} {expected.dtype.newbyteorder('=')} like {other.name}",
-            f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
-            next_step="Remove it from the folder or export it again",
-        )
+    return CtInertiaError.of(
+        f"slice {path.name}",
+        f"{expected.shape[1]} x {expected.shape[0]} {expected.dtype.newbyteorder('=')} like {other.name}",
+        f"{' x '.join(map(str, shape[::-1]))} {dtype.newbyteorder('=')}",
+        next_step="Remove it from the folder or export it again",
     )
 
 
@@ -261,16 +252,14 @@ def _slice(path: Path) -> NDArray[Any]:
     if image.ndim == 3 and image.shape[-1] in (3, 4) and image.dtype == np.uint8:
         if np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 0], image[..., 2]):
             return np.ascontiguousarray(image[..., 0])
-        raise CtInertiaError(
-            Fault(f"slice {path.name}", "grey values", "a colour (RGB) image", next_step="Export grey values")
+        raise CtInertiaError.of(
+            f"slice {path.name}", "grey values", "a colour (RGB) image", next_step="Export grey values"
         )
     if image.ndim != 2:
-        raise CtInertiaError(
-            Fault(
-                f"slice {path.name}",
-                "one two-dimensional image",
-                f"shape {image.shape}",
-                next_step="Give a stack as a file, not in a folder",
-            )
+        raise CtInertiaError.of(
+            f"slice {path.name}",
+            "one two-dimensional image",
+            f"shape {image.shape}",
+            next_step="Give a stack as a file, not in a folder",
         )
     return image

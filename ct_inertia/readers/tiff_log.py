@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import not_readable
-from stapeskit.faults import Fault
 
 _WORDS = ("invalid", "truncat", "corrupt", "failed to", "unexpected", "does not match", "missing data")
 
@@ -55,12 +54,10 @@ def listening(path: Path, kind: str) -> Iterator[None]:
 
 
 def _damaged(path: Path, kind: str) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            f"the {kind}",
-            "complete",
-            f"a truncated or damaged file of {path.stat().st_size} bytes",
-            path.name,
-            "Copy or export it again",
-        )
+    return CtInertiaError.of(
+        f"the {kind}",
+        "complete",
+        f"a truncated or damaged file of {path.stat().st_size} bytes",
+        path.name,
+        "Copy or export it again",
     )

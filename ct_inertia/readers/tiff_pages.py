@@ -14,7 +14,6 @@ from ct_inertia.readers.checks import check_memory, check_size, header_fault, no
 from ct_inertia.readers.mapping import mapped, read_at
 from ct_inertia.readers.tiff_directories import packing_of
 from ct_inertia.volume.blocks import BlockArray
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
@@ -165,35 +164,31 @@ def _evenly_stepped(
 
 def _check_kind(series: Any, page: Any, path: Path) -> None:
     if page.photometric is not None and page.photometric.name in ("RGB", "PALETTE", "YCBCR", "CMYK"):
-        raise CtInertiaError(
-            Fault("the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values")
+        raise CtInertiaError.of(
+            "the volume", "grey values", "a colour (RGB) image", path.name, "Export it as grey values"
         )
     axes, shape = series.axes, series.shape
     if "S" in axes and shape[axes.index("S")] > 1:
-        raise CtInertiaError(
-            Fault("the volume", "grey values", "several samples per voxel", path.name, "Export one channel")
+        raise CtInertiaError.of(
+            "the volume", "grey values", "several samples per voxel", path.name, "Export one channel"
         )
     extra = [f"{n} {axis}" for axis, n in zip(axes, shape, strict=True) if axis in "CTS" and n > 1]
     kept = tuple(n for n in shape if n > 1)
     if extra and (len(kept) > 3 or "Z" in axes):
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "one stack",
-                f"{', '.join(extra)} (channels or times)",
-                path.name,
-                "Export one channel and one time",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "one stack",
+            f"{', '.join(extra)} (channels or times)",
+            path.name,
+            "Export one channel and one time",
         )
     if len(kept) != 3:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "three-dimensional",
-                f"an image of shape {' x '.join(map(str, reversed(kept)))}",
-                path.name,
-                "Give the whole stack, or the folder of slices",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "three-dimensional",
+            f"an image of shape {' x '.join(map(str, reversed(kept)))}",
+            path.name,
+            "Give the whole stack, or the folder of slices",
         )
 
 
@@ -202,8 +197,8 @@ def _check_pages(series: Any, files: list[Path], path: Path) -> None:
     check_pieces(series.keyframe, path)
     for page, file in zip(series.pages, files, strict=True):
         if page is None:
-            raise CtInertiaError(
-                Fault("the TIFF", "complete", "a missing page", path.name, "Copy or export it again")
+            raise CtInertiaError.of(
+                "the TIFF", "complete", "a missing page", path.name, "Copy or export it again"
             )
         check_offsets(page, file, sizes[file])
 
@@ -232,12 +227,10 @@ def check_offsets(page: Any, file: Path, file_bytes: int) -> None:
         raise header_fault(file, "TIFF", "a page without usable offsets")
     ends = [a + b for a, b in zip(page.dataoffsets, page.databytecounts, strict=False)]
     if ends and max(ends) > file_bytes:
-        raise CtInertiaError(
-            Fault(
-                "the TIFF",
-                f"as long as its pages say ({max(ends)} bytes)",
-                f"{file_bytes} bytes",
-                file.name,
-                "The file is truncated: copy or export it again",
-            )
+        raise CtInertiaError.of(
+            "the TIFF",
+            f"as long as its pages say ({max(ends)} bytes)",
+            f"{file_bytes} bytes",
+            file.name,
+            "The file is truncated: copy or export it again",
         )

@@ -13,7 +13,6 @@ from ct_inertia.readers.checks import header_fault, mm_per_unit
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -49,14 +48,8 @@ def read(path: Path, options: ReadOptions) -> Volume:
     first = files[0]
     unpacked = first.get("fileformat", "raw").lower()
     if unpacked != "raw":
-        raise CtInertiaError(
-            Fault(
-                "FileFormat",
-                "raw",
-                unpacked,
-                path.name,
-                "Export the volume as raw, unsigned integer or float",
-            )
+        raise CtInertiaError.of(
+            "FileFormat", "raw", unpacked, path.name, "Export the volume as raw, unsigned integer or float"
         )
     grid = Grid(
         (sizes[0][0], sizes[0][1], sum(size[2] for size in sizes)),

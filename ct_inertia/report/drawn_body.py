@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ct_inertia.bodies import STAPES
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.report.colours import BODY_COLOURS
-from stapeskit.faults import Fault
 
 
 @dataclass(frozen=True)
@@ -43,14 +42,14 @@ class Body:
     def __post_init__(self) -> None:
         vertices, faces = np.asarray(self.vertices_mm), np.asarray(self.faces)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise CtInertiaError(
-                Fault("a body to draw", "(n, 3) vertices and (m, 3) faces", (vertices.shape, faces.shape))
+            raise CtInertiaError.of(
+                "a body to draw", "(n, 3) vertices and (m, 3) faces", (vertices.shape, faces.shape)
             )
         if len(faces) == 0 or not np.all(np.isfinite(vertices)):
-            raise CtInertiaError(
-                Fault("a body to draw", "at least one face and finite vertices", f"{len(faces)} faces")
+            raise CtInertiaError.of(
+                "a body to draw", "at least one face and finite vertices", f"{len(faces)} faces"
             )
         if np.min(faces) < 0 or np.max(faces) >= len(vertices):
-            raise CtInertiaError(
-                Fault("the faces of a body to draw", f"indices below {len(vertices)}", int(np.max(faces)))
+            raise CtInertiaError.of(
+                "the faces of a body to draw", f"indices below {len(vertices)}", int(np.max(faces))
             )

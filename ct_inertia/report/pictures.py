@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.page.shading import View, views
 
@@ -122,7 +121,7 @@ def draw_scene(scene: Scene) -> Figure:
         A scene without bodies.
     """
     if not scene.bodies:
-        raise CtInertiaError(Fault("a picture", "of at least one body", "none"))
+        raise CtInertiaError.of("a picture", "of at least one body", "none")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface import Surface
-from stapeskit.faults import Fault
 from stapeskit.spatial import matrix_from_parameters
 
 Array = NDArray[np.float64]
@@ -140,12 +139,12 @@ def check_request(smooth: int | None, faces: int | None) -> None:
         Too few or too many of them, or pymeshlab is missing.
     """
     if smooth is not None and not 0 <= smooth <= 500:
-        raise CtInertiaError(
-            Fault("{smooth}", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface")
+        raise CtInertiaError.of(
+            "{smooth}", "from 0 to 500 steps", smooth, next_step="10 to 30 steps calm a surface"
         )
     if faces is not None and faces < _LEAST_FACES:
-        raise CtInertiaError(
-            Fault("{faces}", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature")
+        raise CtInertiaError.of(
+            "{faces}", f"at least {_LEAST_FACES}", faces, next_step="20000 keep every feature"
         )
     if smooth or faces is not None:
         _pymeshlab("{smooth}" if smooth else "{faces}")
@@ -155,13 +154,11 @@ def _pymeshlab(option: str) -> Any:
     try:
         import pymeshlab
     except (ImportError, OSError) as fault:
-        raise CtInertiaError(
-            Fault(
-                option,
-                "used where pymeshlab works",
-                f"{type(fault).__name__}: {fault}",
-                next_step="Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)",
-            )
+        raise CtInertiaError.of(
+            option,
+            "used where pymeshlab works",
+            f"{type(fault).__name__}: {fault}",
+            next_step="Run pip install pymeshlab (on Debian also apt-get install libgl1 libopengl0)",
         ) from fault
     return pymeshlab
 
@@ -178,10 +175,8 @@ def _filtered(surface: Surface, option: str, name: str, **values: Any) -> Surfac
     try:
         return Surface(mesh.vertex_matrix() + middle, mesh.face_matrix().astype(np.int64))
     except CtInertiaError as fault:
-        raise CtInertiaError(
-            Fault(
-                option, "weak enough to leave the surface closed", f"{fault}", next_step="Ask for less of it"
-            )
+        raise CtInertiaError.of(
+            option, "weak enough to leave the surface closed", f"{fault}", next_step="Ask for less of it"
         ) from fault
 
 

@@ -10,7 +10,6 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
 from ct_inertia.volume.graphs import graph_pieces
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 _TINY_SHARE = calibrated("isosurface.least_cavity")
@@ -75,13 +74,11 @@ def _sides(part: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
 
 def _nothing(level: float) -> CtInertiaError:
-    return CtInertiaError(
-        Fault(
-            "the body",
-            "visible above its grey level",
-            f"nothing above {level:g}",
-            next_step="Check the labels and the grey values there",
-        )
+    return CtInertiaError.of(
+        "the body",
+        "visible above its grey level",
+        f"nothing above {level:g}",
+        next_step="Check the labels and the grey values there",
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 MOMENT_NAMES = ("V", "cx", "cy", "cz", "Sxx", "Syy", "Szz", "Sxy", "Syz", "Sxz")
@@ -42,22 +41,18 @@ class Moments:
 
     def __post_init__(self) -> None:
         if not self.volume_mm3 > 0.0:
-            raise CtInertiaError(
-                Fault(
-                    "the volume of the body",
-                    "positive",
-                    f"{self.volume_mm3:g} mm3",
-                    next_step="Check labels and grey values of the body",
-                )
+            raise CtInertiaError.of(
+                "the volume of the body",
+                "positive",
+                f"{self.volume_mm3:g} mm3",
+                next_step="Check labels and grey values of the body",
             )
         if np.linalg.eigvalsh(self.second_mm5)[0] <= 0.0:
-            raise CtInertiaError(
-                Fault(
-                    "the second moments of the body",
-                    "positive definite",
-                    "others",
-                    next_step="Check labels and grey values of the body",
-                )
+            raise CtInertiaError.of(
+                "the second moments of the body",
+                "positive definite",
+                "others",
+                next_step="Check labels and grey values of the body",
             )
 
     @property

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.glb_claims import check_glb
 from ct_inertia.surface.moments import Moments
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -56,23 +55,19 @@ class Surface:
         object.__setattr__(self, "faces", faces)
         open_edges = count_open_edges(faces)
         if open_edges:
-            raise CtInertiaError(
-                Fault(
-                    "the surface",
-                    "closed and consistently oriented",
-                    f"{open_edges} edges without a partner",
-                    next_step="Close its holes (for example with a solid fill in the program that made it)",
-                )
+            raise CtInertiaError.of(
+                "the surface",
+                "closed and consistently oriented",
+                f"{open_edges} edges without a partner",
+                next_step="Close its holes (for example with a solid fill in the program that made it)",
             )
         volume = self.volume_mm3
         if not volume > 0.0:
-            raise CtInertiaError(
-                Fault(
-                    "the surface",
-                    "oriented outward around a positive volume",
-                    f"{volume:g} mm3",
-                    next_step="Turn its normals outward",
-                )
+            raise CtInertiaError.of(
+                "the surface",
+                "oriented outward around a positive volume",
+                f"{volume:g} mm3",
+                next_step="Turn its normals outward",
             )
 
     @property
@@ -170,23 +165,19 @@ def read_surface(path: Path | str) -> Surface:
     """
     path = Path(path)
     if not path.is_file():
-        raise CtInertiaError(Fault("the surface", "an existing file", path, next_step="Check the path"))
+        raise CtInertiaError.of("the surface", "an existing file", path, next_step="Check the path")
     if path.suffix.lower() not in SURFACE_SUFFIXES:
-        raise CtInertiaError(
-            Fault(
-                "the surface", "a STL, PLY, OBJ or GLB file", path.name, next_step="Use one of these formats"
-            )
+        raise CtInertiaError.of(
+            "the surface", "a STL, PLY, OBJ or GLB file", path.name, next_step="Use one of these formats"
         )
     vertices, faces = _load(path)
     if len(faces) == 0:
-        raise CtInertiaError(
-            Fault(
-                "the surface",
-                "a mesh with triangles",
-                f"{len(vertices)} points without any",
-                path.name,
-                next_step="Export the surface again, as triangles",
-            )
+        raise CtInertiaError.of(
+            "the surface",
+            "a mesh with triangles",
+            f"{len(vertices)} points without any",
+            path.name,
+            next_step="Export the surface again, as triangles",
         )
     notices: list[Notice] = []
     try:
@@ -215,13 +206,8 @@ def write_surface(path: Path | str, surface: Surface) -> None:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SURFACE_SUFFIXES:
-        raise CtInertiaError(
-            Fault(
-                "the surface file",
-                "a STL, PLY, OBJ or GLB file",
-                path.name,
-                next_step="Use one of these formats",
-            )
+        raise CtInertiaError.of(
+            "the surface file", "a STL, PLY, OBJ or GLB file", path.name, next_step="Use one of these formats"
         )
     if suffix == ".ply":
         path.write_bytes(_ply_bytes(surface))
@@ -235,40 +221,29 @@ def write_surface(path: Path | str, surface: Surface) -> None:
 
 def _check_arrays(vertices: Array, faces: NDArray[np.int64]) -> None:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or faces.ndim != 2 or faces.shape[1:] != (3,):
-        raise CtInertiaError(
-            Fault(
-                "the surface",
-                "vertices (n, 3) and faces (m, 3)",
-                f"{vertices.shape} and {faces.shape}",
-                next_step="Export the surface again, as triangles",
-            )
+        raise CtInertiaError.of(
+            "the surface",
+            "vertices (n, 3) and faces (m, 3)",
+            f"{vertices.shape} and {faces.shape}",
+            next_step="Export the surface again, as triangles",
         )
     if len(vertices) == 0 or len(faces) == 0:
-        raise CtInertiaError(
-            Fault(
-                "the surface",
-                "a mesh with triangles",
-                f"{len(vertices)} points, {len(faces)} faces",
-                next_step="Export the surface again, as triangles",
-            )
+        raise CtInertiaError.of(
+            "the surface",
+            "a mesh with triangles",
+            f"{len(vertices)} points, {len(faces)} faces",
+            next_step="Export the surface again, as triangles",
         )
     if not np.all(np.isfinite(vertices)):
-        raise CtInertiaError(
-            Fault(
-                "the corners of the surface",
-                "finite",
-                "NaN or infinity",
-                next_step="Export the surface again",
-            )
+        raise CtInertiaError.of(
+            "the corners of the surface", "finite", "NaN or infinity", next_step="Export the surface again"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise CtInertiaError(
-            Fault(
-                "the faces of the surface",
-                f"indices below {len(vertices)}",
-                int(faces.max()),
-                next_step="Export the surface again",
-            )
+        raise CtInertiaError.of(
+            "the faces of the surface",
+            f"indices below {len(vertices)}",
+            int(faces.max()),
+            next_step="Export the surface again",
         )
 
 
@@ -288,14 +263,12 @@ def _load(path: Path) -> tuple[Array, NDArray[np.int64]]:
         faces = np.asarray(getattr(mesh, "faces", []), dtype=np.int64).reshape(-1, 3)
     except Exception as fault:
         why = f"{type(fault).__name__}: {fault}"
-        raise CtInertiaError(
-            Fault(
-                "the surface",
-                f"a readable {kind.upper()} file with triangles",
-                why if len(why) <= 200 else f"{why[:200]}...",
-                path.name,
-                "Export it again",
-            )
+        raise CtInertiaError.of(
+            "the surface",
+            f"a readable {kind.upper()} file with triangles",
+            why if len(why) <= 200 else f"{why[:200]}...",
+            path.name,
+            "Export it again",
         ) from fault
     return vertices, faces
 

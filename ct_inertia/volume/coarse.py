@@ -14,7 +14,6 @@ from ct_inertia.volume.blocks import sampled
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.interior import Interior, interior
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 # Squares of larger values, summed over a scan, overflow in single precision.
@@ -114,24 +113,20 @@ def finite(part: NDArray[Any], volume: Volume) -> NDArray[np.float32]:
     bad = ~np.isfinite(grey)
     largest = float(np.max(np.abs(part), where=np.isfinite(part), initial=0.0))
     if largest > _LARGEST:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                f"smaller than {_LARGEST:g}",
-                f"{largest:.3g}",
-                next_step="Scale them where the volume is exported",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            f"smaller than {_LARGEST:g}",
+            f"{largest:.3g}",
+            next_step="Scale them where the volume is exported",
         )
     if not np.any(bad):
         return grey
     if not volume.nan_as_air:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "finite",
-                f"{int(bad.sum())} voxels of NaN or infinity",
-                next_step="Replace them, or let them count as air with {nan_as_air}",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            "finite",
+            f"{int(bad.sum())} voxels of NaN or infinity",
+            next_step="Replace them, or let them count as air with {nan_as_air}",
         )
     grey[bad] = np.median(grey[~bad][::7]) if np.any(~bad) else 0.0
     return grey
@@ -188,13 +183,11 @@ def material_levels(scan: CoarseScan) -> Array:
     if top is not None and (levels.size == 0 or top > levels[-1] + 8.0 * noise):
         levels = np.append(levels, top)
     if levels.size < 2:
-        raise CtInertiaError(
-            Fault(
-                "the scan",
-                "a picture of bone in air",
-                "one material only, and noise",
-                next_step="Check that this is the reconstructed volume, or give {threshold}",
-            )
+        raise CtInertiaError.of(
+            "the scan",
+            "a picture of bone in air",
+            "one material only, and noise",
+            next_step="Check that this is the reconstructed volume, or give {threshold}",
         )
     return levels
 

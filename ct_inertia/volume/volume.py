@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.blocks import part_of
-from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -68,25 +67,21 @@ class Volume:
         _check_array(self.array, where)
         spacing = np.array(self.spacing_mm, dtype=float)
         if spacing.shape != (3,) or not np.all(np.isfinite(spacing)) or np.any(spacing <= 0.0):
-            raise CtInertiaError(
-                Fault(
-                    "the voxel spacing",
-                    "three positive numbers in mm",
-                    spacing.tolist(),
-                    where,
-                    "Give it with {spacing}",
-                )
+            raise CtInertiaError.of(
+                "the voxel spacing",
+                "three positive numbers in mm",
+                spacing.tolist(),
+                where,
+                "Give it with {spacing}",
             )
         origin = np.array(self.origin_mm, dtype=float)
         if origin.shape != (3,) or not np.all(np.isfinite(origin)):
-            raise CtInertiaError(
-                Fault(
-                    "the origin of the volume",
-                    "three numbers in mm",
-                    origin.tolist(),
-                    where,
-                    next_step="Export it again",
-                )
+            raise CtInertiaError.of(
+                "the origin of the volume",
+                "three numbers in mm",
+                origin.tolist(),
+                where,
+                next_step="Export it again",
             )
         direction = _right_handed(np.array(self.direction, dtype=float), where)
         for name, value in (("spacing_mm", spacing), ("origin_mm", origin), ("direction", direction)):
@@ -135,13 +130,11 @@ class Volume:
         high = np.clip(np.floor(index.max(axis=0) + 1e-6) + 1, 0, self.size).astype(np.int64)
         if np.any(high - low < 2):
             far = self.scan_points(self.size - 1)
-            raise CtInertiaError(
-                Fault(
-                    "{box}",
-                    f"a box that overlaps the scan ({_listed(self.origin_mm)} to {_listed(far)} mm)",
-                    f"{_listed(corners[0])} to {_listed(corners[1])} mm",
-                    next_step="Give two corners in scan coordinates, mm",
-                )
+            raise CtInertiaError.of(
+                "{box}",
+                f"a box that overlaps the scan ({_listed(self.origin_mm)} to {_listed(far)} mm)",
+                f"{_listed(corners[0])} to {_listed(corners[1])} mm",
+                next_step="Give two corners in scan coordinates, mm",
             )
         z, y, x = (slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
         return replace(self, array=part_of(self.array, (z, y, x)), origin_mm=self.scan_points(low))
@@ -198,7 +191,7 @@ def check_axis(axis: str) -> None:
     CtInertiaError
     """
     if axis not in tuple(_AXES):
-        raise CtInertiaError(Fault("{mirror}", "x, y or z", axis, next_step="Name one of the three axes"))
+        raise CtInertiaError.of("{mirror}", "x, y or z", axis, next_step="Name one of the three axes")
 
 
 def _listed(values: Array) -> str:
@@ -207,62 +200,52 @@ def _listed(values: Array) -> str:
 
 def _check_array(array: NDArray[Any], where: str) -> None:
     if np.iscomplexobj(array):
-        raise CtInertiaError(
-            Fault("the volume", "real grey values", "complex numbers", where, "Export the magnitude")
+        raise CtInertiaError.of(
+            "the volume", "real grey values", "complex numbers", where, "Export the magnitude"
         )
     if array.ndim == 4 and array.shape[-1] in (3, 4) and array.dtype == np.uint8:
-        raise CtInertiaError(
-            Fault("the volume", "grey values", "a colour (RGB) image", where, "Export it as grey values")
+        raise CtInertiaError.of(
+            "the volume", "grey values", "a colour (RGB) image", where, "Export it as grey values"
         )
     if array.ndim != 3 or min(array.shape) < 2:
-        raise CtInertiaError(
-            Fault(
-                "the volume",
-                "three-dimensional",
-                f"an image of shape {' x '.join(map(str, array.shape[::-1]))}",
-                where,
-                "Give the whole stack, or the folder of slices",
-            )
+        raise CtInertiaError.of(
+            "the volume",
+            "three-dimensional",
+            f"an image of shape {' x '.join(map(str, array.shape[::-1]))}",
+            where,
+            "Give the whole stack, or the folder of slices",
         )
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
-        raise CtInertiaError(
-            Fault(
-                "the grey values",
-                "integers or floating point numbers",
-                array.dtype,
-                where,
-                next_step="Export it as grey values",
-            )
+        raise CtInertiaError.of(
+            "the grey values",
+            "integers or floating point numbers",
+            array.dtype,
+            where,
+            next_step="Export it as grey values",
         )
 
 
 def _right_handed(direction: Array, where: str) -> Array:
     if direction.shape != (3, 3) or not np.all(np.isfinite(direction)):
-        raise CtInertiaError(
-            Fault(
-                "the direction matrix", "a finite 3x3 matrix", direction, where, next_step="Export it again"
-            )
+        raise CtInertiaError.of(
+            "the direction matrix", "a finite 3x3 matrix", direction, where, next_step="Export it again"
         )
     if np.max(np.abs(direction.T @ direction - np.eye(3))) > _ORTHONORMAL:
-        raise CtInertiaError(
-            Fault(
-                "the direction matrix",
-                "orthonormal (no shear)",
-                np.round(direction, 6).tolist(),
-                where,
-                "Resample the volume onto a rectangular grid",
-            )
+        raise CtInertiaError.of(
+            "the direction matrix",
+            "orthonormal (no shear)",
+            np.round(direction, 6).tolist(),
+            where,
+            "Resample the volume onto a rectangular grid",
         )
     if np.linalg.det(direction) < 0.0:
-        raise CtInertiaError(
-            Fault(
-                "the direction matrix",
-                "right-handed (determinant +1)",
-                f"the left-handed {np.round(direction, 6).tolist()}",
-                where,
-                "Export the volume with right-handed axes, or, when its slice order is what is wrong, "
-                "reverse it with {mirror} x, y or z",
-            )
+        raise CtInertiaError.of(
+            "the direction matrix",
+            "right-handed (determinant +1)",
+            f"the left-handed {np.round(direction, 6).tolist()}",
+            where,
+            "Export the volume with right-handed axes, or, when its slice order is what is wrong, "
+            "reverse it with {mirror} x, y or z",
         )
     # Headers hold six digits or so; the nearest rotation makes the matrix orthonormal to rounding.
     u, _, vt = np.linalg.svd(direction)

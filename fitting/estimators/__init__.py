@@ -36,8 +36,7 @@ def estimator(name: str) -> Method:
     """
     if name not in ESTIMATORS:
         from fitting.errors import FittingError
-        from stapeskit.faults import Fault
 
-        raise FittingError(Fault("the estimator", f"one of {', '.join(ESTIMATORS)}", name))
+        raise FittingError.of("the estimator", f"one of {', '.join(ESTIMATORS)}", name)
     method: Method = import_module(f"fitting.estimators.{name}").METHOD
     return method

@@ -203,15 +203,12 @@ def _interior_start(problem: Quadratic, begin: Array) -> Array:
         if inside(trial, problem.n):
             return trial
     from fitting.errors import FittingError
-    from stapeskit.faults import Fault
 
-    raise FittingError(
-        Fault(
-            "the bounds",
-            "wide enough for positive semidefinite K and D",
-            "bounds that exclude them",
-            next_step="Widen {lower} or {upper}",
-        )
+    raise FittingError.of(
+        "the bounds",
+        "wide enough for positive semidefinite K and D",
+        "bounds that exclude them",
+        next_step="Widen {lower} or {upper}",
     )
 
 

@@ -27,7 +27,6 @@ from fitting.estimators.base import (
 from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
 from fitting.estimators.interior import active_names, inside, minimise
 from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -244,13 +243,11 @@ def _held(lines: Lines, free: Estimate, merit: _Merit) -> Estimate:
 
     parameters, converged, steps = minimise(expansion, value, np.empty(0), lines.n)
     if not np.isfinite(value(parameters)):
-        raise FittingError(
-            Fault(
-                "the motions",
-                "such that K and D have a likelihood",
-                "none, for any start",
-                next_step="Check the noise variances, or give fewer degrees of freedom with {dof}",
-            )
+        raise FittingError.of(
+            "the motions",
+            "such that K and D have a likelihood",
+            "none, for any start",
+            next_step="Check the noise variances, or give fewer degrees of freedom with {dof}",
         )
     names = active_names(parameters, lines.n)
     return Estimate(parameters, value(parameters), free.iterations + steps, converged, names)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.symmetric import basis, split
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 # A fit that needs more steps is reported as not converged.
@@ -82,13 +81,11 @@ def nearest(
     try:
         return _path(hessian, linear, start, n, gap, signs, limits)
     except np.linalg.LinAlgError as fault:
-        raise FittingError(
-            Fault(
-                "the equations",
-                "numerically solvable for K >= 0 and D >= 0",
-                "equations that rounding makes singular",
-                next_step="Measure more lines, or fit fewer degrees of freedom with {dof}",
-            )
+        raise FittingError.of(
+            "the equations",
+            "numerically solvable for K >= 0 and D >= 0",
+            "equations that rounding makes singular",
+            next_step="Measure more lines, or fit fewer degrees of freedom with {dof}",
         ) from fault
 
 

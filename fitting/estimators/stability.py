@@ -20,7 +20,6 @@ from fitting.errors import FittingError
 from fitting.estimators.interior import descent
 from fitting.model.model import state_matrix
 from fitting.model.symmetric import basis, split
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.
@@ -152,13 +151,11 @@ def stable_start(problem: Objective, begin: Array) -> Array:
     """
     if np.isfinite(height(begin, problem)):
         return begin
-    raise FittingError(
-        Fault(
-            "the bounds",
-            "wide enough for a stable model",
-            "bounds that leave none",
-            next_step="Widen {lower} or {upper}",
-        )
+    raise FittingError.of(
+        "the bounds",
+        "wide enough for a stable model",
+        "bounds that leave none",
+        next_step="Widen {lower} or {upper}",
     )
 
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.kd_fit import KDFit
 from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
-from stapeskit.faults import Fault
 from stapeskit.spatial import parameters_from_matrix
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ def content(fit: KDFit) -> bytes:
     """
     if fit.dof != PRINCIPAL_DOF or not fit.passive[0]:
         wanted = "for y,alpha,gamma with a positive semidefinite K"
-        raise FittingError(Fault("the export inp", wanted, ",".join(fit.dof), "", "Leave it out of {export}"))
+        raise FittingError.of("the export inp", wanted, ",".join(fit.dof), "", "Leave it out of {export}")
     nodes: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
     moving: list[int] = []
     elements: list[str] = []

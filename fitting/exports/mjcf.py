@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.kd_fit import KDFit
 from fitting.model.principal_axes import PRINCIPAL_DOF
-from stapeskit.faults import Fault
 from stapeskit.spatial import parameters_from_matrix
 
 Array = NDArray[np.float64]
@@ -38,7 +37,7 @@ def content(fit: KDFit) -> bytes:
     if not definite or not fit.law.law.polynomial:
         wanted = "for y,alpha,gamma with viscous damping, positive definite K and D and a mass of six degrees"
         shown = f"{','.join(fit.dof)}, {fit.law.name}"
-        raise FittingError(Fault("the export mjcf", wanted, shown, "", "Leave it out of {export}"))
+        raise FittingError.of("the export mjcf", wanted, shown, "", "Leave it out of {export}")
     root = Tree.Element("mujoco", model="stapes")
     root.append(Tree.Comment("Units m, N, kg, s, rad; footplate axes about the footplate centre."))
     Tree.SubElement(root, "compiler", angle="radian")

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from fitting.errors import FittingError
 from fitting.model.laws import LAWS, law_of
 from fitting.model.laws.law import Law
-from stapeskit.faults import Fault
 from stapeskit.page.quantities import time_unit
 
 ComplexArray = NDArray[np.complex128]
@@ -39,12 +38,12 @@ class DampingLaw:
 
     def __post_init__(self) -> None:
         if self.name not in LAWS:
-            raise FittingError(Fault("the damping law", f"one of {', '.join(LAWS)}", self.name))
+            raise FittingError.of("the damping law", f"one of {', '.join(LAWS)}", self.name)
         if not self.estimated:
             object.__setattr__(self, "exponent", self.law.exponent)
         elif not self.law.valid[0] < self.exponent < self.law.valid[1]:
             low, high = self.law.valid
-            raise FittingError(Fault("the damping exponent", f"between {low:g} and {high:g}", self.exponent))
+            raise FittingError.of("the damping exponent", f"between {low:g} and {high:g}", self.exponent)
 
     @property
     def law(self) -> Law:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
-from stapeskit.faults import Fault
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative
 from stapeskit.spatial import dof_indices, matrix_from_parameters, parameter_basis, parameters_from_matrix
 
@@ -86,26 +85,22 @@ def inertia_of(mass: MassMatrix | Array, dof: tuple[str, ...]) -> Inertia:
     """
     if isinstance(mass, MassMatrix):
         if (mass.about, mass.axes) != ("footplate_centre", "footplate"):
-            raise FittingError(
-                Fault(
-                    "the mass matrix",
-                    "about footplate_centre in footplate axes",
-                    f"about {mass.about} in {mass.axes} axes",
-                    next_step="Take the block mass_matrix of mass.json",
-                )
+            raise FittingError.of(
+                "the mass matrix",
+                "about footplate_centre in footplate axes",
+                f"about {mass.about} in {mass.axes} axes",
+                next_step="Take the block mass_matrix of mass.json",
             )
         return Inertia(mass.matrix, True, mass.parameters, mass.contributions)
     matrix = np.asarray(mass, dtype=float)
     n = len(dof)
     if matrix.shape not in ((n, n), (6, 6)):
         shape = " x ".join(str(size) for size in matrix.shape) or "a single number"
-        raise FittingError(
-            Fault(
-                "the mass matrix",
-                f"{n} x {n} for {{dof}} {','.join(dof)}",
-                shape,
-                next_step="Give M in the order of {dof}, or change {dof}",
-            )
+        raise FittingError.of(
+            "the mass matrix",
+            f"{n} x {n} for {{dof}} {','.join(dof)}",
+            shape,
+            next_step="Give M in the order of {dof}, or change {dof}",
         )
     check_mass(matrix)
     return Inertia(matrix, matrix.shape == (6, 6))
@@ -120,32 +115,28 @@ def check_mass(matrix: Array, where: str = "") -> None:
         Any of these.
     """
     if not np.all(np.isfinite(matrix)):
-        raise FittingError(Fault("the mass matrix", "finite numbers", "NaN or infinite values", where))
+        raise FittingError.of("the mass matrix", "finite numbers", "NaN or infinite values", where)
     diagonal = np.diag(matrix)
     if np.any(diagonal <= 0.0):
-        raise FittingError(
-            Fault("the diagonal of the mass matrix", "positive", diagonal.min(), where, "Check its units")
+        raise FittingError.of(
+            "the diagonal of the mass matrix", "positive", diagonal.min(), where, "Check its units"
         )
     if np.any((diagonal < SMALLEST) | (diagonal > LARGEST)):
         worst = diagonal[np.argmax(np.abs(np.log(diagonal)))]
         want = f"within {SMALLEST:g} and {LARGEST:g} (kg, kg m2)"
-        raise FittingError(
-            Fault("the diagonal of the mass matrix", want, f"{worst:g}", where, "Check its units")
-        )
+        raise FittingError.of("the diagonal of the mass matrix", want, f"{worst:g}", where, "Check its units")
     root = np.sqrt(diagonal)
     scaled = matrix / np.outer(root, root)
     if np.max(np.abs(scaled - scaled.T)) > 1e-6:
-        raise FittingError(
-            Fault("the mass matrix", "symmetric", "an asymmetric one", where, "Check the order of its rows")
+        raise FittingError.of(
+            "the mass matrix", "symmetric", "an asymmetric one", where, "Check the order of its rows"
         )
     smallest = float(np.linalg.eigvalsh(scaled)[0])
     if smallest <= 1e-9:
-        raise FittingError(
-            Fault(
-                "the mass matrix",
-                "positive definite",
-                f"a smallest scaled eigenvalue of {smallest:.3g}",
-                where,
-                "Check units and signs (M(y, alpha) = -m z, M(y, gamma) = +m x)",
-            )
+        raise FittingError.of(
+            "the mass matrix",
+            "positive definite",
+            f"a smallest scaled eigenvalue of {smallest:.3g}",
+            where,
+            "Check units and signs (M(y, alpha) = -m z, M(y, gamma) = +m x)",
         )

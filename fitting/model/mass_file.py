@@ -50,22 +50,18 @@ def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, Mas
 
 def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     if not path.is_file():
-        raise FittingError(
-            Fault(
-                "{mass}", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
-            )
+        raise FittingError.of(
+            "{mass}", "an existing mass.json or M.csv", path, next_step="Run ct2mass to make a mass.json"
         )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise FittingError(
-            Fault(
-                "{mass}",
-                "a text file of numbers or a mass.json",
-                "a binary file",
-                path.name,
-                "Give the mass.json of ct2mass, or write M as comma separated text",
-            )
+        raise FittingError.of(
+            "{mass}",
+            "a text file of numbers or a mass.json",
+            "a binary file",
+            path.name,
+            "Give the mass.json of ct2mass, or write M as comma separated text",
         ) from fault
     values, faults = [], []
     for line, words in enumerate(text.splitlines(), 1):
@@ -77,14 +73,12 @@ def _read_csv(path: Path, dof: tuple[str, ...]) -> Array:
     n = len(dof)
     if len(values) != n or any(len(row) != n for row in values):
         widths = sorted({len(row) for row in values}) or [0]
-        raise FittingError(
-            Fault(
-                "M.csv",
-                f"{n} x {n} for {{dof}} {','.join(dof)}",
-                f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
-                path.name,
-                "Give M in the order of {dof}, or change {dof}",
-            )
+        raise FittingError.of(
+            "M.csv",
+            f"{n} x {n} for {{dof}} {','.join(dof)}",
+            f"{len(values)} rows of {' or '.join(map(str, widths))} numbers",
+            path.name,
+            "Give M in the order of {dof}, or change {dof}",
         )
     return np.array(values)
 

@@ -238,15 +238,13 @@ def _check_lines(
             step = f"Lines were measured from {ends}: widen {named('band')} or exclude less"
         else:
             step = "Measure structure and base at common frequencies"
-        raise FittingError(Fault("the band", "one with measured lines of both bodies", "none", where, step))
+        raise FittingError.of("the band", "one with measured lines of both bodies", "none", where, step)
     if 2 * n * lines < n * (n + 1) or len(np.unique(observation.freq_hz)) < 2:
-        raise FittingError(
-            Fault(
-                "the data",
-                f"at least {n * (n + 1)} equations at 2 or more frequencies for {n * (n + 1)} unknowns",
-                f"{2 * n * lines} equations at {len(np.unique(observation.freq_hz))} frequencies",
-                next_step="Measure more lines or fit fewer degrees of freedom with {dof}",
-            )
+        raise FittingError.of(
+            "the data",
+            f"at least {n * (n + 1)} equations at 2 or more frequencies for {n * (n + 1)} unknowns",
+            f"{2 * n * lines} equations at {len(np.unique(observation.freq_hz))} frequencies",
+            next_step="Measure more lines or fit fewer degrees of freedom with {dof}",
         )
     _check_deflection(observation)
     variance = np.einsum("lii->li", observation.covariance).real
@@ -288,11 +286,9 @@ def _check_deflection(observation: Observation) -> None:
         return
     rest = ",".join(name for name in observation.dof if name not in still)
     step = f"Give {named('dof')} {rest}, or excite" if rest else "Excite"
-    raise FittingError(
-        Fault(
-            "the motion of structure and base",
-            "different in every degree of freedom of {dof}",
-            f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable",
-            next_step=f"{step} the base so that the suspension is deflected there",
-        )
+    raise FittingError.of(
+        "the motion of structure and base",
+        "different in every degree of freedom of {dof}",
+        f"the same one in {', '.join(still)}, where the stiffness is therefore unidentifiable",
+        next_step=f"{step} the base so that the suspension is deflected there",
     )

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting.errors import FittingError
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 PRINCIPAL_DOF: tuple[str, ...] = ("y", "alpha", "gamma")
@@ -58,8 +57,8 @@ def principal_axes(stiffness: ArrayLike) -> PrincipalAxes:
     """
     k = np.asarray(stiffness, dtype=float)
     if k.shape != (3, 3) or not k[0, 0] > 0.0:
-        raise FittingError(
-            Fault("the stiffness for principal axes", "3x3 in y, alpha, gamma with K11 > 0", k.tolist())
+        raise FittingError.of(
+            "the stiffness for principal axes", "3x3 in y, alpha, gamma with K11 > 0", k.tolist()
         )
     rocking = k[1:, 1:] - np.outer(k[0, 1:], k[0, 1:]) / k[0, 0]
     angle = -0.5 * np.arctan2(2.0 * rocking[0, 1], rocking[0, 0] - rocking[1, 1])

@@ -65,12 +65,10 @@ def check_result(*results: Array) -> None:
 
 def unsolvable() -> FittingError:
     """Return the error on equations that have no finite solution."""
-    return FittingError(
-        Fault(
-            "motion and mass",
-            "of sizes from which stiffness and damping follow",
-            "equations without a finite solution",
-            "",
-            "Look for columns in wrong units or in each other's place, and for lines far beyond the others",
-        )
+    return FittingError.of(
+        "motion and mass",
+        "of sizes from which stiffness and damping follow",
+        "equations without a finite solution",
+        "",
+        "Look for columns in wrong units or in each other's place, and for lines far beyond the others",
     )

@@ -61,13 +61,13 @@ def read_plan(path: Path) -> tuple[Plan, Path | None]:
     """
     path = Path(path)
     if not path.is_file():
-        raise FittingError(
-            Fault("{plan}", "an existing TOML file", path, next_step="dof2kd --help shows an example")
+        raise FittingError.of(
+            "{plan}", "an existing TOML file", path, next_step="dof2kd --help shows an example"
         )
     try:
         table = parse_toml(path.read_text(encoding="utf-8"))
     except ValueError as fault:
-        raise FittingError(Fault("{plan}", "valid TOML", fault, path.name)) from fault
+        raise FittingError.of("{plan}", "valid TOML", fault, path.name) from fault
     return _plan(table, path)
 
 
@@ -170,7 +170,7 @@ def _list(table: Mapping[str, Any], key: str, default: tuple[str, ...], where: s
     if isinstance(raw, str):
         raw = raw.split(",")
     if not isinstance(raw, list) or not raw or not all(isinstance(name, str) for name in raw):
-        raise FittingError(Fault(key, 'names of degrees of freedom, e.g. ["y", "alpha"]', raw, where))
+        raise FittingError.of(key, 'names of degrees of freedom, e.g. ["y", "alpha"]', raw, where)
     return [name.strip().lower() for name in raw]
 
 
@@ -181,7 +181,7 @@ def _dof(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
         hint = ", ".join(f'"{name}"' for name in known or PAPER_DOF)
         wanted = f"different names in the order {', '.join(DOF_NAMES)}"
         step = f"Write dof = [{hint}] and order the matrices so"
-        raise FittingError(Fault("dof", wanted, ", ".join(raw), where, step))
+        raise FittingError.of("dof", wanted, ", ".join(raw), where, step)
     return known
 
 
@@ -191,7 +191,7 @@ def _directions(table: Mapping[str, Any], dof: tuple[str, ...] | None, where: st
     if len(set(names)) != len(names) or not set(names) <= set(allowed):
         wanted = f"different names out of the plan's dof, {', '.join(allowed)}"
         step = 'Write for example directions = ["y"], one for each run'
-        raise FittingError(Fault("directions", wanted, ", ".join(names), where, step))
+        raise FittingError.of("directions", wanted, ", ".join(names), where, step)
     return tuple(names)
 
 
@@ -202,14 +202,12 @@ def _mass(table: Mapping[str, Any], dof: tuple[str, ...], path: Path) -> tuple[A
         return read_mass(file, dof)[0], file
     if raw is None:
         if dof != PAPER_DOF:
-            raise FittingError(
-                Fault(
-                    "mass",
-                    f"given when dof is not {', '.join(PAPER_DOF)}",
-                    "nothing",
-                    path.name,
-                    'Write mass = "mass.json" or a matrix',
-                )
+            raise FittingError.of(
+                "mass",
+                f"given when dof is not {', '.join(PAPER_DOF)}",
+                "nothing",
+                path.name,
+                'Write mass = "mass.json" or a matrix',
             )
         return np.array(PAPER_MASS), None
     matrix = _matrix(raw, "mass", len(dof), path.name)
@@ -223,7 +221,7 @@ def _matrix(raw: Any, key: str, n: int, where: str) -> Array:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (n, n) or not np.all(np.isfinite(matrix)):
-        raise FittingError(Fault(key, f"a {n} x {n} matrix in SI, in the order of dof", raw, where))
+        raise FittingError.of(key, f"a {n} x {n} matrix in SI, in the order of dof", raw, where)
     return matrix
 
 
@@ -232,12 +230,12 @@ def _expected(table: Mapping[str, Any], key: str, dof: tuple[str, ...], default:
     if raw is None and dof != PAPER_DOF:
         wanted = f"given when dof is not {', '.join(PAPER_DOF)}"
         step = f"Write {key} = [[...], ...], {len(dof)} x {len(dof)} in SI"
-        raise FittingError(Fault(key, wanted, "nothing", where, step))
+        raise FittingError.of(key, wanted, "nothing", where, step)
     matrix = default if raw is None else _matrix(raw, key, len(dof), where)
     root = np.sqrt(np.abs(np.diag(matrix)))
     symmetric = np.all(np.abs(matrix - matrix.T) <= 1e-6 * np.outer(root, root) + 1e-300)
     if not symmetric or not passive(matrix) or np.any(root == 0.0):
-        raise FittingError(Fault(key, "symmetric and positive (semi)definite", raw, where))
+        raise FittingError.of(key, "symmetric and positive (semi)definite", raw, where)
     return matrix
 
 
@@ -245,7 +243,7 @@ def _band(table: Mapping[str, Any], where: str) -> tuple[float, float]:
     raw = table.get("band_hz", [400.0, 5000.0])
     good = isinstance(raw, list) and len(raw) == 2 and all(isinstance(value, int | float) for value in raw)
     if not good or not 0.0 < raw[0] < raw[1] < np.inf:
-        raise FittingError(Fault("band_hz", "two frequencies in Hz, low before high", raw, where))
+        raise FittingError.of("band_hz", "two frequencies in Hz, low before high", raw, where)
     return float(raw[0]), float(raw[1])
 
 
@@ -257,7 +255,7 @@ def _points(table: Mapping[str, Any], key: str, default: Array, where: str) -> A
     except (TypeError, ValueError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
-        raise FittingError(Fault(key, "a list of points [x, y, z] in mm, footplate axes", table[key], where))
+        raise FittingError.of(key, "a list of points [x, y, z] in mm, footplate axes", table[key], where)
     return points
 
 
@@ -266,12 +264,10 @@ def _check_layout(key: str, points: Array, dof: tuple[str, ...], where: str) -> 
     from fitting.examples.experiment import Layout
 
     if not Layout(points).determines(dof):
-        raise FittingError(
-            Fault(
-                key,
-                f"enough points, well apart, for {', '.join(dof)}",
-                f"{len(points)} that leave a motion unseen",
-                where,
-                "Add points off the line through the others",
-            )
+        raise FittingError.of(
+            key,
+            f"enough points, well apart, for {', '.join(dof)}",
+            f"{len(points)} that leave a motion unseen",
+            where,
+            "Add points off the line through the others",
         )

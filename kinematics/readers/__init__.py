@@ -111,8 +111,8 @@ def _check_names(paths: Sequence[Path]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         step = "Rename one of them: runs and bodies are identified by the names of files"
-        raise KinematicsError(
-            Fault("the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step)
+        raise KinematicsError.of(
+            "the names of the vibrometer files", "different", ", ".join(twice) + " twice", "", step
         )
 
 

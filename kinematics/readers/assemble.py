@@ -81,7 +81,7 @@ def assemble(
     notices += dropped
     if not recordings:
         step = "Export the points with their spectra"
-        raise KinematicsError(Fault("the vibrometer files", "with values of one point", "none", "", step))
+        raise KinematicsError.of("the vibrometer files", "with values of one point", "none", "", step)
     named, dropped = with_runs(with_bodies(recordings, points, options), options)
     notices += dropped
     flat = [recording for _, recording in named]
@@ -150,7 +150,7 @@ def without_dc(
         )
         kept.append((file, shortened))
     if empty and not kept:
-        raise KinematicsError(Fault("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step))
+        raise KinematicsError.of("the frequencies", "above 0 Hz", "0 Hz alone", empty[0], step)
     if not dropped:
         return kept, []
     listed = ", ".join(f"{count} spectra of {file}" for file, count in dropped.items())

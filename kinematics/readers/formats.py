@@ -23,7 +23,6 @@ from kinematics.readers.recording import Recordings
 from kinematics.readers.text import lines_of
 from kinematics.readers.uff.datasets import looks_like_uff, plain_content
 from kinematics.readers.wide.spectra import is_wide
-from stapeskit.faults import Fault
 
 TIDY, WIDE = "tidy", "wide"
 _SERIES_READER = "kinematics.readers.series.frequency_responses"
@@ -206,7 +205,7 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     if path.is_dir():
         return _format_of_folder(path)
     if not path.is_file():
-        raise KinematicsError(Fault("the vibrometer file", "an existing file", path, "", "Check its name"))
+        raise KinematicsError.of("the vibrometer file", "an existing file", path, "", "Check its name")
     head = _head_of(path)
     for entry in FORMATS:
         if entry.holds(replace(head, mapped=head.mapped or mapped)):
@@ -216,14 +215,14 @@ def format_of(path: Path, mapped: bool = False) -> Format:
     by_name = [entry for entry in FORMATS if head.suffix in entry.suffixes]
     if head.content.startswith(_ZIP):
         step = "Unpack it, and give the files or folders in it"
-        raise KinematicsError(Fault("the vibrometer file", known, "a ZIP archive", path.name, step))
+        raise KinematicsError.of("the vibrometer file", known, "a ZIP archive", path.name, step)
     if not head.content and [entry.name for entry in by_name] != [TIDY]:
         step = "Export or copy it again"
-        raise KinematicsError(Fault("the vibrometer file", "one with content", "0 bytes", path.name, step))
+        raise KinematicsError.of("the vibrometer file", "one with content", "0 bytes", path.name, step)
     if by_name:
         return by_name[0]
-    raise KinematicsError(
-        Fault("the vibrometer file", known, path.name, next_step="See points2dof --help for the layouts")
+    raise KinematicsError.of(
+        "the vibrometer file", known, path.name, next_step="See points2dof --help for the layouts"
     )
 
 
@@ -249,7 +248,7 @@ def _format_of_folder(path: Path) -> Format:
         return others[0]
     step = "Give the files themselves, or the folder of a text export"
     expected = "one with text exports of a scanning vibrometer"
-    raise KinematicsError(Fault("a vibrometer folder", expected, path.name, next_step=step))
+    raise KinematicsError.of("a vibrometer folder", expected, path.name, next_step=step)
 
 
 def describes_series(path: Path) -> bool:

@@ -103,7 +103,7 @@ def plain_tree(group: Any, where: str, depth: int = 0) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     for name, node in group.items():
         if not isinstance(name, str):
-            raise KinematicsError(Fault("the names in the file", "text in UTF-8", "others", where))
+            raise KinematicsError.of("the names in the file", "text in UTF-8", "others", where)
         if isinstance(node, h5py.Group):
             if depth < _DEEPEST:
                 tree[name] = plain_tree(node, f"{where}, {name}", depth + 1)
@@ -206,7 +206,7 @@ def _real(file: Any, key: str, name: str) -> Array:
     """Return a data set of real numbers."""
     values = array_of(file[key], f"{name}, {key}")
     if values.dtype.kind not in "fiu":
-        raise KinematicsError(Fault(key, "real numbers", f"values of type {values.dtype}", name))
+        raise KinematicsError.of(key, "real numbers", f"values of type {values.dtype}", name)
     return values.astype(float)
 
 
@@ -222,29 +222,27 @@ def _value(file: Any, name: str, lines: int) -> tuple[NDArray[np.complex128], bo
         parts = [_real(file, part, name) for part in ("re", "im")]
         if parts[0].shape != parts[1].shape:
             got = f"{parts[0].shape} and {parts[1].shape}"
-            raise KinematicsError(Fault("re and im", "of one shape", got, name))
+            raise KinematicsError.of("re and im", "of one shape", got, name)
         values = np.empty(parts[0].shape, dtype=complex)
         values.real, values.imag = parts
     else:
         step = "Write the imaginary part: without phase there is no motion"
-        raise KinematicsError(Fault("the data set im", "in the file", "re alone", name, step))
+        raise KinematicsError.of("the data set im", "in the file", "re alone", name, step)
     if values.dtype.kind not in "c":
-        raise KinematicsError(Fault("value", "complex", "real numbers", name, "Write re and im"))
+        raise KinematicsError.of("value", "complex", "real numbers", name, "Write re and im")
     dims = _attribute(file, "dims").replace(" ", "")
     if dims not in ("", "channel,freq", "run,channel,freq", "freq,channel", "freq,channel,run"):
-        raise KinematicsError(Fault("the attribute dims", "channel,freq or freq,channel", dims, name))
+        raise KinematicsError.of("the attribute dims", "channel,freq or freq,channel", dims, name)
     if values.ndim not in (2, 3) or lines not in (values.shape[0], values.shape[-1]):
         want = f"of shape (channel, freq) with {lines} frequencies"
-        raise KinematicsError(Fault("the values", want, values.shape, name))
+        raise KinematicsError.of("the values", want, values.shape, name)
     if not dims and values.shape[0] == values.shape[-1]:
         step = 'Write the attribute dims, "channel,freq" or (MATLAB) "freq,channel"'
-        raise KinematicsError(
-            Fault("the order of dimensions", "clear", "as many channels as lines", name, step)
-        )
+        raise KinematicsError.of("the order of dimensions", "clear", "as many channels as lines", name, step)
     turned = dims.startswith("freq") if dims else values.shape[-1] != lines
     values = values.T if turned else values
     if values.shape[-1] != lines:
-        raise KinematicsError(Fault("the values", f"as dims says, {dims}", values.shape, name))
+        raise KinematicsError.of("the values", f"as dims says, {dims}", values.shape, name)
     return np.asarray(values[None] if values.ndim == 2 else values, dtype=complex), turned
 
 

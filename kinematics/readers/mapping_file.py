@@ -21,11 +21,11 @@ def mapping_document(path: Path) -> dict[str, Any]:
         The file does not exist or is no TOML.
     """
     if not path.is_file():
-        raise KinematicsError(Fault("{mapping}", "an existing TOML file", path, "", "Check its name"))
+        raise KinematicsError.of("{mapping}", "an existing TOML file", path, "", "Check its name")
     try:
         return parse_toml(path.read_bytes().decode("utf-8-sig"))
     except ValueError as fault:
-        raise KinematicsError(Fault("a mapping", "a TOML file", str(fault), path.name)) from fault
+        raise KinematicsError.of("a mapping", "a TOML file", str(fault), path.name) from fault
 
 
 def unknown_keys(keys: Iterable[str], known: set[str], where: str) -> list[Fault]:

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import Fault
 
 _LINE = re.compile(r"\r\n|\n|\r")
 # Letters of a quoted text in a message.
@@ -47,4 +46,4 @@ def openable(path: Path) -> Iterator[None]:
         name = Path(fault.filename).name if isinstance(fault.filename, str) else Path(path).name
         got = fault.strerror or type(fault).__name__
         step = "Check the permissions and the disk it lies on"
-        raise KinematicsError(Fault("the vibrometer file", "readable", got, name, step)) from fault
+        raise KinematicsError.of("the vibrometer file", "readable", got, name, step) from fault

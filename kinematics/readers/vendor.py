@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import Fault
 
 SUFFIXES = (".svd", ".pvd", ".set")
 COMPOUND = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
@@ -24,12 +23,6 @@ def read(path: Path) -> NoReturn:
         "Export the spectra of all points in the program that wrote it, as UFF (universal file, with "
         "geometry) or as ASCII (Real & Imag.), and give that file or folder"
     )
-    raise KinematicsError(
-        Fault(
-            "the vibrometer file",
-            "UFF or ASCII",
-            "a scan file that only its own program reads",
-            path.name,
-            step,
-        )
+    raise KinematicsError.of(
+        "the vibrometer file", "UFF or ASCII", "a scan file that only its own program reads", path.name, step
     )

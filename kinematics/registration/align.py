@@ -16,7 +16,6 @@ from kinematics.registration.mesh_distance import TriangleSurface
 from kinematics.registration.placement import Placement, place, place_on_surface, scan_guess
 from kinematics.registration.sample_moved import check_surfaces, clouds
 from kinematics.registration.scan_surfaces import ScanSurfaces
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 
@@ -72,13 +71,11 @@ def _on_plate(
 ) -> Placement:
     mesh = None if surfaces is None else surfaces.mesh("plate")
     if mass is None or surfaces is None or mesh is None:
-        raise KinematicsError(
-            Fault(
-                "{plate_points}",
-                "given with a mass.json that has a plate.ply beside it",
-                "no plate.ply",
-                next_step="Scan stapes and plate together with ct2mass, or use fiducials in frame scan",
-            )
+        raise KinematicsError.of(
+            "{plate_points}",
+            "given with a mass.json that has a plate.ply beside it",
+            "no plate.ply",
+            next_step="Scan stapes and plate together with ct2mass, or use fiducials in frame scan",
         )
     first = None if fiducials is None else place(fiducials, "footplate", mass)
     fit = fit_to_surface(

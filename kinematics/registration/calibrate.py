@@ -12,7 +12,6 @@ from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
-from stapeskit.faults import Fault
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -116,13 +115,11 @@ def calibrate(
     """
     model = GeometryModel.of(placed, priors)
     if not model.names:
-        raise KinematicsError(
-            Fault(
-                "{calibrate}",
-                "used with something to estimate",
-                "{axes_sd} 0, {beam_sd} 0, {gain_sd} 0 and no sd_mm of any point",
-                next_step="Give at least one of them",
-            )
+        raise KinematicsError.of(
+            "{calibrate}",
+            "used with something to estimate",
+            "{axes_sd} 0, {beam_sd} 0, {gain_sd} 0 and no sd_mm of any point",
+            next_step="Give at least one of them",
         )
     values = np.zeros(len(model.names))
     prior = 1.0 / model.prior_sd**2

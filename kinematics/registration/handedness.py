@@ -12,7 +12,6 @@ from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import MIRRORS, Measurement
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.vocabulary import named
@@ -99,17 +98,15 @@ def check_axes(
         )
         return [Notice("mirrored_axes", text)]
     before, after = (np.sqrt(value / freedom) for value in (sum(given.values()), after))
-    raise KinematicsError(
-        Fault(
-            "the positions of the points",
-            "in the same axes as the beam directions",
-            f"positions that agree with the beams only when their {_words(best)} (residuals "
-            f"{before:.2g} times the noise as given, {after:.2g} so)",
-            next_step=f"One of the two is left-handed: give {{mirror_points}} {best} when it is the "
-            f"positions, and with {{mirror}} {best} too when it is the directions"
-            if best in MIRRORS
-            else "Exchange the two columns of the positions, or of the directions",
-        )
+    raise KinematicsError.of(
+        "the positions of the points",
+        "in the same axes as the beam directions",
+        f"positions that agree with the beams only when their {_words(best)} (residuals "
+        f"{before:.2g} times the noise as given, {after:.2g} so)",
+        next_step=f"One of the two is left-handed: give {{mirror_points}} {best} when it is the "
+        f"positions, and with {{mirror}} {best} too when it is the directions"
+        if best in MIRRORS
+        else "Exchange the two columns of the positions, or of the directions",
     )
 
 

@@ -27,7 +27,6 @@ from kinematics.registration.icp_search import Candidate, candidates, separation
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.fiducial_faults import inconsistent, undo_mirror, unit_hint
 from stapeskit.alignment.registration import Registration
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
@@ -173,16 +172,14 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
     thing = f"the {cloud.kind} points"
     least = 7 if alone else 1
     if len(cloud.points_mm) < least:
-        raise KinematicsError(
-            Fault(
-                thing,
-                f"at least {least}, on three faces that are not parallel",
-                str(len(cloud.points_mm)),
-                next_step="Measure more points, or give fiducials too",
-            )
+        raise KinematicsError.of(
+            thing,
+            f"at least {least}, on three faces that are not parallel",
+            str(len(cloud.points_mm)),
+            next_step="Measure more points, or give fiducials too",
         )
     if not np.all(np.isfinite(cloud.points_mm)):
-        raise KinematicsError(Fault(thing, "finite", "NaN or infinity"))
+        raise KinematicsError.of(thing, "finite", "NaN or infinity")
     extent = float(np.linalg.norm(np.ptp(cloud.points_mm, axis=0)))
     ratio = extent / surface.diagonal_mm
     if (len(cloud.points_mm) > 6 and ratio < 0.02) or ratio > 1.5:
@@ -191,13 +188,11 @@ def _check(cloud: Cloud, surface: TriangleSurface, alone: bool, source: str) -> 
             hint = f"The {source} coordinates seem to be in m"
         elif ratio > 50.0:
             hint = f"The {source} coordinates seem to be in um"
-        raise KinematicsError(
-            Fault(
-                f"{thing} (x_mm, y_mm, z_mm)",
-                f"spread over a good part of the {cloud.kind}, which is {surface.diagonal_mm:.3g} mm across",
-                f"points {extent:.3g} mm across",
-                next_step=hint,
-            )
+        raise KinematicsError.of(
+            f"{thing} (x_mm, y_mm, z_mm)",
+            f"spread over a good part of the {cloud.kind}, which is {surface.diagonal_mm:.3g} mm across",
+            f"points {extent:.3g} mm across",
+            next_step=hint,
         )
 
 
@@ -236,15 +231,13 @@ def _chosen(
             return alike[order[0]], [Notice("registration_ambiguous", text)]
     turn = alike[1].pose.rotation @ best.pose.rotation.T
     angle = np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-    raise KinematicsError(
-        Fault(
-            f"the {cloud.kind} points",
-            "such that one placement fits best",
-            f"{len(alike)} that fit alike (mean distance {best.pose.miss_mm * 1e3:.2g} and "
-            f"{alike[1].pose.miss_mm * 1e3:.2g} um, turned by {angle:.0f} degrees)",
-            next_step="Half turns of a box leave it as it is: give at least 3 {fiducials} as a first "
-            "guess, or measure points on the stapes or the bone too, whose surfaces decide",
-        )
+    raise KinematicsError.of(
+        f"the {cloud.kind} points",
+        "such that one placement fits best",
+        f"{len(alike)} that fit alike (mean distance {best.pose.miss_mm * 1e3:.2g} and "
+        f"{alike[1].pose.miss_mm * 1e3:.2g} um, turned by {angle:.0f} degrees)",
+        next_step="Half turns of a box leave it as it is: give at least 3 {fiducials} as a first "
+        "guess, or measure points on the stapes or the bone too, whose surfaces decide",
     )
 
 
@@ -271,13 +264,11 @@ def _finished(
     rows = distance_rows(local, fit.pose.rotation, fit.normal)
     open_ = undetermined(rows[used], local[used], fit.pose.rotation, fit.pose.points(middle[None])[0], axes)
     if open_ and guess is None:
-        raise KinematicsError(
-            Fault(
-                f"the {cloud.kind} points",
-                "on at least three faces that are not parallel, spread over each",
-                f"points that leave open: {'; '.join(open_)}",
-                next_step="Measure points on the faces that stop these motions, or give {fiducials} too",
-            )
+        raise KinematicsError.of(
+            f"the {cloud.kind} points",
+            "on at least three faces that are not parallel, spread over each",
+            f"points that leave open: {'; '.join(open_)}",
+            next_step="Measure points on the faces that stop these motions, or give {fiducials} too",
         )
     sd = distance_sd(cloud, surface, fit.scale)
     gram, _ = normal_equations(local, fit.pose.rotation, fit.distance, fit.normal, used / sd**2)
@@ -322,14 +313,12 @@ def _finished(
 
 
 def _refuse_off(fit: Refined, cloud: Cloud, surface: TriangleSurface) -> None:
-    raise KinematicsError(
-        Fault(
-            f"the {cloud.kind} points",
-            f"on the {surface.name} of the scan",
-            f"{int(np.sum(fit.near))} of {len(fit.near)} that fit, {fit.scale:.2g} mm rms off it",
-            next_step=f"Check that they were measured on the {cloud.kind} that was scanned, their unit, and "
-            "{mirror}; or give {fiducials} as a first guess",
-        )
+    raise KinematicsError.of(
+        f"the {cloud.kind} points",
+        f"on the {surface.name} of the scan",
+        f"{int(np.sum(fit.near))} of {len(fit.near)} that fit, {fit.scale:.2g} mm rms off it",
+        next_step=f"Check that they were measured on the {cloud.kind} that was scanned, their unit, and "
+        "{mirror}; or give {fiducials} as a first guess",
     )
 
 
@@ -380,12 +369,10 @@ def _check_mirror(fit: SurfaceFit, cloud: Cloud, surface: TriangleSurface, sourc
     other = float(np.mean(np.minimum(np.abs(mirrored.distance), 0.3)))
     if other > 0.4 * proper or (known and proper < 2.0 * scale):
         return
-    raise KinematicsError(
-        Fault(
-            f"the coordinates of the {source} frame",
-            "right-handed",
-            f"{cloud.kind} points that fit only as a mirror image (mean distance {proper:.2g} mm as given, "
-            f"{other:.2g} mm mirrored)",
-            next_step=undo_mirror("scan", source),
-        )
+    raise KinematicsError.of(
+        f"the coordinates of the {source} frame",
+        "right-handed",
+        f"{cloud.kind} points that fit only as a mirror image (mean distance {proper:.2g} mm as given, "
+        f"{other:.2g} mm mirrored)",
+        next_step=undo_mirror("scan", source),
     )

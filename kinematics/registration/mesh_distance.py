@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -58,14 +57,8 @@ class TriangleSurface:
             )
             faces = faces[area > 1e-9 * np.max(area)] if np.max(area) > 0.0 else faces[:0]
         if not fine or len(faces) == 0:
-            raise KinematicsError(
-                Fault(
-                    f"the {self.name}",
-                    "made of triangles with finite corners",
-                    "none",
-                    "",
-                    "Run ct2mass anew",
-                )
+            raise KinematicsError.of(
+                f"the {self.name}", "made of triangles with finite corners", "none", "", "Run ct2mass anew"
             )
         object.__setattr__(self, "vertices_mm", vertices)
         object.__setattr__(self, "faces", faces)

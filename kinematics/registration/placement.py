@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.registration.fiducials import Fiducials
 from stapeskit.alignment.registration import Registration, displacement, fit_rigid
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import DOF_NAMES
@@ -126,27 +125,23 @@ def _check_frames(frames: tuple[str, ...], mass: MassRecord | None, fiducials: F
     file = fiducials.path.name if fiducials is not None and fiducials.path is not None else ""
     for frame in frames:
         if frame not in ("footplate", "plate", "scan"):
-            raise KinematicsError(Fault(what, "footplate, plate or scan", frame))
+            raise KinematicsError.of(what, "footplate, plate or scan", frame)
         if frame == "footplate":
             continue
         if mass is None:
-            raise KinematicsError(
-                Fault(
-                    f"{what} {frame}",
-                    "given together with {mass} mass.json, which ties that frame to the footplate",
-                    "no mass record",
-                    f"{file}, frame" if file else "",
-                    next_step="Add {mass}, or give the coordinates in the footplate frame",
-                )
+            raise KinematicsError.of(
+                f"{what} {frame}",
+                "given together with {mass} mass.json, which ties that frame to the footplate",
+                "no mass record",
+                f"{file}, frame" if file else "",
+                next_step="Add {mass}, or give the coordinates in the footplate frame",
             )
         if frame == "plate" and mass.plate_from_footplate is None:
-            raise KinematicsError(
-                Fault(
-                    f"{what} plate",
-                    "a frame of mass.json",
-                    "a mass.json without a plate",
-                    next_step="Scan stapes and plate together, or use fiducials in frame scan",
-                )
+            raise KinematicsError.of(
+                f"{what} plate",
+                "a frame of mass.json",
+                "a mass.json without a plate",
+                next_step="Scan stapes and plate together, or use fiducials in frame scan",
             )
 
 

@@ -19,7 +19,6 @@ from kinematics.registration.scan_surfaces import ScanSurfaces
 from kinematics.registration.surface_check import SurfaceCheck, shift_words
 from stapeskit.alignment.fiducial_faults import undo_mirror
 from stapeskit.alignment.paired_points import pose_rows
-from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import point_rows
@@ -117,19 +116,13 @@ def _check_bone(bone: Cloud | None, pairs: Sequence[tuple[Cloud, TriangleSurface
     if bone is None or any(cloud is bone for cloud, _ in pairs):
         return
     few = len(bone.points_mm) < LEAST
-    raise KinematicsError(
-        Fault(
-            "{bone_points}",
-            "at least 3 points"
-            if few
-            else f"points within {_MOST_DISTANCE_MM:g} mm of other bone in labels.nrrd",
-            f"{len(bone.points_mm)}"
-            if few
-            else "points that lie elsewhere, or no such bone beside mass.json",
-            next_step="Measure more"
-            if few
-            else "Check the registration, {mirror}, and that the scan shows bone",
-        )
+    raise KinematicsError.of(
+        "{bone_points}",
+        "at least 3 points"
+        if few
+        else f"points within {_MOST_DISTANCE_MM:g} mm of other bone in labels.nrrd",
+        f"{len(bone.points_mm)}" if few else "points that lie elsewhere, or no such bone beside mass.json",
+        next_step="Measure more" if few else "Check the registration, {mirror}, and that the scan shows bone",
     )
 
 
@@ -152,14 +145,12 @@ def _check_mirror(
         mirrored.append(surface.closest(flipped)[1])
     proper, other = (float(np.median(np.concatenate(part))) for part in (given, mirrored))
     if proper > _LEAST_MIRROR_MM and other < 0.3 * proper:
-        raise KinematicsError(
-            Fault(
-                "the coordinates of the vibrometer frame",
-                "right-handed",
-                f"points that lie {proper:.2g} mm off the surfaces of the scan as given and {other:.2g} mm "
-                "mirrored (coplanar fiducials fit both ways)",
-                next_step=undo_mirror("scan", "vibrometer"),
-            )
+        raise KinematicsError.of(
+            "the coordinates of the vibrometer frame",
+            "right-handed",
+            f"points that lie {proper:.2g} mm off the surfaces of the scan as given and {other:.2g} mm "
+            "mirrored (coplanar fiducials fit both ways)",
+            next_step=undo_mirror("scan", "vibrometer"),
         )
 
 

@@ -76,7 +76,7 @@ def _rows(table: Table, kind: str) -> np.ndarray:
     if not len(rows):
         step = f"Name the body {kind} in the rows of these points, or leave the column body out"
         got = ", ".join(column.names) or "empty cells"
-        raise KinematicsError(Fault("the column body", f"{kind} in some rows", got, table.file, step))
+        raise KinematicsError.of("the column body", f"{kind} in some rows", got, table.file, step)
     return rows
 
 

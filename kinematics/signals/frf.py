@@ -188,7 +188,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
     if sum(counts) < _FEWEST:
         step = "Take shorter segments (a coarser resolution) or record longer"
         got = f"{sum(counts)} of {how.segment} samples"
-        raise KinematicsError(Fault("the records", f"{_FEWEST} segments long at least", got, where, step))
+        raise KinematicsError.of("the records", f"{_FEWEST} segments long at least", got, where, step)
     first = 1 if how.window == "none" else 2
     lines = slice(first, (how.segment + 1) // 2)
     freq = np.arange(how.segment)[lines] * sample_rate_hz / how.segment
@@ -209,7 +209,7 @@ def welch_frf(records: Records, sample_rate_hz: float, how: Welch, where: str = 
         gxy += x.conj() * y / total
     if np.any(gxx == 0.0):
         step = "Restrict the band to where the reference has power"
-        raise KinematicsError(Fault("the reference", "of some power at every line", 0, where, step))
+        raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
     tiny = np.finfo(float).tiny
     value, variance, coherence = _estimated(gxx, gyy, gxy, averages, how)
     left = gyy - 2.0 * np.abs(gxy) * np.abs(value) + np.abs(value) ** 2 * gxx
@@ -346,12 +346,12 @@ def checked_records(records: Records, sample_rate_hz: float, where: str) -> list
         No record, records of different channels, or what check_signals says.
     """
     if not records:
-        raise KinematicsError(Fault("the records", "one at least", "none", where))
+        raise KinematicsError.of("the records", "one at least", "none", where)
     arrays = []
     for reference, responses in records:
         x, y = np.asarray(reference, dtype=float), np.asarray(responses, dtype=float)
         check_signals(x, y, sample_rate_hz, where)
         arrays.append((x, y))
     if len({len(y) for _, y in arrays}) != 1:
-        raise KinematicsError(Fault("the records", "of the same channels", "others", where))
+        raise KinematicsError.of("the records", "of the same channels", "others", where)
     return arrays

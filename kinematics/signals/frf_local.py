@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
-from stapeskit.faults import Fault
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
@@ -47,7 +46,7 @@ class Local:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.resolution_hz) and self.resolution_hz > 0.0):
-            raise KinematicsError(Fault("the resolution", "positive, in Hz", self.resolution_hz))
+            raise KinematicsError.of("the resolution", "positive, in Hz", self.resolution_hz)
 
 
 def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = "") -> Frf:
@@ -94,7 +93,7 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
             "or record longer"
         )
         want = f"{least:.3g} Hz at least for records of {samples / sample_rate_hz:.3g} s"
-        raise KinematicsError(Fault("the resolution", want, f"{how.resolution_hz:.3g} Hz", where, step))
+        raise KinematicsError.of("the resolution", want, f"{how.resolution_hz:.3g} Hz", where, step)
     count = lines // width
     x = np.stack([_lines(signal, samples, width, count) for signal, _ in checked], axis=1)
     y = np.stack([_lines(many, samples, width, count) for _, many in checked], axis=2)
@@ -102,7 +101,7 @@ def local_frf(records: Records, sample_rate_hz: float, how: Local, where: str = 
     power = np.mean(np.abs(x) ** 2, axis=(1, 2))
     if np.any(power == 0.0):
         step = "Restrict the band to where the reference has power"
-        raise KinematicsError(Fault("the reference", "of some power at every line", 0, where, step))
+        raise KinematicsError.of("the reference", "of some power at every line", 0, where, step)
     value, left, lever = _fitted(x, y)
     rows = left.reshape(len(value), count, -1)
     raw = np.sum(np.abs(rows) ** 2, axis=2) / freedom

@@ -71,8 +71,8 @@ class Periodic:
             if whole >= 2 and abs(periods * samples - whole) < _WHOLE:
                 return whole, periods
         step = "Give the exact period, or sample in step with the generator"
-        raise KinematicsError(
-            Fault("the period", "whole samples", f"{samples:.6g} samples of the record", where, step)
+        raise KinematicsError.of(
+            "the period", "whole samples", f"{samples:.6g} samples of the record", where, step
         )
 
 
@@ -109,7 +109,7 @@ def periodic_frf(records: Records, sample_rate_hz: float, how: Periodic, where: 
     if np.any(counts < 2):
         got = f"{int(np.min(counts))} blocks of {samples} samples after {how.skip} skipped periods"
         step = "Record more periods, or skip fewer"
-        raise KinematicsError(Fault("a record", "two blocks of periods long at least", got, where, step))
+        raise KinematicsError.of("a record", "two blocks of periods long at least", got, where, step)
     means = [(x.mean(axis=0), y.mean(axis=0)) for x, y in stacks]
     lines = _excited(stacks, means, how.threshold, where)
     freq = (lines + 1) * sample_rate_hz / samples
@@ -172,9 +172,7 @@ def _excited(
     lines = np.flatnonzero(good)
     if not len(lines):
         step = "Check the period and the reference; random excitation has no period"
-        raise KinematicsError(
-            Fault("the reference", "periodic, with lines above its noise", "none", where, step)
-        )
+        raise KinematicsError.of("the reference", "periodic, with lines above its noise", "none", where, step)
     return lines
 
 

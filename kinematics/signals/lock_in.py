@@ -135,11 +135,11 @@ def fit_sine(
     if not 0.0 < freq_hz < 0.499 * sample_rate_hz:
         step = "Sample faster, or correct the table of steps"
         want = f"above 0 and below half the sampling rate ({0.5 * sample_rate_hz:g} Hz)"
-        raise KinematicsError(Fault("the frequency of a step", want, f"{freq_hz:g} Hz", where, step))
+        raise KinematicsError.of("the frequency of a step", want, f"{freq_hz:g} Hz", where, step)
     if count * freq_hz / sample_rate_hz < _FEWEST_CYCLES or count < 16:
         got = f"{count * freq_hz / sample_rate_hz:.3g} cycles, {count} samples"
         step = "Record longer steps or let less settle"
-        raise KinematicsError(Fault("a step", "four cycles and 16 samples long", got, where, step))
+        raise KinematicsError.of("a step", "four cycles and 16 samples long", got, where, step)
     if how.refine:
         freq_hz = _refined(signals, sample_rate_hz, freq_hz, how, where)
         run_hz = _run(signals, sample_rate_hz, freq_hz, how)
@@ -221,7 +221,7 @@ def _refined(signals: Array, rate: float, freq: float, how: SteppedSine, where: 
     if abs(coarse - freq) > 4.0 * apart:
         step = "Correct the table of steps"
         want = f"within {4.0 * apart:.3g} Hz of its nominal {freq:g} Hz"
-        raise KinematicsError(Fault("the sine of a step", want, f"{coarse:.6g} Hz", where, step))
+        raise KinematicsError.of("the sine of a step", want, f"{coarse:.6g} Hz", where, step)
     return coarse
 
 

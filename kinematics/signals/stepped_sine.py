@@ -128,7 +128,7 @@ class _Fitted:
 def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
     if not steps:
         step = "Give the steps as a column freq_hz or a table"
-        raise KinematicsError(Fault("a stepped sine", "of one step at least", "none", where, step))
+        raise KinematicsError.of("a stepped sine", "of one step at least", "none", where, step)
     start = f"{where}, " if where else ""
     return [(step, f"{start}step {k} at {step.freq_hz:g} Hz") for k, step in enumerate(steps, start=1)]
 
@@ -136,7 +136,7 @@ def _named(steps: Sequence[Step], where: str) -> list[tuple[Step, str]]:
 def _check_lead(fit: SineFit, lead: int, place: str) -> None:
     if not (abs(fit.amplitude[lead]) > 5.0 * fit.sd[lead] and fit.share[lead] > _LEAST_SINE_SHARE):
         step = "Check the table of steps and that the reference was connected"
-        raise KinematicsError(Fault("the reference", "a sine well above its noise", "noise", place, step))
+        raise KinematicsError.of("the reference", "a sine well above its noise", "noise", place, step)
 
 
 def _spectrum(fits: list[_Fitted], how: SteppedSine) -> Frf:
@@ -186,7 +186,7 @@ def steps_of(column: Array, reference: Array, responses: Array, where: str = "")
     ]
     if not steps:
         step = "Write the set frequency of every sample into it"
-        raise KinematicsError(Fault("the column freq_hz", "positive in some samples", "0", where, step))
+        raise KinematicsError.of("the column freq_hz", "positive in some samples", "0", where, step)
     return steps
 
 

@@ -77,13 +77,11 @@ def read_ldv(path: Path, points: Path | None = None, frame: str = "vibrometer") 
 def _check_kind(path: Path) -> None:
     if path.is_dir() or (path.exists() and path.suffix.lower() not in (".csv", ".txt", ".tsv")):
         step = "Export the spectra as a tidy CSV table (see points2dof --help)"
-        raise KinematicsError(
-            Fault(
-                "the vibrometer file",
-                "a CSV table (.csv, .tsv or .txt), which is what is read now",
-                path.name,
-                next_step=step,
-            )
+        raise KinematicsError.of(
+            "the vibrometer file",
+            "a CSV table (.csv, .tsv or .txt), which is what is read now",
+            path.name,
+            next_step=step,
         )
 
 

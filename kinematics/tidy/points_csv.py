@@ -84,14 +84,12 @@ def require(header: Sequence[str], names: Sequence[str], file: str) -> None:
     """
     missing = [name for name in names if name not in header]
     if missing:
-        raise KinematicsError(
-            Fault(
-                "the table",
-                "complete",
-                f"no column {', '.join(missing)}",
-                Place(file, "line", (1,)),
-                "Add the column, or correct its name in the header",
-            )
+        raise KinematicsError.of(
+            "the table",
+            "complete",
+            f"no column {', '.join(missing)}",
+            Place(file, "line", (1,)),
+            "Add the column, or correct its name in the header",
         )
 
 

@@ -130,7 +130,7 @@ class CohortLaws:
                 if (law.response, law.predictor) == names:
                     return law
         known = ", ".join(sorted({f"{law.response} ~ {law.predictor}" for law in self.laws})) or "none"
-        raise PipelineError(Fault("the law", f"one of {known}", f"{response} ~ {predictor}"))
+        raise PipelineError.of("the law", f"one of {known}", f"{response} ~ {predictor}")
 
     def predict(
         self,
@@ -163,7 +163,7 @@ class CohortLaws:
         try:
             column = alone.column(law.predictor)
         except KeyError:
-            raise PipelineError(Fault(law.predictor, "in mass.json", "none")) from None
+            raise PipelineError.of(law.predictor, "in mass.json", "none") from None
         # What the ear shares with the cohort is in its law; what it shares with none of it is its own error.
         foreign = [k for k, source in enumerate(alone.sources) if source not in table.sources]
         variance = alone.own[0, column, column] + np.sum(alone.shared[0, column, foreign] ** 2)
@@ -189,7 +189,7 @@ class CohortLaws:
 
     def _table(self) -> LogTable:
         if self.table is None:
-            raise PipelineError(Fault("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears)))
+            raise PipelineError.of("the cohort", f"of at least {LEAST_EARS} ears", len(self.ears))
         return self.table
 
     def normal_ranges(self) -> dict[str, tuple[float, float]]:

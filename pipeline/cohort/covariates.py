@@ -47,12 +47,10 @@ class Coding:
         """
         if not self.groups:
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise PipelineError(Fault(f"the covariate {self.name}", "a number", value))
+                raise PipelineError.of(f"the covariate {self.name}", "a number", value)
             return [(float(value) - self.centre) / self.scale]
         if str(value) not in self.groups:
-            raise PipelineError(
-                Fault(f"the covariate {self.name}", f"one of {', '.join(self.groups)}", value)
-            )
+            raise PipelineError.of(f"the covariate {self.name}", f"one of {', '.join(self.groups)}", value)
         return [
             float(str(value) == group) - share
             for group, share in zip(self.groups[1:], self.shares, strict=True)
@@ -126,7 +124,7 @@ def covariates_of(ears: Sequence[Ear], names: Sequence[str]) -> Covariates:
     if np.linalg.matrix_rank(columns, tol=1e-9) < columns.shape[1]:
         listed = ", ".join(coding.name for coding in codings)
         step = "Leave one of them out"
-        raise PipelineError(Fault("the covariates", "independent of each other", listed, "", step))
+        raise PipelineError.of("the covariates", "independent of each other", listed, "", step)
     return Covariates(tuple(codings), columns)
 
 

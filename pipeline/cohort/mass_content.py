@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import PipelineError
-from stapeskit.faults import Fault
 
 
 def mass_content(source: object) -> Mapping[str, Any]:
@@ -34,11 +33,11 @@ def mass_content(source: object) -> Mapping[str, Any]:
             content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as fault:
             step = "Run ct2mass on the scan first"
-            raise PipelineError(Fault(str(path), "a mass.json", fault, "", step)) from fault
+            raise PipelineError.of(str(path), "a mass.json", fault, "", step) from fault
         return content
     if hasattr(source, "measured_mass"):
         return dict(source.measured_mass().record.raw)
     mass = getattr(source, "mass", None)
     if isinstance(mass, Mapping):
         return mass
-    raise PipelineError(Fault("the mass", "a result of ct2mass or scan2kd, a path or a mapping", source))
+    raise PipelineError.of("the mass", "a result of ct2mass or scan2kd, a path or a mapping", source)

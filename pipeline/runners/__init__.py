@@ -89,10 +89,9 @@ def runner_of(address: str) -> Run:
         known = {scheme: name for name, runner in RUNNERS.items() for scheme in runner.schemes}
         if scheme not in known:
             from pipeline.errors import PipelineError
-            from stapeskit.faults import Fault
 
             wanted = f"an address that begins with {', '.join(f'{word}://' for word in known if word)}"
-            raise PipelineError(Fault("{scheduler}", wanted, address))
+            raise PipelineError.of("{scheduler}", wanted, address)
         name = known[scheme]
     run: Run = import_module(f"pipeline.runners.{name}").run
     return run

@@ -17,7 +17,6 @@ from typing import Any
 from pipeline.errors import PipelineError
 from pipeline.runners import Where
 from pipeline.runners.process import AGAIN, End, Task, run_task
-from stapeskit.faults import Fault
 
 # Patience with a scheduler that does not answer, and pause between two looks.
 _CONNECT_S = 10.0
@@ -75,16 +74,14 @@ def _connect(address: str) -> Any:
         from distributed import Client
     except ImportError as fault:
         step = f"pip install '{_EXTRA}'"
-        raise PipelineError(
-            Fault("dask.distributed", "installed for {scheduler}", fault, "", step)
-        ) from fault
+        raise PipelineError.of("dask.distributed", "installed for {scheduler}", fault, "", step) from fault
     try:
         return Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as fault:
         step = "Start one with: dask scheduler; and workers with: dask worker ADDRESS --nthreads 1"
         reason = str(fault).splitlines()[0]
-        raise PipelineError(
-            Fault("{scheduler}", "the address of a dask scheduler that answers", reason, "", step)
+        raise PipelineError.of(
+            "{scheduler}", "the address of a dask scheduler that answers", reason, "", step
         ) from fault
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stapeskit.alignment.exchanged_points import best_order, cycles
 from stapeskit.alignment.paired_points import kabsch
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -135,13 +135,11 @@ def check_size(a: Array, b: Array, source: str, to: str) -> None:
     ratio = float(np.median(first / np.maximum(second, 1e-300)))
     if 1.0 / 1.5 < ratio < 1.5:
         return
-    raise StapeskitError(
-        Fault(
-            f"the fiducials of the {source} and {to} frames",
-            "both in mm, with the same distances between them",
-            f"distances that are {ratio:.4g} times as large in the {source} frame",
-            next_step=unit_hint(ratio, source, to) or "Check which fiducial is which, and the units",
-        )
+    raise StapeskitError.of(
+        f"the fiducials of the {source} and {to} frames",
+        "both in mm, with the same distances between them",
+        f"distances that are {ratio:.4g} times as large in the {source} frame",
+        next_step=unit_hint(ratio, source, to) or "Check which fiducial is which, and the units",
     )
 
 
@@ -256,14 +254,12 @@ def refuse_exchanged(
     elif after * _FAR_BETTER > energy:
         return
     listed = "; ".join(_cycle_words(cycle, names) for cycle in moved)
-    raise StapeskitError(
-        Fault(
-            "the names of the fiducials",
-            "those of the same points in both frames",
-            f"{listed} (residual {np.sqrt(energy / np.sum(weights)):.3g} mm as given, "
-            f"{np.sqrt(after / np.sum(weights)):.3g} mm in that order)",
-            next_step="Correct the names, or the order of the reference coordinates",
-        )
+    raise StapeskitError.of(
+        "the names of the fiducials",
+        "those of the same points in both frames",
+        f"{listed} (residual {np.sqrt(energy / np.sum(weights)):.3g} mm as given, "
+        f"{np.sqrt(after / np.sum(weights)):.3g} mm in that order)",
+        next_step="Correct the names, or the order of the reference coordinates",
     )
 
 
@@ -374,12 +370,10 @@ def refuse_mirrored(
     proper, flipped = (np.sqrt(3.0 * value / total_weight) for value in (energy, mirror.energy))
     rivals = [names[candidate.members[0]] for candidate in alike if candidate.kind == "wrong"]
     also = f"; or correct fiducial {' or '.join(rivals)}, which alone says so" if len(rivals) == 1 else ""
-    raise StapeskitError(
-        Fault(
-            f"the coordinates of the {frames[1]} frame",
-            "right-handed",
-            f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
-            f"{flipped:.3g} mm mirrored)",
-            next_step=f"{undo_mirror(*frames)}{also}",
-        )
+    raise StapeskitError.of(
+        f"the coordinates of the {frames[1]} frame",
+        "right-handed",
+        f"points that fit only as a mirror image (residual {proper:.3g} mm as given, "
+        f"{flipped:.3g} mm mirrored)",
+        next_step=f"{undo_mirror(*frames)}{also}",
     )

@@ -17,7 +17,7 @@ from stapeskit.alignment.fiducial_faults import (
     refuse_mirrored,
 )
 from stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, pose_rows, refined
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, vector_from_rotation
 from stapeskit.warnings import Notice
 
@@ -143,7 +143,7 @@ def fit_rigid(
     source_var, target_var = (_variances(sd, len(a)) for sd in (sd_mm, target_sd_mm))
     total = np.mean(source_var + target_var, axis=1)
     if stated and not np.all(total > 0.0):
-        raise StapeskitError(Fault("sd_mm of a fiducial", "positive and finite", "0 in both frames"))
+        raise StapeskitError.of("sd_mm of a fiducial", "positive and finite", "0 in both frames")
     weights = 1.0 / total if stated else np.ones(len(a))
     rotation, shift, mirrored = kabsch(a, b, weights)
     if np.ptp(source_var, axis=1).any() or np.ptp(target_var, axis=1).any():
@@ -210,32 +210,28 @@ def _variances(sd_mm: ArrayLike | None, count: int) -> Array:
     sd = np.asarray(sd_mm, dtype=float)
     if not (np.all(np.isfinite(sd)) and np.all(sd > 0.0)):
         got = "NaN or infinity" if not np.all(np.isfinite(sd)) else f"{np.min(sd):g}"
-        raise StapeskitError(Fault("sd_mm of a fiducial", "positive and finite", got))
+        raise StapeskitError.of("sd_mm of a fiducial", "positive and finite", got)
     return np.array(np.broadcast_to(sd[:, None] if sd.ndim == 1 else sd, (count, 3))) ** 2
 
 
 def _check_pairs(a: Array, b: Array) -> None:
     if a.ndim != 2 or a.shape[1:] != (3,) or a.shape != b.shape or len(a) < 3:
-        raise StapeskitError(
-            Fault(
-                "a registration",
-                "made from at least 3 paired points",
-                f"{len(a)} and {len(b)} points",
-                next_step="Add fiducials",
-            )
+        raise StapeskitError.of(
+            "a registration",
+            "made from at least 3 paired points",
+            f"{len(a)} and {len(b)} points",
+            next_step="Add fiducials",
         )
     if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
-        raise StapeskitError(Fault("the coordinates of fiducials", "finite", "NaN or infinity"))
+        raise StapeskitError.of("the coordinates of fiducials", "finite", "NaN or infinity")
     for points in (a, b):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if spread[1] < 1e-3 * spread[0] or spread[0] == 0.0:
-            raise StapeskitError(
-                Fault(
-                    "fiducials",
-                    "spread over a plane at least",
-                    "points on one line",
-                    next_step="Add a fiducial beside the line",
-                )
+            raise StapeskitError.of(
+                "fiducials",
+                "spread over a plane at least",
+                "points on one line",
+                next_step="Add a fiducial beside the line",
             )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.documents import parse_json
-from stapeskit.faults import Fault, StapeskitError, raise_all
+from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
 from stapeskit.own_files import check_whole
 from stapeskit.records.mass_checks import MADE_BY, check
@@ -80,12 +80,12 @@ class MassMatrix:
     def __post_init__(self) -> None:
         parameters = np.asarray(self.parameters, dtype=float)
         if parameters.shape != (10,):
-            raise StapeskitError(Fault("the inertial parameters", "10 numbers", f"shape {parameters.shape}"))
+            raise StapeskitError.of("the inertial parameters", "10 numbers", f"shape {parameters.shape}")
         check_inertia(matrix_from_parameters(parameters))
         for name, covariance in self.contributions.items():
             if np.shape(covariance) != (10, 10) or not np.all(np.isfinite(covariance)):
-                raise StapeskitError(
-                    Fault(f"the covariance {name}", "a finite 10x10 matrix", np.shape(covariance))
+                raise StapeskitError.of(
+                    f"the covariance {name}", "a finite 10x10 matrix", np.shape(covariance)
                 )
         object.__setattr__(self, "parameters", parameters)
 
@@ -214,22 +214,20 @@ def mass_record(raw: Mapping[str, Any], name: str = "mass.json") -> MassRecord:
     """
     schema = raw.get("schema")
     if schema != SCHEMA:
-        raise StapeskitError(Fault("schema", f'"{SCHEMA}"', schema, name, MADE_BY))
+        raise StapeskitError.of("schema", f'"{SCHEMA}"', schema, name, MADE_BY)
     return _record(dict(raw), name)
 
 
 def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise StapeskitError(
-            Fault("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
-        )
+        raise StapeskitError.of("the mass file", "an existing mass.json", path, next_step="Run ct2mass first")
     try:
         raw = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
         got = f"text that is none ({fault})"
-        raise StapeskitError(Fault("the mass file", "JSON", got, path.name, MADE_BY)) from fault
+        raise StapeskitError.of("the mass file", "JSON", got, path.name, MADE_BY) from fault
     if not isinstance(raw, dict):
-        raise StapeskitError(Fault("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY))
+        raise StapeskitError.of("the mass file", "a JSON object", type(raw).__name__, path.name, MADE_BY)
     return raw
 
 
@@ -237,7 +235,7 @@ def _record(raw: dict[str, Any], name: str) -> MassRecord:
     checked = check(raw, name)
     raise_all(StapeskitError, checked.faults)
     if checked.parameters is None or checked.covariance is None:
-        raise StapeskitError(Fault("a mass.json", "complete", "a part of it", name, MADE_BY))
+        raise StapeskitError.of("a mass.json", "complete", "a part of it", name, MADE_BY)
     return MassRecord(
         MassMatrix(
             "footplate_centre",

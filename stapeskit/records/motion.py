@@ -48,12 +48,10 @@ class SharedErrors:
     def __post_init__(self) -> None:
         count = len(self.names)
         if self.covariance.shape != (count, count) or self.derivatives.shape[:1] != (count,):
-            raise StapeskitError(
-                Fault(
-                    "shared errors",
-                    f"{count} parameters throughout",
-                    f"covariance {self.covariance.shape}, derivatives {self.derivatives.shape}",
-                )
+            raise StapeskitError.of(
+                "shared errors",
+                f"{count} parameters throughout",
+                f"covariance {self.covariance.shape}, derivatives {self.derivatives.shape}",
             )
 
 
@@ -138,10 +136,8 @@ class RigidMotion:
             There is no body of that name.
         """
         if name not in self.bodies:
-            raise StapeskitError(
-                Fault(
-                    "the body", f"one of {', '.join(self.bodies)}", name, next_step=f"Name one with {option}"
-                )
+            raise StapeskitError.of(
+                "the body", f"one of {', '.join(self.bodies)}", name, next_step=f"Name one with {option}"
             )
         return self.bodies.index(name)
 

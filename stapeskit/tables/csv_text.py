@@ -85,20 +85,20 @@ def open_sheet(path: Path) -> Sheet:
     except csv.Error as fault:
         where = Place(path.name, "line", (line - 1,))
         step = "End lines with a line feed, and put quotes around whole names only"
-        raise StapeskitError(
-            Fault("the header", "one line of names", str(fault).split(" - ")[0], where, step)
+        raise StapeskitError.of(
+            "the header", "one line of names", str(fault).split(" - ")[0], where, step
         ) from fault
     while header and not header[-1]:
         header.pop()
     if sum(_is_number(name) for name in header) > len(header) // 2:
         where = Place(path.name, "line", (line - 1,))
         step = "Put the names of the columns above the rows"
-        raise StapeskitError(Fault("the first line", "the header", "numbers", where, step))
+        raise StapeskitError.of("the first line", "the header", "numbers", where, step)
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         got = ", ".join(twice) + " twice"
         where = Place(path.name, "line", (line - 1,))
-        raise StapeskitError(Fault("column names", "different", got, where, "Rename or remove one of them"))
+        raise StapeskitError.of("column names", "different", got, where, "Rename or remove one of them")
     return Sheet(path.name, data, tuple(header), separator, start, _end(data), line)
 
 
@@ -114,8 +114,8 @@ def decoded(data: bytes, name: str, line: int = 1) -> str:
         return data.decode("utf-8").rstrip("\r")
     except UnicodeDecodeError as fault:
         where = Place(name, "line", (line + data.count(bytes([10]), 0, fault.start),))
-        raise StapeskitError(
-            Fault("a CSV file", "text in UTF-8", "another encoding", where, "Save it as UTF-8")
+        raise StapeskitError.of(
+            "a CSV file", "text in UTF-8", "another encoding", where, "Save it as UTF-8"
         ) from fault
 
 
@@ -125,14 +125,12 @@ def no_rows(name: str, got: str = "the header alone") -> Fault:
 
 
 def _empty(name: str, got: str) -> StapeskitError:
-    return StapeskitError(Fault("a CSV file", "a header and rows", got, name, "Export it again"))
+    return StapeskitError.of("a CSV file", "a header and rows", got, name, "Export it again")
 
 
 def _bytes(path: Path) -> bytes | mmap.mmap:
     if not path.is_file():
-        raise StapeskitError(
-            Fault("the table", "an existing CSV file", path, "", "Check its name and folder")
-        )
+        raise StapeskitError.of("the table", "an existing CSV file", path, "", "Check its name and folder")
     if path.stat().st_size > _LARGE:
         mapped = _mapped(path)
         if mapped is not None:
@@ -168,7 +166,7 @@ def _mapped(path: Path) -> mmap.mmap | None:
 def no_text(name: str) -> StapeskitError:
     """Return the error on a file that is no text."""
     got = "UTF-16 or binary data without a byte order mark"
-    return StapeskitError(Fault("a CSV file", "text in UTF-8", got, name, "Save it as CSV UTF-8"))
+    return StapeskitError.of("a CSV file", "text in UTF-8", got, name, "Save it as CSV UTF-8")
 
 
 def _separator(header: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinematics.errors import KinematicsError
-from stapeskit.faults import Fault, StapeskitError
+from stapeskit.faults import StapeskitError
 from stapeskit.records.hdf5_guard import read_apart
 
 Result = TypeVar("Result")
@@ -56,7 +56,7 @@ def _content(path: Path, wanted: str, content: Callable[[Any], Result]) -> Resul
         raise
     except (OSError, RuntimeError, LookupError, MemoryError, TypeError, ValueError, AttributeError) as fault:
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
-        raise KinematicsError(Fault(wanted, "readable", reason, Path(path).name, step)) from fault
+        raise KinematicsError.of(wanted, "readable", reason, Path(path).name, step) from fault
 
 
 def array_of(dataset: Any, where: str) -> np.ndarray[Any, Any]:
@@ -72,7 +72,7 @@ def array_of(dataset: Any, where: str) -> np.ndarray[Any, Any]:
     if wanted > _SMALL and wanted > _BEST_PACKING * max(stored, 1):
         step = "The file is truncated or damaged: export it again"
         got = f"{wanted} bytes from {stored} stored"
-        raise KinematicsError(Fault("a data set", "as large as the file can hold", got, where, step))
+        raise KinematicsError.of("a data set", "as large as the file can hold", got, where, step)
     return np.asarray(dataset[()])
 
 
@@ -109,10 +109,10 @@ def matlab_tree(node: Any, file: Any, where: str, depth: int = 0) -> Any:
     import h5py
 
     if depth > _DEEPEST:
-        raise KinematicsError(Fault("structs", f"nested {_DEEPEST} deep at most", "deeper", where))
+        raise KinematicsError.of("structs", f"nested {_DEEPEST} deep at most", "deeper", where)
     if isinstance(node, h5py.Group):
         if not all(isinstance(name, str) for name in node):
-            raise KinematicsError(Fault("the names in the file", "text in UTF-8", "others", where))
+            raise KinematicsError.of("the names in the file", "text in UTF-8", "others", where)
         fields = {name: matlab_tree(node[name], file, f"{where}.{name}", depth + 1) for name in node}
         lists = [
             name for name in node if _is_references(node[name]) and "MATLAB_class" not in node[name].attrs

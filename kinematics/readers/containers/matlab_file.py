@@ -14,7 +14,6 @@ import numpy as np
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5, matlab_tree, read_hdf5
 from kinematics.readers.containers.mat5 import read_mat5
-from stapeskit.faults import Fault
 
 Tree = dict[str, Any]
 # Bytes before the first element (MAT-File Format, level 5).
@@ -45,14 +44,14 @@ def read_mat(path: Path) -> Tree:
         return read_hdf5(path, "a MATLAB 7.3 file", lambda file: _variables(file, path.name))
     if head.startswith((b"# Created by Octave", b"# name:")):
         step = "Save it by save -v7 or save -hdf5 ... -v7.3"
-        raise KinematicsError(Fault(path.name, "a MATLAB file", "Octave's text format", "", step))
+        raise KinematicsError.of(path.name, "a MATLAB file", "Octave's text format", "", step)
     if head.startswith(b"MATLAB 7.3"):
         step = "It is truncated: copy or export it again"
-        raise KinematicsError(Fault(path.name, "a MATLAB 7.3 file", "no HDF5 behind its header", "", step))
+        raise KinematicsError.of(path.name, "a MATLAB 7.3 file", "no HDF5 behind its header", "", step)
     if len(head) < _HEADER or not head.startswith(b"MATLAB 5.0"):
         step = "Save it in MATLAB by save -v7 or save -v7.3"
-        raise KinematicsError(
-            Fault(path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step)
+        raise KinematicsError.of(
+            path.name, "a MATLAB file of version 5 to 7.3", "other bytes at its start", "", step
         )
     return read_mat5(path)
 

@@ -168,7 +168,7 @@ def _from_layout(
         elements = variable(space, layout.each, where, tree)
         if not isinstance(elements, list) or not all(isinstance(element, dict) for element in elements):
             want = "a struct array or a cell array of structs"
-            raise KinematicsError(Fault(layout.each, want, "something else", where))
+            raise KinematicsError.of(layout.each, want, "something else", where)
         inside = Layout(**{**vars(layout), "each": ""})
         blocks: list[Recordings] = []
         faults: list[Fault] = []
@@ -260,5 +260,5 @@ def _frequencies(space: Mapping[str, Any], layout: Layout, where: str, tree: Map
         more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
         got = f"{freq[first]:g} at place {first + 1}{more}"
         step = "Say which variable holds the frequencies in a mapping"
-        raise KinematicsError(Fault(layout.frequency, "ascending frequencies, Hz", got, where, step))
+        raise KinematicsError.of(layout.frequency, "ascending frequencies, Hz", got, where, step)
     return freq

@@ -16,7 +16,6 @@ from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import in_mm
-from stapeskit.faults import Fault
 from stapeskit.frames import axis_vector
 
 Array = NDArray[np.float64]
@@ -35,7 +34,7 @@ def variable(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str,
     for part in name.split("."):
         if not isinstance(value, Mapping) or part not in value:
             step = f"It holds {describe(dict(tree))}"
-            raise KinematicsError(Fault(f"the variable {name}", "in the file", "no such one", where, step))
+            raise KinematicsError.of(f"the variable {name}", "in the file", "no such one", where, step)
         value = value[part]
     return value
 
@@ -51,7 +50,7 @@ def reals(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str, An
     value = _numbers(space, name, where, tree)
     if np.iscomplexobj(value):
         step = "Say which variable is what in a mapping"
-        raise KinematicsError(Fault(f"the variable {name}", "real numbers", "complex ones", where, step))
+        raise KinematicsError.of(f"the variable {name}", "real numbers", "complex ones", where, step)
     return value.astype(float)
 
 
@@ -59,9 +58,7 @@ def _numbers(space: Mapping[str, Any], name: str, where: str, tree: Mapping[str,
     value = stacked(variable(space, name, where, tree))
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fciub" or value.size == 0:
         step = "Say which variable is what in a mapping"
-        raise KinematicsError(
-            Fault(f"the variable {name}", "an array of numbers", "something else", where, step)
-        )
+        raise KinematicsError.of(f"the variable {name}", "an array of numbers", "something else", where, step)
     return value
 
 
@@ -76,7 +73,7 @@ def _shaped(values: NDArray[Any], count: int, name: str, where: str) -> NDArray[
     if values.ndim != 3 or values.shape[1] != count or values.shape[2] not in (1, 3):
         got = " x ".join(map(str, values.shape if values.shape[-1] != 1 else values.shape[:-1]))
         want = f"points x {count}, as many columns as frequencies"
-        raise KinematicsError(Fault(f"the variable {name}", want, got, where))
+        raise KinematicsError.of(f"the variable {name}", want, got, where)
     return values
 
 
@@ -95,7 +92,7 @@ def values_of(
         shaped = [_shaped(part, count, signal.value_re, where) for part in parts]
         if shaped[0].shape != shaped[1].shape:
             want = f"as large as {signal.value_re}"
-            raise KinematicsError(Fault(signal.value_im, want, "another size", where))
+            raise KinematicsError.of(signal.value_im, want, "another size", where)
         return _both(shaped[0], shaped[1])
     values = _numbers(space, signal.value, where, tree)
     if not np.iscomplexobj(values):
@@ -103,9 +100,7 @@ def values_of(
             values = _both(values[:, 0::2], values[:, 1::2])
         else:
             step = "Export Real & Imag., not a magnitude: without phase there is no motion"
-            raise KinematicsError(
-                Fault(f"the variable {signal.value}", "complex", "real numbers", where, step)
-            )
+            raise KinematicsError.of(f"the variable {signal.value}", "complex", "real numbers", where, step)
     return np.asarray(_shaped(values, count, signal.value, where), dtype=complex)
 
 
@@ -132,13 +127,13 @@ def unit_of(
             power = np.asarray(usd.get("PowerSignal", 0))
             if power.size == 1 and power.dtype.kind in "fiub" and bool(power.reshape(-1)[0]):
                 step = "Export the FFT or the FRF: an auto or cross power has no phase of its own"
-                raise KinematicsError(Fault(name, "an amplitude spectrum", "a power", where, step))
+                raise KinematicsError.of(name, "an amplitude spectrum", "a power", where, step)
             label = str(usd.get("YUnit", ""))
     unit = motion_unit(label)
     if unit is None:
         got = shown(label) if label else "none"
         step = 'Give it as unit = "m/s" in a mapping'
-        raise KinematicsError(Fault(f"the unit of {name}", "; ".join(MOTIONS), got, where, step))
+        raise KinematicsError.of(f"the unit of {name}", "; ".join(MOTIONS), got, where, step)
     return unit
 
 
@@ -167,7 +162,7 @@ def names_of(
             [name for name in dict.fromkeys(names) if names.count(name) > 1] if len(names) == count else []
         )
         got = ", ".join(twice[:5]) + " several times" if twice else f"{len(names)}"
-        raise KinematicsError(Fault(layout.points, want, got, where))
+        raise KinematicsError.of(layout.points, want, got, where)
     return names
 
 
@@ -176,7 +171,7 @@ def _name(entry: Any, variable: str, where: str) -> str:
         return entry.strip()
     if isinstance(entry, np.ndarray) and entry.size == 1 and entry.dtype.kind in "fiu":
         return f"{float(entry.reshape(-1)[0]):g}"
-    raise KinematicsError(Fault(variable, "a name or number for every point", "something else", where))
+    raise KinematicsError.of(variable, "a name or number for every point", "something else", where)
 
 
 def positions_of(
@@ -198,7 +193,7 @@ def positions_of(
     if values.shape != (count, 3):
         want = f"points x 3, here {count} x 3"
         got = " x ".join(map(str, values.shape))
-        raise KinematicsError(Fault(layout.position, want, got, where))
+        raise KinematicsError.of(layout.position, want, got, where)
     unit = layout.position_unit
     ending = re.search(LENGTH_END, layout.position)
     if unit or ending:
@@ -221,7 +216,7 @@ def companion_of(
     values = reals(space, name, where, tree)
     shaped = _shaped(values, shape[1], name, where)
     if shaped.shape[0] != shape[0] or shaped.shape[2] not in (1, shape[2]):
-        raise KinematicsError(Fault(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", where))
+        raise KinematicsError.of(name, f"{shape[0]} x {shape[1]}", f"{shaped.shape[0]} rows", where)
     return np.broadcast_to(shaped, shape)
 
 
@@ -238,7 +233,7 @@ def count_of(space: Mapping[str, Any], signal: Signal, where: str, tree: Mapping
     value = signal.n_avg
     number = np.asarray(variable(space, value, where, tree) if isinstance(value, str) else value)
     if number.size != 1 or number.dtype.kind not in "fiu" or not float(number.reshape(-1)[0]) >= 1.0:
-        raise KinematicsError(Fault("n_avg", "a number from 1 on", value, where))
+        raise KinematicsError.of("n_avg", "a number from 1 on", value, where)
     return float(number.reshape(-1)[0])
 
 
@@ -269,11 +264,11 @@ def directions_of(
     if isinstance(given, str) and given:
         numbers = reals(space, given, where, tree)
         if numbers.shape not in ((count, 3), (1, 3)):
-            raise KinematicsError(Fault(given, f"{count} x 3 directions", numbers.shape, where))
+            raise KinematicsError.of(given, f"{count} x 3 directions", numbers.shape, where)
         return list(np.broadcast_to(numbers, (count, 3)))
     if isinstance(given, list):
         if len(given) != 3 or not all(isinstance(entry, (int, float)) for entry in given):
-            raise KinematicsError(Fault("direction", "x, -x, ..., or three numbers", given, where))
+            raise KinematicsError.of("direction", "x, -x, ..., or three numbers", given, where)
         return [np.array(given, dtype=float)] * count
     axis = usd_direction(space.get(signal.usd)) if signal.usd else None
     return [unknown_vector() if axis is None else axis] * count

@@ -115,7 +115,7 @@ def read_blocks(path: Path, read: Callable[[Block], T], deep: bool = False) -> l
     raise_all(KinematicsError, faults)
     if not entries:
         step = "Give the folder of the exported text files"
-        raise KinematicsError(Fault("the folder", "one with text exports", "none", path.name, step))
+        raise KinematicsError.of("the folder", "one with text exports", "none", path.name, step)
     return entries
 
 
@@ -190,8 +190,8 @@ def _block(lines: list[str], start: int, rows: tuple[int, int], file: str, fault
     width = Counter(len(cells) for cells in table).most_common(1)[0][0]
     if not columns or len(columns) != width or len(below) != width:
         got = f"{len(columns)} names and {len(below)} units over {width} numbers"
-        raise KinematicsError(
-            Fault("the table", "one name and one unit to each column", got, Place(file, "line", (named + 1,)))
+        raise KinematicsError.of(
+            "the table", "one name and one unit to each column", got, Place(file, "line", (named + 1,))
         )
     numbers = _numbers(table, first + 1, columns, file, faults)
     return Block(file, named + 1, fields, columns, below, numbers)

@@ -111,16 +111,16 @@ def _indices(block: Block, places: dict[str, int]) -> Array:
     if index is None:
         step = "Export it again with the index of the points"
         got = shown(", ".join(block.columns))
-        raise KinematicsError(Fault("the table", "one with a column Index", got, block.where, step))
+        raise KinematicsError.of("the table", "one with a column Index", got, block.where, step)
     numbers = block.numbers[:, index]
     whole = np.isfinite(numbers) & (numbers == np.round(numbers))
     if not np.all(whole):
         got = ", ".join(f"{n:g}" for n in numbers[~whole][:5])
-        raise KinematicsError(Fault("Index", "whole numbers", got, block.where, "Export it again"))
+        raise KinematicsError.of("Index", "whole numbers", got, block.where, "Export it again")
     if len(np.unique(numbers)) < len(numbers):
         twice = [f"{n:g}" for n in np.unique(numbers) if np.sum(numbers == n) > 1][:5]
         got = ", ".join(twice) + " twice"
-        raise KinematicsError(Fault("Index", "different in each row", got, block.where, "Keep one row"))
+        raise KinematicsError.of("Index", "different in each row", got, block.where, "Keep one row")
     return np.asarray(numbers)
 
 
@@ -133,7 +133,7 @@ def _positions(block: Block, places: dict[str, int]) -> tuple[Array, bool]:
     if len(labels) > 1 or (not is_none(min(labels)) and length_scale(min(labels)) is None):
         got = shown(", ".join(sorted(labels)))
         step = "Export the coordinates in metres"
-        raise KinematicsError(Fault("the unit of X, Y, Z", "one length unit", got, block.where, step))
+        raise KinematicsError.of("the unit of X, Y, Z", "one length unit", got, block.where, step)
     label = min(labels)
     scale = 1.0 if is_none(label) else length_scale(label)
     return in_mm(block.numbers[:, columns], scale or 1.0), not is_none(label)

@@ -81,9 +81,7 @@ def _recordings(block: Block) -> tuple[list[Recording], bool]:
     name = next((name for name in _POINT if name in block.fields), None)
     if name is None:
         step = "Leave other files out of the folder"
-        raise KinematicsError(
-            Fault("the header", "one with a line Point Index: <n>", "none", block.where, step)
-        )
+        raise KinematicsError.of("the header", "one with a line Point Index: <n>", "none", block.where, step)
     faults: list[Fault] = []
     text = block.fields[name]
     number = re.match(r"\s*(\d+)", text)
@@ -125,11 +123,11 @@ def _frequencies(block: Block) -> Array:
         step = (
             "Export spectra or frequency responses, or give the time series as a table with a column time_s"
         )
-        raise KinematicsError(Fault("the export", "over frequency", "a time series", block.where, step))
+        raise KinematicsError.of("the export", "over frequency", "a time series", block.where, step)
     if not first.startswith(_FREQUENCY) or block.units[0].lower() not in ("hz", "khz", ""):
         got = shown(f"{block.columns[0]} [{block.units[0]}]")
         step = "Export spectra or frequency responses"
-        raise KinematicsError(Fault("the first column", "Frequency [Hz]", got, block.where, step))
+        raise KinematicsError.of("the first column", "Frequency [Hz]", got, block.where, step)
     with np.errstate(over="ignore"):
         freq = block.numbers[:, 0] * (1e3 if block.units[0].lower() == "khz" else 1.0)
     with np.errstate(invalid="ignore"):
@@ -139,7 +137,7 @@ def _frequencies(block: Block) -> Array:
         more = f" and {int(np.sum(bad)) - 1} more" if np.sum(bad) > 1 else ""
         got = f"{freq[row]:g} in row {row + 1}{more}"
         step = "Export it again"
-        raise KinematicsError(Fault("the frequencies", "ascending and not negative", got, block.where, step))
+        raise KinematicsError.of("the frequencies", "ascending and not negative", got, block.where, step)
     return np.asarray(freq)
 
 
@@ -151,7 +149,7 @@ def _position(text: str, where: Place | str) -> tuple[Array, bool]:
     numbers = [value_of(match[1].rstrip(",.")) for match in matches if match is not None]
     if None in numbers:
         want = "three numbers, x = .. y = .. z = .."
-        raise KinematicsError(Fault("the position of a point", want, shown(text), where, "Export it again"))
+        raise KinematicsError.of("the position of a point", want, shown(text), where, "Export it again")
     units = {match[2] for match in matches if match is not None and match[2]}
     scale = length_scale(min(units)) if len(units) == 1 else 1.0
     return in_mm(np.array(numbers, dtype=float), scale or 1.0), len(units) == 1

@@ -68,14 +68,12 @@ def signals(block: Block) -> list[Signal]:
     if not columns:
         step = "Export Real & Imag., or Magnitude & Phase"
         expected = "columns of real and imaginary part, or magnitude and phase"
-        raise KinematicsError(
-            Fault(
-                "the table",
-                expected,
-                shown(", ".join(block.columns)) if block.columns else "no names",
-                block.where,
-                step,
-            )
+        raise KinematicsError.of(
+            "the table",
+            expected,
+            shown(", ".join(block.columns)) if block.columns else "no names",
+            block.where,
+            step,
         )
     return columns
 
@@ -98,8 +96,8 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
         value.real, value.imag = block.numbers[:, first], block.numbers[:, second]
         if block.units[first] != block.units[second]:
             got = f"{shown(block.units[first])} and {shown(block.units[second])}"
-            raise KinematicsError(
-                Fault(f"the values{of_axis}", "in one unit", got, block.where, "Export it again")
+            raise KinematicsError.of(
+                f"the values{of_axis}", "in one unit", got, block.where, "Export it again"
             )
     elif {"amp", "phase"} <= set(parts):
         first, second = parts["amp"], parts["phase"]
@@ -111,7 +109,7 @@ def _value_of(block: Block, axis: str, parts: Mapping[str, int]) -> tuple[int, C
         got = " and ".join(names[part] for part in parts) + " alone"
         step = "Export Real & Imag., or Magnitude & Phase: motion cannot be computed without its phase"
         expected = "real and imaginary part, or magnitude and phase"
-        raise KinematicsError(Fault(f"the values{of_axis}", expected, got, block.where, step))
+        raise KinematicsError.of(f"the values{of_axis}", expected, got, block.where, step)
     return first, value
 
 
@@ -121,7 +119,7 @@ def _phase_factor(unit: str, where: Place | str) -> float:
     if unit.strip().lower() in ("rad", "radian", "radians"):
         return 1.0
     got = shown(unit) if unit else "none"
-    raise KinematicsError(Fault("the unit of the phase", "degrees or rad", got, where, "Export it again"))
+    raise KinematicsError.of("the unit of the phase", "degrees or rad", got, where, "Export it again")
 
 
 def frequency_hz(text: str, where: Place | str) -> float:
@@ -135,5 +133,5 @@ def frequency_hz(text: str, where: Place | str) -> float:
     match = re.fullmatch(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(m|k|M)?Hz\s*", text)
     value = None if match is None else value_of(match[1])
     if match is None or value is None:
-        raise KinematicsError(Fault("the frequency", "a number in Hz", shown(text), where, "Export it again"))
+        raise KinematicsError.of("the frequency", "a number in Hz", shown(text), where, "Export it again")
     return float(value) * {"m": 1e-3, None: 1.0, "k": 1e3, "M": 1e6}[match[2]]

@@ -89,10 +89,8 @@ def read_channels(path: Path) -> tuple[Channel, ...]:
         if "channel" not in header or not {"unit", "sensitivity"} & set(header):
             missing = "channel" if "channel" not in header else "unit (or sensitivity)"
             step = "Give channel, role, body, point, dir and unit or sensitivity"
-            raise KinematicsError(
-                Fault(
-                    "the channel table", f"with a column {missing}", "none", Place(file, "line", (1,)), step
-                )
+            raise KinematicsError.of(
+                "the channel table", f"with a column {missing}", "none", Place(file, "line", (1,)), step
             )
         return set(_NUMBERS) & set(header), set(_TEXTS) & set(header)
 

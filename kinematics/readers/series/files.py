@@ -75,7 +75,7 @@ def read_series(path: Path, names: Sequence[str]) -> Series:
     """
     path = Path(path)
     if not path.is_file():
-        raise KinematicsError(Fault("the time series", "an existing file", path, "", "Check its name"))
+        raise KinematicsError.of("the time series", "an existing file", path, "", "Check its name")
     with path.open("rb") as stream:
         head = stream.read(16)
     if head.startswith((b"RIFF", b"RIFX")):
@@ -109,9 +109,7 @@ def _csv(path: Path, names: Sequence[str]) -> Series:
     def choose(header: Sequence[str], file: str) -> tuple[set[str], set[str]]:
         if "time_s" not in header:
             place, step = Place(file, "line", (1,)), "Write the time of every sample, s"
-            raise KinematicsError(
-                Fault("a table of time series", "with a column time_s", "none", place, step)
-            )
+            raise KinematicsError.of("a table of time series", "with a column time_s", "none", place, step)
         columns.update(_matched(names, header, file))
         extra = {"time_s", "freq_hz", "record"} & set(header)
         return set(columns.values()) | extra, set()
@@ -181,20 +179,18 @@ def sampling_rate(time: Array, where: Place | str) -> float:
         Fewer than two times, or such that are not finite, do not ascend, are too close or not evenly spaced.
     """
     if len(time) < 2 or not np.all(np.isfinite(time)) or not time[-1] > time[0]:
-        raise KinematicsError(Fault("time_s", "ascending and finite, two samples at least", "others", where))
+        raise KinematicsError.of("time_s", "ascending and finite, two samples at least", "others", where)
     with np.errstate(over="ignore", invalid="ignore"):
         step = (time[-1] - time[0]) / (len(time) - 1)
         apart = np.abs(time - time[0] - step * np.arange(len(time))) / max(step, 1e-300)
     if not 1.0 / HIGHEST_HZ <= step < np.inf:
         got = f"steps of {step:.3g} s"
-        raise KinematicsError(
-            Fault("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
-        )
+        raise KinematicsError.of("time_s", f"in s, in steps of {1.0 / HIGHEST_HZ:g} s or more", got, where)
     if not np.max(apart) <= _JITTER:
         worst = int(np.argmax(apart))
         next_step = "Resample the record to even times, or fill the gap"
         got = f"{apart[worst]:.3g} steps off at sample {worst + 1}"
-        raise KinematicsError(Fault("time_s", "evenly spaced", got, where, next_step))
+        raise KinematicsError.of("time_s", "evenly spaced", got, where, next_step)
     return float(1.0 / step)
 
 
@@ -251,7 +247,7 @@ def _npz(path: Path) -> dict[str, Any]:
                     tree[item.filename[:-4]] = np.lib.format.read_array(stream, allow_pickle=False)
     except Exception as fault:  # zipfile and numpy meet damaged bytes with errors of many kinds
         reason = str(fault).strip().splitlines()[0][:120] if str(fault).strip() else type(fault).__name__
-        raise KinematicsError(Fault(path.name, "a readable NPZ archive", reason, "", step)) from fault
+        raise KinematicsError.of(path.name, "a readable NPZ archive", reason, "", step) from fault
     return tree
 
 
@@ -315,7 +311,7 @@ def _rows(values: NDArray[Any], where: Place | str) -> tuple[Array, ...]:
         rows = rows.squeeze()
     if rows.ndim > 2 or rows.size < _FEWEST:
         want = f"samples, or rows x samples ({_FEWEST} at least)"
-        raise KinematicsError(Fault("a channel", want, f"shape {values.shape}", where))
+        raise KinematicsError.of("a channel", want, f"shape {values.shape}", where)
     if rows.ndim == 2:
         rows = rows if rows.shape[1] >= rows.shape[0] else rows.T
     return tuple(np.atleast_2d(rows))
@@ -332,10 +328,10 @@ def _wav(path: Path, names: Sequence[str]) -> Series:
             rate, data = wavfile.read(path)
     except Exception as fault:  # the reader meets damaged bytes with errors of many kinds
         reason = str(fault).splitlines()[0][:120] if str(fault) else type(fault).__name__
-        raise KinematicsError(Fault(path.name, "a readable WAV file", reason, "", step)) from fault
+        raise KinematicsError.of(path.name, "a readable WAV file", reason, "", step) from fault
     if len(data) < _FEWEST:
         want = f"of {_FEWEST} samples at least"
-        raise KinematicsError(Fault("a recording", want, len(data), path.name, step))
+        raise KinematicsError.of("a recording", want, len(data), path.name, step)
     full = 1.0
     if data.dtype.kind in "iu":
         full = float(np.iinfo(data.dtype).max) + 1.0

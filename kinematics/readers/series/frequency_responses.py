@@ -55,13 +55,13 @@ def read(path: Path, options: SeriesOptions | None = None) -> Recordings:
     path = Path(path)
     if options is None or options.channels is None:
         step = "Write a table with channel, role, body, point, dir and unit; see points2dof --help"
-        raise KinematicsError(Fault("time series", "read with {channels} FILE", "none", path.name, step))
+        raise KinematicsError.of("time series", "read with {channels} FILE", "none", path.name, step)
     rows = [channel for channel in read_channels(options.channels) if _belongs(channel, path.name)]
     responses = [row for row in rows if row.role == "response"]
     if not responses:
         step = "Add a row, or leave the column file empty"
-        raise KinematicsError(
-            Fault("the channel table", f"with a response of {path.name}", "none", options.channels.name, step)
+        raise KinematicsError.of(
+            "the channel table", f"with a response of {path.name}", "none", options.channels.name, step
         )
     reference = _reference(rows, options)
     names = [response.name for response in responses] + ([] if reference is None else [reference.name])
@@ -131,13 +131,13 @@ def _reference(rows: Sequence[Channel], options: SeriesOptions) -> Channel | Non
         ]
         if not references:
             known = ", ".join(dict.fromkeys(channel.name for channel in rows))
-            raise KinematicsError(
-                Fault("{reference_channel}", f"one of {known}", options.reference_channel, table)
+            raise KinematicsError.of(
+                "{reference_channel}", f"one of {known}", options.reference_channel, table
             )
     names = list(dict.fromkeys(channel.name for channel in references))
     if len(names) > 1:
         step = f"Choose one by {named('reference_channel')}, or ignore the others"
-        raise KinematicsError(Fault("the reference", "one channel", ", ".join(names), table, step))
+        raise KinematicsError.of("the reference", "one channel", ", ".join(names), table, step)
     return references[0] if references else None
 
 
@@ -180,7 +180,7 @@ def _groups(
         if len(sizes) > 1:
             got = " and ".join(str(size) for size in sorted(sizes))
             step = "Resample channels that were sampled at another rate, or read them in a run of their own"
-            raise KinematicsError(Fault("the channels", "of one number of samples", got, series.file, step))
+            raise KinematicsError.of("the channels", "of one number of samples", got, series.file, step)
         return lead, np.array(signals)
 
     if fixed:
@@ -198,7 +198,7 @@ def _groups(
             groups.append(_Group(tuple(alive), (str(k + 1),) * len(alive), (row(alive, k),), place))
     if not groups:
         step = "Check that the channels were connected"
-        raise KinematicsError(Fault("the responses", "with a signal", "one value in all", series.file, step))
+        raise KinematicsError.of("the responses", "with a signal", "one value in all", series.file, step)
     return groups, notices
 
 
@@ -229,7 +229,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     records = [(lead, signals) for lead, signals in group.records if lead is not None]
     if not records:
         step = "Give a channel the role reference, e.g. the generator or a microphone"
-        raise KinematicsError(Fault("the channel table", "with a reference", "none", group.where, step))
+        raise KinematicsError.of("the channel table", "with a reference", "none", group.where, step)
     if options.period_s is not None:
         how_often = Periodic(options.period_s, options.skip_periods)
         return periodic_frf(records, rate, how_often, group.where), f"periodic, {options.period_s:g} s"
@@ -240,7 +240,7 @@ def _estimate(group: _Group, series: Series, options: SeriesOptions) -> tuple[Fr
     if segment < 8:
         step = f"Ask for fewer {named('averages')} or a coarser {named('resolution')}"
         got = f"{segment} samples of a record of {shortest}"
-        raise KinematicsError(Fault("a segment", "8 samples long at least", got, group.where, step))
+        raise KinematicsError.of("a segment", "8 samples long at least", got, group.where, step)
     if options.frf == LOCAL:
         frf = local_frf(records, rate, Local(rate / segment), group.where)
         return frf, f"local polynomials, resolution {frf.freq_hz[1] - frf.freq_hz[0]:.4g} Hz"
@@ -263,7 +263,7 @@ def _steps(group: _Group, series: Series, options: SeriesOptions) -> list[Step]:
             column = series.set_hz[number if len(series.set_hz) > 1 else 0]
             if len(column) != signals.shape[1]:
                 want = f"{signals.shape[1]} samples long"
-                raise KinematicsError(Fault("freq_hz", want, len(column), series.file))
+                raise KinematicsError.of("freq_hz", want, len(column), series.file)
             steps += steps_of(column, first, signals, series.file)
             continue
         for row, (start, stop, freq) in enumerate(table, 1):

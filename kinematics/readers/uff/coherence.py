@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.uff.functions import AUTO, COHERENCE, FRF, PSD, TRANSMISSIBILITY, Function
-from stapeskit.faults import Fault
 
 Array = NDArray[np.float64]
 Key = tuple[object, ...]
@@ -107,11 +106,11 @@ def _stated(coherence: Function, response: Function, where: str) -> Array:
     same = len(coherence.x) == len(response.x) and np.allclose(coherence.x, response.x, rtol=1e-6)
     if not same:
         step = "Export both with the same frequencies, or leave the coherence out"
-        raise KinematicsError(
-            Fault("the coherence", "given at the frequencies of its response", "others", where, step)
+        raise KinematicsError.of(
+            "the coherence", "given at the frequencies of its response", "others", where, step
         )
     value = coherence.y.real
     if np.any(value < -1e-6) or np.any(value > 1.0 + 1e-4):
         got = f"{value.min():g} to {value.max():g}"
-        raise KinematicsError(Fault("the coherence", "within 0 and 1", got, where, "Export it again"))
+        raise KinematicsError.of("the coherence", "within 0 and 1", got, where, "Export it again")
     return np.clip(value, 0.0, 1.0)

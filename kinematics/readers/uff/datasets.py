@@ -132,14 +132,14 @@ def _dataset(content: bytes, start: int, place: tuple[int, int], file: str) -> t
     if number is None:
         rest = content[start : start + 80].strip().split(b"\n")[0][:40].decode("latin-1").strip()
         got = shown(rest) if rest else "the end of the file"
-        raise KinematicsError(Fault("the line after -1", "the number of a dataset", got, where, CUT))
+        raise KinematicsError.of("the line after -1", "the number of a dataset", got, where, CUT)
     if number[2] and int(number[1]) == 58:
         return _binary(content, number, place, f"{file}, dataset {place[0]}")
     end = _RULE.search(content, number.end())
     follows = None if end is None else _FIRST.match(content, min(end.end() + 1, len(content)))
     if end is None or follows is not None:
         got = "the end of the file" if end is None else "the beginning of the next one"
-        raise KinematicsError(Fault("a dataset", "closed by a line that holds -1", got, where, CUT))
+        raise KinematicsError.of("a dataset", "closed by a line that holds -1", got, where, CUT)
     return _text(int(number[1]), place, content[number.end() : end.start()]), end.end()
 
 
@@ -169,8 +169,8 @@ def _binary(
     fields = number[3].split()
     if len(fields) < 4 or not all(re.fullmatch(rb"\d+", field) for field in fields[:4]):
         got = shown(number[0].decode("latin-1"))
-        raise KinematicsError(
-            Fault("the line of a dataset 58b", "byte order, format, lines and bytes", got, where)
+        raise KinematicsError.of(
+            "the line of a dataset 58b", "byte order, format, lines and bytes", got, where
         )
     order, form, count, size = (int(field) for field in fields[:4])
     faults = []
@@ -186,7 +186,7 @@ def _binary(
     raise_all(KinematicsError, faults)
     head, start = _after_lines(content, number.end(), count)
     if len(head) < count:
-        raise KinematicsError(Fault("a dataset 58b", f"of {count} lines of header", len(head), where, CUT))
+        raise KinematicsError.of("a dataset 58b", f"of {count} lines of header", len(head), where, CUT)
     needed = values_size(head, f"{where}, record 7")
     # The stated number of bytes only decides between possible ones: some writers state half of it.
     for length in sorted(needed, key=lambda length: (length != size, -length)):
@@ -199,7 +199,7 @@ def _binary(
     if len(content) - start >= min(needed):
         got = f"no line of -1 behind so many, and {size} bytes by its first line"
     expected = f"of {' or '.join(map(str, needed))} bytes of values, as its header says"
-    raise KinematicsError(Fault("a dataset 58b", expected, got, where, CUT))
+    raise KinematicsError.of("a dataset 58b", expected, got, where, CUT)
 
 
 def values_size(head: tuple[str, ...], where: str) -> tuple[int, ...]:
@@ -231,12 +231,12 @@ def data_form(head: tuple[str, ...], where: str) -> tuple[int, int, bool]:
         fields = record.split()[:3]
     if len(fields) < 3 or not all(re.fullmatch(r"\s*\d+\s*", field) for field in fields):
         step = "Export it again"
-        raise KinematicsError(
-            Fault("record 7 of a function", "type, number and spacing", shown(record), where, step)
+        raise KinematicsError.of(
+            "record 7 of a function", "type, number and spacing", shown(record), where, step
         )
     kind, count, spacing = (int(field.strip()) for field in fields)
     if kind not in (2, 4, 5, 6) or spacing not in (0, 1) or count < 1:
         got = f"type {kind}, {count} values, spacing {spacing}"
         expected = "of type 2, 4, 5 or 6, with one value at least and spacing 0 or 1"
-        raise KinematicsError(Fault("the data of a function", expected, got, where, "Export it again"))
+        raise KinematicsError.of("the data of a function", expected, got, where, "Export it again")
     return kind, count, spacing == 1

@@ -106,9 +106,7 @@ def read_function(dataset: Dataset, file: str) -> Function:
     head = dataset.lines
     if len(head) < 11:
         where = f"{file}, dataset {dataset.place}"
-        raise KinematicsError(
-            Fault("the header of a function", "of 11 lines", f"{len(head)} lines", where, CUT)
-        )
+        raise KinematicsError.of("the header of a function", "of 11 lines", f"{len(head)} lines", where, CUT)
     faults: list[Fault] = []
     identity, spacing = None, (0.0, 1.0)
     kind, count, even = 0, 0, False
@@ -151,10 +149,8 @@ def _identity(record: str, where: str) -> tuple[int, int, int, int, str, int, in
         )
         if loose is None:
             step = "Export it again"
-            raise KinematicsError(
-                Fault(
-                    "record 6 of a function", "function type, node and direction", shown(record), where, step
-                )
+            raise KinematicsError.of(
+                "record 6 of a function", "function type, node and direction", shown(record), where, step
             )
         cells = list(loose.groups())
     numbers = [_whole(cell) if place not in (4, 7) else cell for place, cell in enumerate(cells)]
@@ -186,12 +182,12 @@ def _spacing(record: str, where: str) -> tuple[float, float]:
         try:
             first, step = (_number(cell) for cell in record.split()[3:5])
         except ValueError as fault:
-            raise KinematicsError(
-                Fault("the abscissa of a function", "a first value and a step", shown(record), where)
+            raise KinematicsError.of(
+                "the abscissa of a function", "a first value and a step", shown(record), where
             ) from fault
     if not (np.isfinite(first) and np.isfinite(step)) or step <= 0.0:
-        raise KinematicsError(
-            Fault("the step of the abscissa", "positive", f"{step:g}", where, "Export it again")
+        raise KinematicsError.of(
+            "the step of the abscissa", "positive", f"{step:g}", where, "Export it again"
         )
     return first, step
 
@@ -258,7 +254,7 @@ def _text(dataset: Dataset, kind: int, count: int, even: bool, parts: int, file:
     if end < wanted or end - wanted >= len(formats):
         got = f"{end // columns}"
         where = f"{file}, dataset {dataset.place}"
-        raise KinematicsError(Fault("a function", f"of {count} values, as it says", got, where, CUT))
+        raise KinematicsError.of("a function", f"of {count} values, as it says", got, where, CUT)
     return np.asarray(numbers[:wanted], dtype=float).reshape(count, columns)
 
 

@@ -159,8 +159,8 @@ def _length_factor(dataset: Dataset, where: str) -> float:
     numbers = _reals(" ".join(dataset.lines[1:]))
     if not numbers or not numbers[0] > 0.0:
         got = f"{numbers[0]:g}" if numbers else shown(" ".join(dataset.lines[1:])) or "none"
-        raise KinematicsError(
-            Fault("the length factor of dataset 164", "positive", got, where, "Export it again")
+        raise KinematicsError.of(
+            "the length factor of dataset 164", "positive", got, where, "Export it again"
         )
     return numbers[0]
 
@@ -184,14 +184,14 @@ def _reals(text: str) -> list[float]:
 def _wholes(text: str, count: int, thing: str, where: str) -> list[int]:
     words = text.split()[:count]
     if len(words) < count or not all(re.fullmatch(r"[+-]?\d{1,18}", word) for word in words):
-        raise KinematicsError(Fault(thing, f"{count} whole numbers", shown(text), where, "Export it again"))
+        raise KinematicsError.of(thing, f"{count} whole numbers", shown(text), where, "Export it again")
     return [int(word) for word in words]
 
 
 def _vectors(text: str, count: int, thing: str, where: str) -> Array:
     numbers = _reals(text)
     if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise KinematicsError(Fault(thing, f"{count} numbers", shown(text), where, CUT))
+        raise KinematicsError.of(thing, f"{count} numbers", shown(text), where, CUT)
     return np.array(numbers).reshape(-1, 3)
 
 
@@ -237,7 +237,7 @@ def _systems(dataset: Dataset, file: str, faults: list[Fault]) -> list[System]:
 def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
     where = dataset.at(file, row)
     if len(part) < 4:
-        raise KinematicsError(Fault("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT))
+        raise KinematicsError.of("a coordinate system", "of 4 lines", f"{len(part)}", where, CUT)
     label, shape, parent, _, _ = _wholes(part[0], 5, "a coordinate system", where)
     thing = f"the definition of coordinate system {label}"
     origin, on_x, on_xz = _vectors(part[2] + " " + part[3], 9, thing, where)
@@ -247,7 +247,7 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
         long, wide = np.linalg.norm(x), np.linalg.norm(z)
     if not (0.0 < long < np.inf and 1e-9 * long < wide < np.inf):
         got = "points on one line, or too far away"
-        raise KinematicsError(Fault(thing, "three points that span a plane", got, where, "Correct it"))
+        raise KinematicsError.of(thing, "three points that span a plane", got, where, "Correct it")
     x, z = x / long, z / wide
     return System(label, shape, parent, np.array([x, np.cross(z, x), z]), origin)
 
@@ -255,7 +255,7 @@ def _old_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
 def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> System:
     where = dataset.at(file, row)
     if len(part) < 6:
-        raise KinematicsError(Fault("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT))
+        raise KinematicsError.of("a coordinate system", "of 6 lines", f"{len(part)}", where, CUT)
     label, shape = _wholes(part[0], 2, "a coordinate system", where)
     thing = f"the matrix of coordinate system {label}"
     rows = _vectors(" ".join(part[2:]), 12, thing, where)
@@ -263,7 +263,7 @@ def _new_system(part: list[str], dataset: Dataset, file: str, row: int) -> Syste
         turned = np.allclose(rows[:3] @ rows[:3].T, np.eye(3), atol=1e-4) and np.linalg.det(rows[:3]) > 0.0
     if not turned:
         got = np.array2string(rows[:3], precision=4, separator=", ").replace("\n", "")
-        raise KinematicsError(Fault(thing, "a rotation, right-handed", got, where, "Correct it"))
+        raise KinematicsError.of(thing, "a rotation, right-handed", got, where, "Correct it")
     return System(label, shape, 0, rows[:3], rows[3])
 
 

@@ -64,8 +64,8 @@ def read(path: Path, series: SeriesOptions | None = None) -> Recordings:
             sets.append(dataset)
     if not functions and not faults:
         step = "Export the spectra or frequency responses as UFF 58"
-        raise KinematicsError(
-            Fault("a universal file", "one with functions (dataset 58)", "none", path.name, step)
+        raise KinematicsError.of(
+            "a universal file", "one with functions (dataset 58)", "none", path.name, step
         )
     geometry = Geometry()
     with collecting(faults):

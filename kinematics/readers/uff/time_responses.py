@@ -139,7 +139,7 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
         matches = list(dict.fromkeys(fitting))
         if len(matches) != 1:
             got = options.reference_channel + (f", which is {' and '.join(matches)}" if matches else "")
-            raise KinematicsError(Fault("{reference_channel}", f"one of {shown}", got, file))
+            raise KinematicsError.of("{reference_channel}", f"one of {shown}", got, file)
         return matches[0]
     stated = {
         direction_label(function.reference_node, function.reference_direction)
@@ -154,7 +154,7 @@ def _reference(times: Sequence[Function], file: str, options: SeriesOptions) -> 
         return matches[0] if matches else ""
     step = f"Name it by {named('reference_channel')}, as node and direction"
     got = " and ".join(matches[:_MOST_NAMED]) if matches else f"none among {shown}"
-    raise KinematicsError(Fault("the reference of the time responses", "one signal", got, file, step))
+    raise KinematicsError.of("the reference of the time responses", "one signal", got, file, step)
 
 
 def _signals(
@@ -268,7 +268,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     raise_all(KinematicsError, faults)
     if max(rates) > min(rates) * (1.0 + 1e-6):
         got = " and ".join(f"{rate:g} Hz ({place})" for rate, place in list(rates.items())[:4])
-        raise KinematicsError(Fault("the sampling rate", "one in all records", got, file))
+        raise KinematicsError.of("the sampling rate", "one in all records", got, file)
     first = signals[0].records[0]
     samples = {signal.channel.name: tuple(record.y.real for record in signal.records) for signal in signals}
     check_finite(samples, file)
@@ -276,7 +276,7 @@ def _part(signals: Sequence[_Signal], name: str, file: str, options: SeriesOptio
     lead = next((signal.channel for signal in signals if signal.channel.name == name), None)
     if lead is None and options.steps is None:
         step = f"Name the reference by {named('reference_channel')}"
-        raise KinematicsError(Fault("the time signals", "with their reference", "none", file, step))
+        raise KinematicsError.of("the time signals", "with their reference", "none", file, step)
     return estimated(
         series, [signal.channel for signal in signals if signal.channel.name != name], lead, options
     )
@@ -292,7 +292,5 @@ def _rate(function: Function, file: str) -> float:
     unit = _time_unit(function)
     if unit not in _SECONDS:
         want = f"one of {', '.join(_SECONDS)}"
-        raise KinematicsError(
-            Fault("the unit of time", want, function.abscissa.unit, where, "Export it again")
-        )
+        raise KinematicsError.of("the unit of time", want, function.abscissa.unit, where, "Export it again")
     return sampling_rate(function.x * _SECONDS[unit], where)

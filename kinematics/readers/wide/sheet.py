@@ -86,8 +86,8 @@ def read_sheet(path: Path) -> Sheet:
     header = header_of(text)
     if header is None:
         step = "Put one line of names above the rows"
-        raise KinematicsError(
-            Fault("the table", "one line of names above rows of numbers", "none", path.name, step)
+        raise KinematicsError.of(
+            "the table", "one line of names above rows of numbers", "none", path.name, step
         )
     at, names, units, mark = header
     rows: list[list[float | None]] = []

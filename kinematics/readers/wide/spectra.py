@@ -91,12 +91,12 @@ def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
     if len(columns) != 1:
         got = "none" if not columns else " and ".join(sheet.names[k] for k in columns)
         step = f'Name it in {sheet.file}.toml: frequency = "{sheet.names[0]}"'
-        raise KinematicsError(Fault("the column of frequencies", "one", got, sheet.place(), step))
+        raise KinematicsError.of("the column of frequencies", "one", got, sheet.place(), step)
     in_header = sheet.units[columns[0]] or frequency_unit(sheet.names[columns[0]])
     unit = document.get("frequency_unit", "") or in_header or "Hz"
     if unit.lower() not in HERTZ:
-        raise KinematicsError(
-            Fault("the unit of the frequencies", "Hz, kHz or MHz", shown(unit), sheet.place(columns[0]))
+        raise KinematicsError.of(
+            "the unit of the frequencies", "Hz, kHz or MHz", shown(unit), sheet.place(columns[0])
         )
     freq = sheet.numbers[:, columns[0]] * HERTZ[unit.lower()]
     with np.errstate(invalid="ignore"):
@@ -105,8 +105,8 @@ def _frequencies(sheet: Sheet, document: dict[str, Any]) -> Array:
         row = int(np.flatnonzero(bad)[0])
         step = "Sort the rows, one a frequency"
         got = f"{freq[row]:g} Hz in row {row + 1}"
-        raise KinematicsError(
-            Fault("the frequencies", "ascending and not negative", got, sheet.place(columns[0]), step)
+        raise KinematicsError.of(
+            "the frequencies", "ascending and not negative", got, sheet.place(columns[0]), step
         )
     return np.asarray(freq)
 
@@ -143,8 +143,8 @@ def _complex(sheet: Sheet, beam: Beam) -> tuple[NDArray[np.complex128], int]:
     if {"amp", "phase"} <= set(parts):
         label = (beam.phase_unit or sheet.units[parts["phase"]] or "deg").lower()
         if label not in _TURNS:
-            raise KinematicsError(
-                Fault("the unit of the phase", "deg or rad", shown(label), sheet.place(parts["phase"]))
+            raise KinematicsError.of(
+                "the unit of the phase", "deg or rad", shown(label), sheet.place(parts["phase"])
             )
         with np.errstate(invalid="ignore", over="ignore"):
             turn = np.exp(1j * _TURNS[label] * sheet.numbers[:, parts["phase"]])
@@ -152,7 +152,7 @@ def _complex(sheet: Sheet, beam: Beam) -> tuple[NDArray[np.complex128], int]:
     lone = next(iter(parts.values()))
     want = "with its phase, or a real part with its imaginary part"
     step = f"Export both, or say in {sheet.file}.toml which column is what (docs/vibrometer_files.md)"
-    raise KinematicsError(Fault(f"the column {sheet.names[lone]}", want, "alone", sheet.place(lone), step))
+    raise KinematicsError.of(f"the column {sheet.names[lone]}", want, "alone", sheet.place(lone), step)
 
 
 def _unit(sheet: Sheet, beam: Beam, column: int) -> tuple[MotionUnit, str]:
@@ -165,8 +165,8 @@ def _unit(sheet: Sheet, beam: Beam, column: int) -> tuple[MotionUnit, str]:
     if unit is None:
         got = shown(label) if label else "none"
         step = f'Write it behind the name, "{sheet.names[column]} [mm/s]", or as unit in {sheet.file}.toml'
-        raise KinematicsError(
-            Fault(f"the unit of {sheet.names[column]}", "; ".join(MOTIONS), got, sheet.place(), step)
+        raise KinematicsError.of(
+            f"the unit of {sheet.names[column]}", "; ".join(MOTIONS), got, sheet.place(), step
         )
     return unit, amplitude
 
@@ -181,6 +181,6 @@ def _direction(beam: Beam, sheet: Sheet) -> Array:
     if isinstance(stated, list) and len(stated) == 3 and all(isinstance(v, int | float) for v in stated):
         return np.array(stated, dtype=float)
     step = 'Write direction = "z", or three numbers'
-    raise KinematicsError(
-        Fault("the direction of a signal", "x, -y ... or three numbers", stated, sheet.file, step)
+    raise KinematicsError.of(
+        "the direction of a signal", "x, -y ... or three numbers", stated, sheet.file, step
     )
