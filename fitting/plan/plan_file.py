@@ -218,7 +218,7 @@ def _mass(table: Mapping[str, Any], dof: tuple[str, ...], path: Path) -> tuple[A
 def _matrix(raw: Any, key: str, n: int, where: str) -> Array:
     try:
         matrix = np.array(raw, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape != (n, n) or not np.all(np.isfinite(matrix)):
         raise FittingError.of(key, f"a {n} x {n} matrix in SI, in the order of dof", raw, where)
@@ -241,8 +241,8 @@ def _expected(table: Mapping[str, Any], key: str, dof: tuple[str, ...], default:
 
 def _band(table: Mapping[str, Any], where: str) -> tuple[float, float]:
     raw = table.get("band_hz", [400.0, 5000.0])
-    good = isinstance(raw, list) and len(raw) == 2 and all(isinstance(value, int | float) for value in raw)
-    if not good or not 0.0 < raw[0] < raw[1] < np.inf:
+    good = isinstance(raw, list) and len(raw) == 2 and all(map(is_finite_number, raw))
+    if not good or not 0.0 < raw[0] < raw[1]:
         raise FittingError.of("band_hz", "two frequencies in Hz, low before high", raw, where)
     return float(raw[0]), float(raw[1])
 
@@ -252,7 +252,7 @@ def _points(table: Mapping[str, Any], key: str, default: Array, where: str) -> A
         return default
     try:
         points = np.array(table[key], dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
         raise FittingError.of(key, "a list of points [x, y, z] in mm, footplate axes", table[key], where)
