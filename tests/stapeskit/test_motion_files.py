@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import h5py
 import numpy as np
@@ -12,7 +12,9 @@ from kinematics.fit.frf_ratio import per_reference
 from kinematics.fit_options import Options
 from kinematics.points2dof import points2dof
 from stapeskit.faults import StapeskitError
-from stapeskit.records.motion import ROW_COLUMNS, RigidMotion, SharedErrors
+from stapeskit.records import motion as motion_record
+from stapeskit.records import motion_columns, motion_files
+from stapeskit.records.motion import ROW_COLUMNS, STORED, RigidMotion, RowColumn, SharedErrors
 from stapeskit.records.motion_columns import MotionColumns
 from stapeskit.records.motion_files import read_motion, standard_deviation, write_motion
 from stapeskit.warnings import Notice
@@ -102,6 +104,29 @@ def test_every_column_of_the_table_is_written_and_read_back(tmp_path, motion, co
     if column.stored:
         measured = np.isfinite(motion.q[..., 0])
         assert np.allclose(getattr(read_motion(csv), column.name)[measured], values[measured], rtol=1e-8)
+
+
+@dataclass(frozen=True)
+class LaterMotion(RigidMotion):
+    """A motion of a version that stores one column more."""
+
+    n_read: np.ndarray | None = None
+
+
+def test_a_column_that_older_files_lack_reads_as_none(tmp_path, motion, monkeypatch):
+    column = RowColumn("n_read", "readings", whole=True, missing=0.0, optional=True)
+    for module in (motion_record, motion_columns, motion_files):
+        monkeypatch.setattr(module, "ROW_COLUMNS", (*ROW_COLUMNS, column), raising=False)
+        monkeypatch.setattr(module, "STORED", (*STORED, column), raising=False)
+    monkeypatch.setattr(motion_files, "RigidMotion", LaterMotion)
+    count = np.where(np.isnan(motion.q[..., 0]), 0, 7)
+    for written, wanted in ((None, None), (count, count)):
+        csv, h5 = write_motion(tmp_path, "dof", LaterMotion(**vars(motion), n_read=written))
+        assert np.array_equal(read_motion(h5).n_read, wanted)
+    h5.unlink()
+    assert np.array_equal(read_motion(csv).n_read, count)
+    with pytest.raises(StapeskitError):
+        LaterMotion(**vars(motion), n_read=count[0])
 
 
 def test_a_csv_alone_has_uncorrelated_noise(tmp_path, motion):
