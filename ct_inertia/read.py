@@ -110,6 +110,7 @@ def check_values(volume: Volume) -> None:
     Raises
     ------
     CtInertiaError
+        All voxels are equal, or some are NaN or infinite and do not count as air.
     """
     array = volume.array
     where = "" if volume.source is None else Path(volume.source).name

@@ -115,6 +115,7 @@ def check_size(
     Raises
     ------
     CtInertiaError
+        The header claims more voxels than the file can hold, or than memory can.
     """
     claimed = int(np.dtype(dtype).itemsize)
     for n in shape:
@@ -138,6 +139,7 @@ def check_memory(needed: int, name: str) -> None:
     Raises
     ------
     CtInertiaError
+        More than half of the available memory is needed.
     """
     # Half: what was unpacked is copied once more where it is measured.
     most = available_memory() // 2
@@ -262,6 +264,7 @@ def numbered_names(words: Sequence[str], path: Path, kind: str, most: int) -> li
     Raises
     ------
     CtInertiaError
+        No such pattern with whole numbers, or more than ``most`` names.
     """
     pattern, *rest = words
     if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):

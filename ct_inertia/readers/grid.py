@@ -115,6 +115,7 @@ def grid_array(grid: Grid, path: Path) -> NDArray[Any]:
     Raises
     ------
     CtInertiaError
+        A file is missing, too short or damaged, or the sizes are not those of a volume.
     """
     check_dimensions(grid.size, path.name)
     shape = grid.size[::-1] + ((grid.layers,) if grid.layers > 1 else ())

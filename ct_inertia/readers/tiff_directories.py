@@ -78,6 +78,7 @@ def check_ome_files(path: Path, xml: str | None, follow: bool) -> None:
     Raises
     ------
     CtInertiaError
+        A name leads out of the folder of the file, and ``follow`` is False.
     """
     for name in set(re.findall(r'FileName\s*=\s*["\']([^"\']*)["\']', xml or "")):
         beside(path, name, follow)

@@ -33,6 +33,7 @@ def listening(path: Path, kind: str) -> Iterator[None]:
     Raises
     ------
     CtInertiaError
+        The file is damaged, by an exception or by the log of tifffile.
     """
     listener = _Listener()
     logger = logging.getLogger("tifffile")

@@ -209,6 +209,7 @@ def check_pieces(page: Any, path: Path) -> None:
     Raises
     ------
     CtInertiaError
+        A size is no number, or below 1.
     """
     for size in (page.tilewidth, page.tilelength) if page.is_tiled else (page.rowsperstrip,):
         if not isinstance(size, int) or size < 1:
@@ -221,6 +222,7 @@ def check_offsets(page: Any, file: Path, file_bytes: int) -> None:
     Raises
     ------
     CtInertiaError
+        Offsets are missing or negative, or lead beyond the end of the file.
     """
     numbers = (*page.dataoffsets, *page.databytecounts)
     if not all(isinstance(number, int) and number >= 0 for number in numbers):

@@ -189,6 +189,7 @@ def check_axis(axis: str) -> None:
     Raises
     ------
     CtInertiaError
+        ``axis`` is none of x, y, z.
     """
     if axis not in tuple(_AXES):
         raise CtInertiaError.of("{mirror}", "x, y or z", axis, next_step="Name one of the three axes")
