@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from typing import Any, NoReturn
 
     from ct_inertia.ct2mass import MassMeasurement
+    from ct_inertia.exports.scan_crop import EarlyCrop
     from stapeskit.command import Outcome
     from stapeskit.option_parser import Given, Parser
     from stapeskit.own_files import OutputSet
@@ -87,12 +88,15 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
         from ct_inertia.surface.display import check_request
 
         check_request(given.smooth, given.faces)
+    from stapeskit.provenance import Hashes
+
+    hashes = Hashes(options.inputs.values(), given.sha256)  # the files are read while modules are imported
     from ct_inertia.ct2mass import ct2mass
-    from ct_inertia.exports.output_files import output_set
+    from ct_inertia.exports.output_files import SCAN_CROP, output_set
+    from ct_inertia.exports.scan_crop import EarlyCrop
     from ct_inertia.report.summary import summary_rows
     from stapeskit.command import Outcome
     from stapeskit.progress import stage_on_terminal
-    from stapeskit.provenance import Hashes
 
     outputs = output_set(
         options,
@@ -104,19 +108,20 @@ def work(arguments: list[str]) -> tuple[Given, Outcome]:
         config=given.config,
     )
     outputs.check()
-    hashes = Hashes(options.inputs.values(), given.sha256)
-    with stage_on_terminal(not given.quiet and not given.json) as progress:
-        result = ct2mass(options, progress)
+    with stage_on_terminal(not given.quiet and not given.json) as progress, outputs.staged() as stage:
+        crop = EarlyCrop(options, stage / SCAN_CROP, outputs.hash_of)
+        result = ct2mass(options, progress, crop.begin)
         progress("writing" if given.no_report else "drawing the report")
-        files, content, notices = _write(given, outputs, result, hashes)
+        names, content, notices = _write(given, outputs, stage, result, hashes, crop)
+    files = [outputs.folder / name for name in names]
     title = f"ct2mass: {options.scan or options.labels}"
     return given, Outcome(title, summary_rows(result, content), (*result.notices, *notices), files, content)
 
 
 def _write(
-    given: Given, outputs: OutputSet, result: MassMeasurement, hashes: Hashes
-) -> tuple[list[Path], dict[str, Any], tuple[Notice, ...]]:
-    """Write every output; return their paths, the content of mass.json, and the warnings of writing."""
+    given: Given, outputs: OutputSet, stage: Path, result: MassMeasurement, hashes: Hashes, crop: EarlyCrop
+) -> tuple[list[str], dict[str, Any], tuple[Notice, ...]]:
+    """Write every output; return their names, the content of mass.json, and the warnings of writing."""
     from ct_inertia.exports.mass_json import mass_json, names_of, write_outputs
     from ct_inertia.exports.output_files import LABELS, MEASURED_LABELS
 
@@ -129,27 +134,25 @@ def _write(
         mesh = display_mesh(result.stapes, given.smooth, given.faces)
         content["display_mesh"] = mesh.as_json()
         shown = mesh.surface
-    with outputs.staged() as stage:
-        names = []
-        if shown is not None:
-            from ct_inertia.surface.surface import write_surface
+    names = []
+    if shown is not None:
+        from ct_inertia.surface.surface import write_surface
 
-            write_surface(stage / "stapes_display.ply", shown)
-            names.append("stapes_display.ply")
-        if given.export:
-            from ct_inertia.exports import export, units_of
+        write_surface(stage / "stapes_display.ply", shown)
+        names.append("stapes_display.ply")
+    if given.export:
+        from ct_inertia.exports import export, units_of
 
-            content["exports"] = units_of(given.export)
-            names += export(result, stage, given.export, shown)
-        report = [] if given.no_report else ["report.html"]
-        notices = outputs.kept_notices([*names_of(result, content), *names, *report])
-        content["warnings"] += [notice.as_json() for notice in notices]
-        if report:
-            from ct_inertia.report.sections import write_report
+        content["exports"] = units_of(given.export)
+        names += export(result, stage, given.export, shown)
+    report = [] if given.no_report else ["report.html"]
+    notices = outputs.kept_notices([*names_of(result, content), *names, *report])
+    content["warnings"] += [notice.as_json() for notice in notices]
+    if report:
+        from ct_inertia.report.sections import write_report
 
-            write_report(stage / "report.html", result, content, shown)
-        names = [*write_outputs(result, stage, content), *names, *report]
-    return [outputs.folder / name for name in names], content, notices
+        write_report(stage / "report.html", result, content, shown)
+    return [*write_outputs(result, stage, content, crop), *names, *report], content, notices
 
 
 def _start(arguments: list[str]) -> tuple[Given, Outcome]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from ct_inertia.bodies import Bodies
     from ct_inertia.options import MassOptions
     from stapeskit.records.measured_mass import MeasuredMass
 
@@ -102,6 +103,8 @@ class MassResult(Result, MassMeasurement):
         return tuple(target / name for name in names)
 
 
-def mass_of(options: MassOptions, progress: Tell = silent) -> MassResult:
+def mass_of(
+    options: MassOptions, progress: Tell = silent, found: Callable[[Bodies], None] | None = None
+) -> MassResult:
     """Measure the mass properties of a stapes; see `ct_inertia.ct2mass.ct2mass`."""
-    return extended(MassResult, ct2mass(options, progress))
+    return extended(MassResult, ct2mass(options, progress, found))

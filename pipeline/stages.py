@@ -114,15 +114,17 @@ def _scan_parameters(study: Study, _work: Workspace) -> dict[str, Any]:
 def _run_scan(study: Study, work: Workspace) -> tuple[list[str], StageReport]:
     """Write mass.json, surfaces and labels."""
     from ct_inertia.exports.mass_json import mass_json, write_outputs
-    from ct_inertia.exports.output_files import labels_name
+    from ct_inertia.exports.output_files import SCAN_CROP, labels_name
+    from ct_inertia.exports.scan_crop import EarlyCrop
     from ct_inertia.report.sections import report_sections
     from ct_inertia.results import mass_of
 
     options = study.scan
-    result = mass_of(options)
+    crop = EarlyCrop(options, work.fresh / SCAN_CROP, work.hashes.of)
+    result = mass_of(options, found=crop.begin)
     content = mass_json(result, hashes=work.hashes, labels_file=labels_name(work.out, options.labels))
     sections = report_sections(result, content)
-    names = write_outputs(result, work.fresh, content)
+    names = write_outputs(result, work.fresh, content, crop)
     work.keep("mass", result.measured_mass(content))
     return names, StageReport(tuple(sections), result.notices)
 

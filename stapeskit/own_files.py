@@ -19,7 +19,7 @@ from typing import Any
 from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.outputs import existing_folder, staged
-from stapeskit.provenance import content_hash
+from stapeskit.provenance import Hashes
 from stapeskit.warnings import Notice
 
 RECORDS = ".stapeskit"
@@ -64,7 +64,7 @@ class OutputSet:
     leftovers: tuple[str, ...] = ()
     known: Mapping[str, str] = field(default_factory=dict)
     hints: Mapping[str, str] = field(default_factory=dict)
-    hash_of: Callable[[Path], str] = field(default=content_hash, repr=False, compare=False)
+    hash_of: Callable[[Path], str] = field(default_factory=lambda: Hashes().of, repr=False, compare=False)
 
     def check(self) -> None:
         """Look before the work begins whether every output may be written.

@@ -14,6 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from stapeskit.scratch import files_within
+from stapeskit.unchanged import InputStates
+
 # Read pieces that stay in the processor's cache, large enough that other threads seldom interrupt.
 _CHUNK = 1 << 19
 _RELIED_ON = ("schema", "frames", "inertial_parameters", "mass_matrix")
@@ -23,8 +26,8 @@ _PACKAGES = ("stapeskit", "numpy", "scipy", "scikit-image", "trimesh", "pymeshla
 def content_hash(path: Path, sha256: bool = False) -> str:
     """Return ``algorithm:hex`` of a file's bytes: xxh3-128, or SHA-256 when asked for.
 
-    A folder is hashed over the names and bytes of its files in name order. Once the program leaves, hashing
-    stops.
+    A folder is hashed over the names and bytes of its files in name order, without the temporary folders of
+    runs. Once the program leaves, hashing stops.
 
     Raises
     ------
@@ -40,7 +43,7 @@ def content_hash(path: Path, sha256: bool = False) -> str:
 
         digest = xxhash.xxh3_128()
     path = Path(path)
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    files = files_within(path) if path.is_dir() else [path]
     window, program = memoryview(bytearray(_CHUNK)), threading.main_thread()
     for file in files:
         if path.is_dir():
@@ -72,7 +75,7 @@ class Hashes:
     def __init__(self, paths: Iterable[Path | None] = (), sha256: bool = False) -> None:
         self._sha256 = sha256
         self._wanted = [Path(path) for path in paths if path is not None]
-        self._done: dict[Path, str | OSError] = {}
+        self._done: dict[Path, tuple[InputStates, str | OSError]] = {}
         self._later: dict[Path, tuple[tuple[int, ...], str]] = {}
         self._versions: dict[str, str] = {}
         # No daemon, which can crash while the interpreter is taken down: see content_hash for how it ends.
@@ -83,10 +86,11 @@ class Hashes:
     def _work(self) -> None:
         _give_way()
         for path in self._wanted:
+            before = InputStates.of([path])
             try:
-                self._done[path] = content_hash(path, self._sha256)
+                self._done[path] = before, content_hash(path, self._sha256)
             except OSError as fault:
-                self._done[path] = fault
+                self._done[path] = before, fault
         if threading.main_thread().is_alive():
             self._versions = versions()
 
@@ -113,7 +117,9 @@ class Hashes:
         if path not in self._wanted:
             return self._hash_once(path)
         self._join()
-        value = self._done[path]
+        before, value = self._done[path]
+        if before != InputStates.of([path]):
+            return self._hash_once(path)
         if isinstance(value, OSError):
             raise value
         return value
@@ -148,7 +154,7 @@ def input_record(
     """
     path = Path(path)
     stat = path.stat()
-    size = sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else stat.st_size
+    size = sum(file.stat().st_size for file in files_within(path)) if path.is_dir() else stat.st_size
     modified = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
     content = content_hash(path, sha256) if hashes is None else hashes.of(path)
     entry = {"file": path.name, "size_bytes": size, "modified": modified, "hash": content}

@@ -65,6 +65,16 @@ def remove_abandoned(place: Path) -> None:
                     _remove(path)
 
 
+def files_within(folder: Path) -> list[Path]:
+    """Return the files within a folder in the order of their names, without those of temporary folders."""
+    files = [
+        path
+        for path in Path(folder).rglob("*")
+        if path.is_file() and not any(map(_OURS.fullmatch, path.relative_to(folder).parts))
+    ]
+    return sorted(files)
+
+
 def _abandoned(path: Path) -> bool:
     state = path.lstat()
     age_s = time.time() - state.st_mtime

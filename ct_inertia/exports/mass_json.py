@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS, SCAN_CROP, SEGMENTS
-from ct_inertia.exports.scan_crop import needs_crop, write_crop
+from ct_inertia.exports.scan_crop import EarlyCrop, needs_crop
 from ct_inertia.grey.border import CODE as CUT_BY_BORDER
 from ct_inertia.grey.coat import BARE
 from ct_inertia.mass.budget import budget, not_included
@@ -119,8 +119,19 @@ def mass_json(
     return plain
 
 
-def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, Any]) -> list[str]:
+def write_outputs(
+    result: MassMeasurement, folder: Path, content: Mapping[str, Any], crop: EarlyCrop | None = None
+) -> list[str]:
     """Write mass.json, surfaces, labels and the part of the scan under them; return their names.
+
+    Parameters
+    ----------
+    result : MassMeasurement
+    folder : Path
+    content : mapping
+        Of mass.json.
+    crop : EarlyCrop, optional
+        The part of the scan, when it may have been begun already.
 
     Raises
     ------
@@ -136,8 +147,8 @@ def write_outputs(result: MassMeasurement, folder: Path, content: Mapping[str, A
         labels = content["labels_file"]
         result.bodies.labels.write(folder / labels)
         result.bodies.labels.write(folder / SEGMENTS[labels])
-    if needs_crop(result):
-        write_crop(result, folder / SCAN_CROP)
+    if needs_crop(result.options) and result.bodies is not None:
+        (crop or EarlyCrop(result.options, folder / SCAN_CROP)).finish(result.bodies)
     if result.inputs is not None:  # labels and pictures were read from the scan until here
         result.inputs.check()
     return names_of(result, content)
@@ -149,7 +160,7 @@ def names_of(result: MassMeasurement, content: Mapping[str, Any]) -> list[str]:
     names += [] if result.plate is None else ["plate.ply"]
     if result.bodies is not None:
         names += [content["labels_file"], SEGMENTS[content["labels_file"]]]
-    return names + ([SCAN_CROP] if needs_crop(result) else [])
+    return names + ([SCAN_CROP] if result.bodies is not None and needs_crop(result.options) else [])
 
 
 def _matrix_block(matrix: MassMatrix) -> dict[str, Any]:

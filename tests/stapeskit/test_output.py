@@ -141,3 +141,12 @@ def test_hashes_made_in_the_background_are_the_same(tmp_path):
         assert input_record(path, sha256, hashes) == input_record(path, sha256)
         with pytest.raises(FileNotFoundError):
             hashes.of(gone)
+
+
+def test_a_file_that_changed_since_it_was_hashed_is_hashed_again(tmp_path):
+    path = tmp_path / "scan"
+    path.write_bytes(b"half")
+    hashes = Hashes([path])
+    assert hashes.of(path) == content_hash(path)
+    path.write_bytes(b"the whole of it")
+    assert hashes.of(path) == content_hash(path)

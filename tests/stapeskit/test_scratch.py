@@ -11,7 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from stapeskit.outputs import staged
-from stapeskit.scratch import _open, scratch
+from stapeskit.provenance import content_hash
+from stapeskit.scratch import _open, files_within, scratch
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
@@ -60,6 +61,17 @@ def test_what_a_killed_run_left_is_removed_and_a_running_one_keeps_its_folder(tm
         assert len(names(tmp_path)) == 2
     running.communicate("\n")
     assert names(tmp_path) == []
+
+
+def test_files_of_a_folder_are_those_of_no_run(tmp_path):
+    (tmp_path / "b").write_text("b")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / ".stapeskit").write_text("an output's record is no temporary folder")
+    before = content_hash(tmp_path)
+    with scratch(tmp_path) as folder:
+        (folder / "half").write_text("half")
+        assert [path.name for path in files_within(tmp_path)] == [".stapeskit", "b"]
+        assert content_hash(tmp_path) == before
 
 
 def test_foreign_folders_of_such_a_name_stay(tmp_path):
