@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,17 @@ from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import Bodies
+
+# Imported while the stapes is sought, not when it is waited for.
+_NEEDED_LATER = (
+    "ct_inertia.frames.plane_faces",
+    "numpy.ma",
+    "numpy.random",
+    "ct_inertia.frames.plate_frame",
+    "ct_inertia.frames_and_mass",
+    "ct_inertia.frames.window_gap",
+    "ct_inertia.exports.mass_json",
+)
 
 __all__ = ["MassMeasurement", "MassOptions", "ct2mass"]
 
@@ -129,4 +141,12 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
         plate_label=options.plate_label,
     )
     coat = stated_coat(options.coat_um, options.coat_grey)
-    return find_bodies(volume, search, progress, glance, coat)
+    imports = Later(_import, _NEEDED_LATER)
+    bodies = find_bodies(volume, search, progress, glance, coat)
+    imports.result()
+    return bodies
+
+
+def _import(names: Sequence[str]) -> None:
+    for name in names:
+        import_module(name)

@@ -20,6 +20,7 @@ from ct_inertia.frames.footplate import FootplateFrame, SurfaceLike
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, sunk_by_blur
 from ct_inertia.surface.surface_field import Diffusion, Mesh, refined, unit
 from ct_inertia.volume.normal import normal_cdf
+from stapeskit.background import Later
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ _LEAST_SD_MM = calibrated("window_gap.least_sd_mm")
 _LEAST_SHARE = 0.5
 # Standard deviation of the gap, as a share of it, above which it is not stated: zero is within two of them.
 _MOST_SD = 0.5
+# Points that are compared with others at a time: few, so that all lie at about the same place.
+_AT_A_TIME = 64
 # Gap in widths of the blur below which blur hides it: between the half levels of two edges that close, grey
 # values do not fall below half of the bone's, and the surfaces merge.
 _LEAST_SIGMAS = 0.5
@@ -103,8 +106,9 @@ def window_gap(
     to_footplate = footplate.scan_from_footplate.inverse()
     places, outward = _places(footplate.outline_mm)
     low = float(footplate.outline_mm[:, 1].min())
+    later = Later(_body, to_footplate.points(wall.points_mm), wall.faces, low, places, wall.blur_mm)
     rim = _body(to_footplate.points(np.asarray(surface.vertices_mm)), surface.faces, low, places, blur_mm)
-    other = _body(to_footplate.points(wall.points_mm), wall.faces, low, places, wall.blur_mm)
+    other = later.result()
     if rim is None or other is None:
         return None
     along, lifted = _distances(rim, other, (places, outward), _LEAST_SIGMAS * wall.blur_mm)
@@ -168,13 +172,12 @@ def _body(
     points: Array, faces: NDArray[np.integer], low: float, places: Array, blur_mm: float
 ) -> _Body | None:
     """Return the part of a surface near the rim, corrected for the blur."""
-    from scipy.spatial import cKDTree
-
     margin = 2.0 * NORMAL_SCALE_MM
     high = (points[:, 1] > low - _BELOW_MM - margin) & (points[:, 1] < low + _HEIGHT_MM + margin)
-    reach = cKDTree(places).query(points[high][:, [0, 2]], distance_upper_bound=_FARTHEST_MM + margin)[0]
+    across = points[high][:, [0, 2]]
+    to_place = across - places[_nearest(across, places, _FARTHEST_MM + margin)]
     near = np.zeros(len(points), dtype=bool)
-    near[high] = reach < np.inf
+    near[high] = np.linalg.norm(to_place, axis=1) < _FARTHEST_MM + margin
     part = Mesh(points, np.asarray(faces)).part(near)
     if len(part.faces) == 0:
         return None
@@ -187,13 +190,11 @@ def _body(
 
 def _distances(rim: _Body, wall: _Body, outline: tuple[Array, Array], least_mm: float) -> tuple[Array, Array]:
     """Return the gap at each place (n,), NaN without a wall, and how far the surfaces were moved there."""
-    from scipy.spatial import cKDTree
-
     places, outward = outline
-    _, owner = cKDTree(places).query(rim.points[:, [0, 2]])
+    owner = _nearest(rim.points[:, [0, 2]], places)
     facing = np.sum(rim.normals[:, [0, 2]] * outward[owner], axis=1) > _FACING
     points, normals, owner = rim.points[facing], rim.normals[facing], owner[facing]
-    _, nearest = cKDTree(wall.points).query(points)
+    nearest = _nearest(points, wall.points, _FARTHEST_MM + EDGE_MM)
     step, against = wall.points[nearest] - points, wall.normals[nearest]
     across = -np.sum(step * against, axis=1)
     length = np.linalg.norm(step, axis=1)
@@ -203,14 +204,38 @@ def _distances(rim: _Body, wall: _Body, outline: tuple[Array, Array], least_mm: 
     ahead = np.sum(step[:, [0, 2]] * outward[owner], axis=1) > _FACING * length
     opposite = np.sum(against * normals, axis=1) < -_FACING
     seen = np.flatnonzero(ahead & opposite & (across > 0.0) & (distance < _FARTHEST_MM))
-    low = seen[_nearest(distance[seen], owner[seen])]
+    low = seen[_smallest(distance[seen], owner[seen])]
     many = np.bincount(owner[low], minlength=len(places))
     lifted = rim.lifted_mm[facing] + wall.lifted_mm[nearest]
     means = [np.bincount(owner[low], v[low], len(places)) / np.maximum(many, 1) for v in (distance, lifted)]
     return np.where((many > 0) & (means[0] > least_mm), means[0], np.nan), means[1]
 
 
-def _nearest(distance: Array, owner: NDArray[np.integer]) -> NDArray[np.intp]:
+def _nearest(points: Array, others: Array, reach_mm: float = np.inf) -> NDArray[np.intp]:
+    """Return which of the others (m, k) is nearest to each point (n, k); any one where none is within reach.
+
+    Notes
+    -----
+    They are compared as they lie along the first axis. A tree (scipy.spatial) would compare fewer, but its
+    import alone takes ten times as long.
+    """
+    nearest = np.zeros(len(points), dtype=np.intp)
+    if len(points) == 0:
+        return nearest
+    order = np.argsort(others[:, 0])
+    along = others[order, 0]
+    for some in np.array_split(np.argsort(points[:, 0]), len(points) // _AT_A_TIME + 1):
+        ends = points[some[[0, -1]], 0] + (-reach_mm, reach_mm)
+        close = order[slice(*np.searchsorted(along, ends))]
+        if len(close):
+            square = np.zeros((len(some), len(close)))
+            for k in range(points.shape[1]):
+                square += np.square(points[some, None, k] - others[close, k])
+            nearest[some] = close[np.argmin(square, axis=1)]
+    return nearest
+
+
+def _smallest(distance: Array, owner: NDArray[np.integer]) -> NDArray[np.intp]:
     """Return which distances are the smallest tenth of their owner's.
 
     The single smallest would be the one that noise brought nearest.

@@ -20,12 +20,13 @@ from ct_inertia.grey.partial_volume import Share, partial_volume_moments, sensit
 from ct_inertia.grey.preparation import Prepared, blur_of, prepare
 from ct_inertia.grey.shading import as_shares, by_air, by_cupping, by_slope, unweighted_centre
 from ct_inertia.grey.thin_bone import thin_bone
-from ct_inertia.grey.wall import wall_of
+from ct_inertia.grey.wall import share_of_bone, wall_of
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.mask_statistics import gathered
 from ct_inertia.volume.volume import Volume
+from stapeskit.background import Later
 from stapeskit.warnings import Notice
 
 Array = NDArray[np.float64]
@@ -58,13 +59,13 @@ class Measured:
         Voxels over which was integrated.
     plate_face : PlateFace or None
     correlation, air_clipped : float
+    wall : Later of Wall or None
+        Surface of other bone in the box, found in the background.
     notices : tuple of Notice
     doubt : ndarray of float32, [z, y, x], or None
         By how much the share may be wrong at once, where something soft or the plate was taken off.
     coat_share : float or None
         Volume of the subtracted coat's image over that of the stapes.
-    wall : Wall or None
-        Surface of other bone in the box.
     """
 
     moments: Moments
@@ -76,10 +77,10 @@ class Measured:
     plate_face: PlateFace | None
     correlation: float
     air_clipped: float
+    wall: Later[Wall | None]
     notices: tuple[Notice, ...] = ()
     doubt: NDArray[np.float32] | None = None
     coat_share: float | None = None
-    wall: Wall | None = None
 
 
 def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) -> Measured:
@@ -107,6 +108,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
     parted = part_from_neighbours(cut, distances, bare.reach_mm, volume.spacing_mm, levels, bare.blur[0])
     share = _share(cut, parted, air, bone, bare.blur[:2])
     moments, bone, shading = _integrated(share, bone, air, volume, cut)
+    wall = Later(wall_of, cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD)
     through = cut_through_bone(cut, parted, (air.level, bone.level), volume, moments)
     covariance = through.covariance + _by_tails(parted, cut, volume, moments)
     if np.any(covariance):
@@ -122,6 +124,7 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         None if bare.face is None else bare.face.face,
         air.correlation,
         air.clipped,
+        wall,
         (
             *ready.notices,
             *bone.notices,
@@ -132,7 +135,6 @@ def measure(volume: Volume, cut: Cut, guess: Guess, coat: Coat | None = None) ->
         ),
         bare.doubt(parted.own, volume, bone.level - air.level),
         bare.coat_share(parted.own, volume, moments),
-        wall_of(cut, parted, (air, bone), bare.blur[0], volume, _TAIL_SD),
     )
 
 
@@ -271,10 +273,11 @@ def _share(cut: Cut, parted: Parted, air: Air, bone: Bone, blur: tuple[float, fl
 def _field(cut: Cut, parted: Parted, levels: tuple[float, float]) -> NDArray[np.float32]:
     """Return the share of bone of the stapes in each voxel of the box, 0 beyond its own."""
     air, bone = levels
-    share = (cut.grey - np.float32(air)) / np.float32(bone - air)
+    share = share_of_bone(cut.grey, air, bone)
     if parted.foreign is not None:
         share -= parted.foreign
-    return np.where(parted.own, share, np.float32(0.0))
+    share[~parted.own] = 0.0
+    return share
 
 
 def _air_notices(air: Air, bone: Bone) -> list[Notice]:

@@ -48,19 +48,27 @@ def wall_of(
         return None
     air, bone = levels[0].level, levels[1].level
     contrast = neighbour_share(cut, (air, bone))
-    share = (cut.grey - np.float32(air)) / np.float32(bone - air)
+    share = share_of_bone(cut.grey, air, bone)
     if parted.behind is not None:
         share -= parted.behind
-    share = np.where(parted.own, np.float32(0.0) if parted.foreign is None else parted.foreign, share)
+    np.copyto(share, np.float32(0.0) if parted.foreign is None else parted.foreign, where=parted.own)
     share[cut.plate] = 0.0
     near = cut.others
     for _ in range(int(np.ceil(_REACH_SIGMAS * sigma_mm / float(grid.spacing_mm.min())))):
         near = spread(near)
-    own = np.where(near, share / np.float32(contrast), np.float32(0.0))
-    part, transform, variance = coarse_share(own, cut.scan_from_box(grid))
+    share /= np.float32(contrast)
+    share[~near] = 0.0
+    part, transform, variance = coarse_share(share, cut.scan_from_box(grid))
     points, faces = contoured(straightened(part), 0.0)
     if len(faces) == 0:
         return None
     points = points @ transform[:3, :3].T + transform[:3, 3]
     level_sd = 0.5 * float(np.hypot(levels[0].sd, levels[1].sd)) / (bone - air)
     return Wall(points, faces, blur_on_grid(sigma_mm, transform, variance), level_sd, tail_sd)
+
+
+def share_of_bone(grey: NDArray[np.float32], air: float, bone: float) -> NDArray[np.float32]:
+    """Return grey values as the share of bone in each voxel, between the levels of air and bone."""
+    share = grey - np.float32(air)
+    share /= np.float32(bone - air)
+    return share

@@ -330,7 +330,7 @@ def _with_grey(volume: Volume, labels: Volume, options: SearchOptions, coat: Coa
         frame_doubt=doubted_surface(
             measured.share, measured.doubt, cut.scan_from_box(volume), measured.sigma_mm, coarse
         ),
-        wall=measured.wall,
+        wall=measured.wall.result(),
         plate=plate_mesh,
         moments=moments,
         mesh_moments=surface.moments(),

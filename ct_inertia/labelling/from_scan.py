@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -35,9 +34,6 @@ from stapeskit.progress import Tell, silent
 from stapeskit.warnings import unique
 
 Array = NDArray[np.float64]
-
-# Imported while the stapes is cut out, not when it is waited for.
-_NEEDED_LATER = ("numpy.ma", "numpy.random", "ct_inertia.frames.plane_faces", "ct_inertia.frames.plate_frame")
 
 
 def find_bodies(
@@ -81,7 +77,6 @@ def find_bodies(
         volume, glance = volume.cropped(options.box_mm), None
     glance = glance or Later(take_glance, volume)
     sight = look(volume, options, glance.taken())
-    imports = Later(_import, _NEEDED_LATER)
     progress("cutting the stapes out")
     finding = Later(find_plate, sight)
     cut = cut_out(volume, sight, finding.result)
@@ -92,14 +87,7 @@ def find_bodies(
     # The coarse grey values have done their work: the working copy takes their place in memory.
     sight = replace(sight, scan=replace(sight.scan, grey=sight.scan.grey[:0].copy()))
     progress("measuring the stapes")
-    bodies = _assembled(volume, sight, plate, plate_mesh, cut, options, coat)
-    imports.result()
-    return bodies
-
-
-def _import(names: Sequence[str]) -> None:
-    for name in names:
-        import_module(name)
+    return _assembled(volume, sight, plate, plate_mesh, cut, options, coat)
 
 
 def _assembled(
@@ -148,7 +136,7 @@ def _assembled(
         frame_doubt=doubted_surface(
             measured.share, measured.doubt, cut.scan_from_box(grid), measured.sigma_mm, coarse
         ),
-        wall=measured.wall,
+        wall=measured.wall.result(),
         plate=None if plate_mesh is None else plate_mesh.result(),
         moments=moments,
         mesh_moments=stapes.moments(),
