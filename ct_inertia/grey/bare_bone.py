@@ -89,7 +89,7 @@ class BareBone:
         """
         notices: list[Notice] = []
         if self.soft is not None:
-            covariance = by_soft(self.soft, own, self.cut, volume, moments, self.face is not None)
+            covariance = by_soft(self.soft, own, self.cut, volume, moments)
             moments = with_contribution(moments, "surroundings", covariance)
             notices += soft_notices(self.soft, own, volume, moments)
         if self.voids is not None and self.voids.sd > 0.0:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.grey.level_fit import spread
 from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
-from ct_inertia.volume.grids import interpolated
+from ct_inertia.volume.distance import capped_distance
+from ct_inertia.volume.grids import gaussian, interpolated
 from ct_inertia.volume.normal import normal_cdf
 from stapeskit.warnings import Notice
 
@@ -27,6 +27,10 @@ _ROUNDS, _OUTLIER = 6, 3.0
 _CELL_WIDTHS = 6.0
 # Places across an edge, in widths, where the shape is compared; further in, the far side of a wall begins.
 _PLACES = np.arange(-4.4, 1.41, 0.4)
+# Widths of an edge between it and another body, whose own tail is below 0.0013 there.
+_CLEAR_WIDTHS = 3.0
+# Grey value beyond the tails of an edge, as a share of the contrast, above which it is no edge in air.
+_LEAST_MEDIUM = 0.03
 # Standard deviations of a significant departure: a normal variate exceeds 4 with a probability of 6e-5.
 _SIGNIFICANT = 4.0
 # Probability with which an even point spread is called uneven; its deviation from even has five freedoms.
@@ -135,7 +139,10 @@ def edge_shape(
     def share_at(points_mm: Array) -> Array:
         return np.asarray((interpolated(grey, points_mm / edges.spacing_mm) - air) / (bone - air))
 
-    blocked = spread(spread(foreign))
+    far = _CLEAR_WIDTHS * float(np.median(edges.total_mm))
+    blocked = capped_distance(foreign, spacing_mm, far) < far
+    calm = gaussian(grey, 1.0, truncate=3.0)
+    most = air + max(_LEAST_MEDIUM, noise) * (bone - air)
     clean = np.ones(len(edges.total_mm), dtype=bool)
     for _ in range(2):
         fitted = _fit_covariance(edges, clean)
@@ -155,6 +162,8 @@ def edge_shape(
             index = np.rint(across(t) / edges.spacing_mm).astype(np.int64)
             index = np.clip(index, 0, np.array(grey.shape) - 1)
             clean &= ~blocked[tuple(index.T)]
+        # Beyond the tails of bone and of a thin coat lies air, or the edge is one in fluid.
+        clean &= calm[tuple(index.T)] < most
         bent = np.zeros(len(foot))
         for tangent in tangents(edges.inward):
             beside = [share_at(foot + sign * 2.5 * width[:, None] * tangent) for sign in (-1.0, 1.0)]

@@ -38,9 +38,8 @@ _ROUNDS = 5
 _MOST_SOFT = calibrated("soft.densest")
 _CLEAR = calibrated("soft.clear_of_bone")
 _SD = calibrated("soft.sd")
+_LEVEL_SD = calibrated("soft.level_sd")
 _FRAME_SD = calibrated("soft.frame_sd")
-_PLATE_SD = calibrated("soft.plate_sd")
-_TOUCHED = calibrated("soft.touched")
 _MODEL_DOUBT = calibrated("soft.model_doubt")
 _TOLD = calibrated("soft.reported_share")
 
@@ -207,23 +206,19 @@ def _seen(
     return bool(np.count_nonzero(soft) >= _LEAST_CELLS and part > _LEAST_PART)
 
 
-def by_soft(
-    soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments, face: bool
-) -> Array:
+def by_soft(soft: Soft, own: NDArray[np.bool_], cut: Cut, volume: Volume, moments: Moments) -> Array:
     """Return the covariance (10, 10) of the subtracted material, which has a relative standard deviation.
 
     ``own`` [z, y, x] are the voxels of the stapes. Each eighth around the stapes stands for itself, and
-    half of it is common to all. Where the plate is part of it, for no plane face of it could be fitted
-    (``face`` false), less of it is known.
+    half of it is common to all. The level of something faint is known to a larger part of itself.
     """
-    plate = not cut.immersed and bool(np.any(cut.plate & (soft.taken > _TOUCHED)))
-    hard = plate and not face
+    sd = float(np.hypot(_SD, _LEVEL_SD / max(soft.level, _LEVEL_SD)))
     index = np.argwhere(own & (np.abs(soft.taken) > 1e-4))
     covariance = np.zeros((10, 10))
     if len(index) == 0:
         return covariance
     away = volume.scan_points(index[:, ::-1] + cut.first) - moments.centroid_mm
-    amount = soft.taken[tuple(index.T)].astype(float) * volume.voxel_mm3 * (_PLATE_SD if hard else _SD)
+    amount = soft.taken[tuple(index.T)].astype(float) * volume.voxel_mm3 * sd
     steps = sensitivity(away, moments.volume_mm3, 0.0) * amount[:, None]
     octant = (away > np.median(away, axis=0)) @ np.array([1, 2, 4])
     parts = [steps[octant == part].sum(axis=0) for part in range(8)]

@@ -104,3 +104,11 @@ def test_widths_that_differ_by_noise_alone_are_called_uneven_once_in_a_thousand(
 def test_the_least_limit_is_that_of_infinitely_many_cells():
     limit = np.sqrt(chdtri(edge_shape_module._UNEVEN_FREEDOMS, edge_shape_module._FALSE_ALARMS))
     assert limit - 1e-3 < edge_shape_module._LEAST_UNEVEN <= limit
+
+
+@pytest.mark.parametrize("level", [0.07, 0.12])
+def test_edges_in_fluid_are_no_edges_of_the_blur(level):
+    pool = np.where(np.indices(SHAPE)[0] < 28, level * (1.0 - ball()), 0.0)
+    found = measured(gaussian_filter(ball() + pool, 1.3), 0.01)
+    assert not found.softened
+    assert not found.uneven

@@ -40,7 +40,7 @@ def test_a_medium_is_taken_off_to_within_its_stated_sd(bare, level):
     truth = ellipsoid_moments(np.full(3, 0.4))
     middle = np.full(3, 0.5 * 43 * SPACING)
     moments = Moments(truth.volume, middle, truth.second)
-    covariance = by_soft(soft, own, cut, volume_of(share, SPACING), moments, True)
+    covariance = by_soft(soft, own, cut, volume_of(share, SPACING), moments)
     left = (soft.grey - AIR) / (BONE - AIR)
     off = float((left - bare)[own].sum()) * SPACING**3
     added = float((share - bare)[own].sum()) * SPACING**3
