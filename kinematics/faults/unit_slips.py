@@ -23,7 +23,7 @@ _MOST_HZ = 3e5
 # Velocity amplitudes of ears in experiments, m/s. The stapes moves by 0.05 to 0.2 mm/s for each Pa (measured
 # in live and cadaver ears by Chien et al. 2009, doi:10.1016/j.heares.2008.11.011); sound of 50 dB (SPL) makes
 # 1 um/s of that, 130 dB 20 mm/s, and a shaker that moves a whole sample by more does so with 13 g at 1 kHz.
-_SLOWEST, _FASTEST = 1e-6, 20e-3
+SLOWEST, FASTEST = 1e-6, 20e-3
 # Noise of a velocity, m/s: vibrometers of the best resolution have some 10 nm/s in 1 Hz, which 100 averages
 # bring to 1 nm/s.
 _LEAST_NOISE = 1e-9
@@ -78,12 +78,12 @@ def _velocities(measurement: Measurement) -> Iterator[str]:
         return
     size, noise = float(np.max(sizes)), min(noises, default=1.0)
     quiet = 0.0 < noise < _LEAST_NOISE
-    if _SLOWEST < size < _FASTEST and not quiet:
+    if SLOWEST < size < FASTEST and not quiet:
         return
     # Bring the velocity nearest to the middle of what is plausible, by thousands.
-    decades = np.log10(size / np.sqrt(_SLOWEST * _FASTEST))
+    decades = np.log10(size / np.sqrt(SLOWEST * FASTEST))
     power = max(1, round(abs(decades) / 3.0))
-    small = size <= _FASTEST
+    small = size <= FASTEST
     factor, unit = 10.0 ** (3 * power), _QUANTITIES[min(measurement.order, 2)]
     acceleration = size * 2.0 * np.pi * float(np.median(measurement.freq_hz))
     what = f"move by {size:.2g} m/s (median; acceleration {acceleration:.2g} m/s^2)"
@@ -95,7 +95,7 @@ def _velocities(measurement: Measurement) -> Iterator[str]:
     pair = f"{unit} under a header in {finer}" if small else f"{finer} under a header in {unit}"
     yield (
         f"{'bodies' if len(names) > 1 else 'body'} {', '.join(names)} {what}; ears in experiments move by "
-        f"{_SLOWEST:g} to {_FASTEST:g} m/s. The values look {factor:g} times too "
+        f"{SLOWEST:g} to {FASTEST:g} m/s. The values look {factor:g} times too "
         f"{'small' if small else 'large'} for their header, such as {pair}: check it, unless these are "
         "responses per unit of a reference."
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinematics.faults.detectable import POWER
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
@@ -114,6 +115,28 @@ class LaserEstimate:
             return 1.0
         largest = float(np.max(np.abs(self.values[seen]) / np.sqrt(variance[seen])))
         return min(1.0, 2.0 * float(np.sum(seen)) * float(ndtr(-largest)))
+
+    @property
+    def detectable(self) -> Array:
+        """Smallest errors (p,) of one laser, next to the scatter of all, that are found at POWER.
+
+        Infinite for errors of which the data say nothing.
+
+        Notes
+        -----
+        An error b of one of n lasers moves its estimate against the mean of all by b (1 - 1/n) gained, with
+        gained the share of the prior variance that the data take away; ``largest_p_value`` compares that with
+        the standard deviation of an estimate whose prior holds, sd sqrt((1 - 1/n) gained).
+        """
+        from scipy.special import ndtri
+
+        whole = np.diag(self._against_mean)
+        gained = 1.0 - (self.sd / self.prior_sd) ** 2 / whole
+        seen = gained * whole > _LEAST_GAINED
+        if not np.any(seen):
+            return np.full(len(whole), np.inf)
+        needed = float(ndtri(POWER) - ndtri(0.5 * _ALARM_LEVEL / float(np.sum(seen))))
+        return np.where(seen, needed * self.prior_sd / np.sqrt(whole * np.where(seen, gained, 1.0)), np.inf)
 
     @property
     def beyond_belief(self) -> bool:

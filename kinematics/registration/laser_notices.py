@@ -13,7 +13,7 @@ from kinematics.registration.lasers import LaserErrors
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-_UNITS = {"laser_gain": ("gain", 100.0, "%"), "laser_phase": ("phase", 180.0 / np.pi, "°"),
+UNITS = {"laser_gain": ("gain", 100.0, "%"), "laser_phase": ("phase", 180.0 / np.pi, "°"),
           "laser_delay": ("delay", 1e6, "us")}  # fmt: skip
 _LASER_KINDS = ("gain", "phase", "delay")
 
@@ -44,7 +44,7 @@ def laser_notices(lasers: LaserErrors) -> list[Notice]:
     prior = lasers.prior_sd
     worst = int(np.argmax(np.abs(lasers.estimate.values) / prior))
     kind, _, number = lasers.names[worst].partition(".")
-    name, factor, unit = _UNITS[kind]
+    name, factor, unit = UNITS[kind]
     beams = direction_name(lasers.directions[int(number) - 1])
     text = (
         f"the lasers disagree by more than stated: most the {name} of the laser along ({beams}), by "
@@ -60,7 +60,7 @@ def laser_table(lasers: LaserErrors) -> list[tuple[str, float, float, float, str
     rows = []
     for place, full in enumerate(lasers.names):
         kind, _, number = full.partition(".")
-        name, factor, unit = _UNITS[kind]
+        name, factor, unit = UNITS[kind]
         beams = direction_name(lasers.directions[int(number) - 1])
         sizes = (lasers.estimate.values[place], lasers.sd[place], lasers.prior_sd[place])
         value, sd, stated = (float(size) * factor for size in sizes)

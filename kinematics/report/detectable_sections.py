@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from kinematics.faults.detectable import detectable
 from kinematics.faults.detectable_joint import SHIFT_UM, TURN_DEG, Joint, invisible, joint
 from kinematics.faults.diagnose import FALSE_ALARM, MOST_CHANNELS
+from kinematics.faults.unit_slips import FASTEST, SLOWEST
+from kinematics.measurement import direction_name
+from kinematics.registration.laser_notices import UNITS
 from kinematics.report.draw_motion import full_motion
 from stapeskit.page import page
 from stapeskit.page.drawings import shortened
@@ -53,6 +56,7 @@ def _found(result: Points2Dof) -> list[Markup]:
             rows.append((body.body, what, *_typical_and_worst(values, unit, body)))
         rows += _joint_rows(joint(fit, body, q[0, number], alarm), body)
         points += _point_rows(body, [(unit, values) for _, unit, values in kinds])
+    rows += _laser_rows(result)
     if not rows:
         return []
     large = [body.body for body in result.measurement.bodies if len(body.points) > MOST_CHANNELS]
@@ -75,6 +79,24 @@ def _found(result: Points2Dof) -> list[Markup]:
             page.text("The largest of the beams of each point."),
         ),
     ]
+
+
+def _laser_rows(result: Points2Dof) -> list[tuple[str, ...]]:
+    """Return the rows of errors of one laser next to the stated scatter of all."""
+    lasers = result.lasers
+    if lasers is None or any(body.sd is None or body.relative for body in result.measurement.bodies):
+        return []
+    rows: list[tuple[str, ...]] = []
+    sizes = lasers.estimate.detectable.reshape(-1, len(lasers.directions))
+    kinds = dict.fromkeys(name.partition(".")[0] for name in lasers.names)
+    for kind, values in zip(kinds, sizes, strict=True):
+        name, factor, unit = UNITS[kind]
+        worst = int(np.argmax(values))
+        both = (float(np.median(values)), float(values[worst]))
+        cells = [size_of(factor * value, unit) if np.isfinite(value) else "-" for value in both]
+        at = f"beams along ({direction_name(lasers.directions[worst])})"
+        rows.append(("all", f"{name} of a laser", *cells, at))
+    return rows
 
 
 def _joint_rows(chances: Joint, body: BodyChannels) -> list[tuple[str, ...]]:
@@ -118,6 +140,7 @@ def _never(result: Points2Dof) -> list[Markup]:
         rows.append(("one of them", "readings of that body alone in rms instead of peak values", *rms))
     if not rows:
         return []
+    rows.append(("all", "all readings too large by 1 %", *["1 %"] * len(dof)))
     single = any("tilted" in row[1] for row in rows)
     tilt = "" if single else " A tilt of the beams against the points would show, as their directions differ."
     return [
@@ -129,6 +152,12 @@ def _never(result: Points2Dof) -> list[Markup]:
             f"scale of one body {named('mass')}, with which a ligament must join the two. Change (rms over "
             "frequency) of each degree of freedom relative to itself, about the worst axis; proportional to "
             f"the error.{tilt}"
+        ),
+        page.text(
+            "A factor that all readings of all bodies have (the gain of the whole system, amplitudes a "
+            "thousand times too large or too small) changes no K and no D, for these are ratios of motions. "
+            "It is told only where velocities leave the range of ears in experiments, "
+            f"{SLOWEST:g} to {FASTEST:g} m/s."
         ),
     ]
 

@@ -150,3 +150,19 @@ def test_many_directions_are_grouped_without_comparing_all_pairs():
 def test_priors_out_of_range_are_refused(sizes):
     with pytest.raises(KinematicsError):
         LaserPriors(*sizes)
+
+
+def test_a_laser_that_is_off_by_as_much_as_the_report_says_is_mostly_found():
+    found = dict.fromkeys((0.3, 1.0), 0)
+    for seed in range(40):
+        rng = np.random.default_rng([seed, 5])
+        scatter = 0.01 * rng.normal(size=3)
+        clean, _ = measured(seed, gain=tuple(scatter))
+        least = float(points2dof(clean).lasers.estimate.detectable[0])
+        assert 0.055 < least < 0.065  # (3.26 + 1.64) / sqrt(2 / 3) %
+        for share in found:
+            gain = scatter + share * least * np.eye(3)[seed % 3] * rng.choice([-1.0, 1.0])
+            result = points2dof(measured(seed, gain=tuple(gain))[0])
+            found[share] += any(channel.verdict != "ok" for channel in result.channels)
+    assert found[1.0] >= 35
+    assert found[0.3] <= 10
