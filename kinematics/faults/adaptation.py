@@ -87,16 +87,16 @@ class Correction:
         return replace(measurement, bodies=(*bodies[: self.body], body, *bodies[self.body + 1 :]))
 
     def _body(self, measurement: Measurement, body: BodyChannels) -> BodyChannels:
-        found, fault, own = self.finding, self.fault, self.channels
+        finding, fault, own = self.finding, self.fault, self.channels
         if self.action == LEFT_OUT:
             return _with_readings(body, self.run, own, np.nan)
         if self.action == RAISED:
-            return _louder(measurement, body, self.run, own, found.size)
-        if found.remedied is not None:
+            return _louder(measurement, body, self.run, own, finding.size)
+        if finding.remedied is not None:
             every = list(range(len(body.points)))
-            return _with_readings(body, self.run, every, found.remedied)
+            return _with_readings(body, self.run, every, finding.remedied)
         if fault is None:
-            return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * found.size))
+            return replace(body, position_sd_mm=np.fmax(body.position_sd_mm, 1e3 * finding.size))
         if len(self.factor):
             values = body.displacement[self.run, own] / self.factor[0]
             body = _with_readings(body, self.run, own, values)
@@ -155,28 +155,31 @@ def corrections_of(
     found in several runs the mean is used, weighted by the information.
     """
     seen = {(earlier.body, channel) for earlier in before for channel in earlier.channels}
-    made: list[Correction] = []
+    corrections: list[Correction] = []
     for (run, number), diagnosis in sorted(diagnoses.items()):
         fit = fits[run, number]
-        for found in diagnosis.findings:
-            again = any((number, channel) in seen for channel in found.channels)
-            correction = _correction(placed, fit, (run, number), found, again)
+        for finding in diagnosis.findings:
+            again = any((number, channel) in seen for channel in finding.channels)
+            correction = _correction(placed, fit, (run, number), finding, again)
             if correction is None:
                 continue
-            other = next((k for k, kept in enumerate(made) if _same_geometry(kept, correction)), None)
+            other = next(
+                (k for k, chosen in enumerate(corrections) if _same_geometry(chosen, correction)),
+                None,
+            )
             if other is not None:
-                made[other] = _pooled(made[other], correction)
-            elif not any(_overlap(kept, correction) for kept in made):
-                made.append(correction)
-    return made
+                corrections[other] = _pooled(corrections[other], correction)
+            elif not any(_overlap(chosen, correction) for chosen in corrections):
+                corrections.append(correction)
+    return corrections
 
 
-def _general(found: Finding) -> Finding | None:
+def _general(finding: Finding) -> Finding | None:
     """Return, of kinds of fault at one place that contain each other, the one that contains all."""
-    suspects = [suspect for suspect in (found, *found.rivals) if suspect.kind in KINDS and suspect.fit]
-    if not found.rivals or len(suspects) <= len(found.rivals):
+    suspects = [suspect for suspect in (finding, *finding.rivals) if suspect.kind in KINDS and suspect.fit]
+    if not finding.rivals or len(suspects) <= len(finding.rivals):
         return None
-    if any(suspect.channels != found.channels for suspect in suspects):
+    if any(suspect.channels != finding.channels for suspect in suspects):
         return None
     every = {tangent for suspect in suspects for tangent in KINDS[suspect.kind].tangents}
     return next(
@@ -185,72 +188,80 @@ def _general(found: Finding) -> Finding | None:
     )
 
 
-def _overlap(one: Correction, two: Correction) -> bool:
+def _overlap(first: Correction, second: Correction) -> bool:
     """Return whether two corrections concern the same channels, in one run or through the geometry."""
-    if one.body != two.body or not set(one.channels) & set(two.channels):
+    if first.body != second.body or not set(first.channels) & set(second.channels):
         return False
-    both_values = one.run != two.run and all(c.fault is None or len(c.factor) for c in (one, two))
-    return not both_values and one.finding.remedied is None and two.finding.remedied is None
+    both_values = first.run != second.run and all(c.fault is None or len(c.factor) for c in (first, second))
+    return not both_values and first.finding.remedied is None and second.finding.remedied is None
 
 
-def _same_geometry(one: Correction, two: Correction) -> bool:
-    a, b = one.fault, two.fault
-    same = a is not None and b is not None and (one.body, a.kind) == (two.body, b.kind)
-    return same and one.channels == two.channels and not len(one.factor) and one.estimate != ""
+def _same_geometry(first: Correction, second: Correction) -> bool:
+    first_fault, second_fault = first.fault, second.fault
+    same = (
+        first_fault is not None
+        and second_fault is not None
+        and (first.body, first_fault.kind) == (second.body, second_fault.kind)
+    )
+    return same and first.channels == second.channels and not len(first.factor) and first.estimate != ""
 
 
-def _pooled(one: Correction, two: Correction) -> Correction:
+def _pooled(first: Correction, second: Correction) -> Correction:
     """Return the mean of two estimates of one error, weighted by their information."""
-    if not len(one.parameters):
-        return one
-    first, second = (np.linalg.pinv(c.covariance, rcond=1e-12, hermitian=True) for c in (one, two))
-    covariance = np.linalg.pinv(first + second, rcond=1e-12, hermitian=True)
-    mean = covariance @ (first @ one.parameters + second @ two.parameters)
-    return replace(one, parameters=mean, covariance=covariance)
+    if not len(first.parameters):
+        return first
+    first_information, second_information = (
+        np.linalg.pinv(c.covariance, rcond=1e-12, hermitian=True) for c in (first, second)
+    )
+    covariance = np.linalg.pinv(first_information + second_information, rcond=1e-12, hermitian=True)
+    mean = covariance @ (first_information @ first.parameters + second_information @ second.parameters)
+    return replace(first, parameters=mean, covariance=covariance)
 
 
 def _correction(
-    placed: Measurement, fit: LineFit, key: Key, found: Finding, again: bool
+    placed: Measurement, fit: LineFit, key: Key, finding: Finding, again: bool
 ) -> Correction | None:
     run, number = key
     body = placed.bodies[number]
-    verdict, estimate = describe(found, body)
-    first = Correction(run, number, list(found.channels), CORRECTED, verdict, estimate, found)
-    if found.remedied is not None or (found.kind == "position" and found.fit is None and found.size > 0.0):
-        return None if again and found.remedied is None else first
-    if found.kind == "flexible" or found.code:
+    verdict, estimate = describe(finding, body)
+    corrected = Correction(run, number, list(finding.channels), CORRECTED, verdict, estimate, finding)
+    if finding.remedied is not None or (
+        finding.kind == "position" and finding.fit is None and finding.size > 0.0
+    ):
+        return None if again and finding.remedied is None else corrected
+    if finding.kind == "flexible" or finding.code:
         return None
-    if found.kind == "noise" and not again:
-        return replace(first, action=RAISED)
-    if found.fit is None or found.rivals or again or not _determined(found, fit.beams.lever_m):
-        out = sorted({c for suspect in (found, *found.rivals) for c in suspect.channels})
+    if finding.kind == "noise" and not again:
+        return replace(corrected, action=RAISED)
+    if finding.fit is None or finding.rivals or again or not _determined(finding, fit.beams.lever_m):
+        out = sorted({c for suspect in (finding, *finding.rivals) for c in suspect.channels})
         if _spares(body, fit, out):
-            return replace(first, action=LEFT_OUT, channels=out)
-        general = None if again else _general(found)
+            return replace(corrected, action=LEFT_OUT, channels=out)
+        general = None if again else _general(finding)
         return None if general is None else _correction(placed, fit, key, general, again)
-    fault, p = found.fit.fault, found.fit.parameters
-    covariance = found.fit.covariance
-    stated = np.nan_to_num(body.position_sd_mm[found.channels[0]]) * 1e-3
+    fault, p = finding.fit.fault, finding.fit.parameters
+    covariance = finding.fit.covariance
+    stated = np.nan_to_num(body.position_sd_mm[finding.channels[0]]) * 1e-3
     if fault.kind == "position" and stated > 0.0:
         # Next to the fault the stated error of the point itself is free within its prior, and adds that.
         values, vectors = np.linalg.eigh(covariance - stated**2 * np.eye(len(p)))
         covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return replace(
-        first,
+        corrected,
         parameters=p,
         covariance=covariance,
-        factor=found.fit.factor_at(placed.freq_hz),
+        factor=finding.fit.factor_at(placed.freq_hz),
         arms_m=body.positions_mm * 1e-3,
         directions=body.directions,
     )
 
 
-def _determined(found: Finding, lever_m: float) -> bool:
+def _determined(finding: Finding, lever_m: float) -> bool:
     """Return whether the size of a fault is known better than by what is common."""
-    if found.fit is None or not len(found.fit.parameters):
+    if finding.fit is None or not len(finding.fit.parameters):
         return True
-    scale = found.fit.fault.scale(lever_m)
-    scaled = found.fit.covariance / np.outer(scale, scale)
+    scale = finding.fit.fault.scale(lever_m)
+    scaled = finding.fit.covariance / np.outer(scale, scale)
     return bool(np.max(np.linalg.eigvalsh(scaled)) < 1.0)
 
 
@@ -265,7 +276,7 @@ def _spares(body: BodyChannels, fit: LineFit, out: list[int]) -> bool:
 
 def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) -> dict[Key, Diagnosis]:
     """Return diagnoses that name what was corrected, too, as it was found."""
-    made = dict(diagnoses)
+    named = dict(diagnoses)
     for correction in corrections:
         key = (correction.run, correction.body)
         words = f"{correction.estimate}; {correction.action}"
@@ -273,22 +284,22 @@ def shown(corrections: Iterable[Correction], diagnoses: dict[Key, Diagnosis]) ->
         finding = replace(
             correction.finding, kind=correction.verdict, fit=None, rivals=(), text=words, step=step
         )
-        made[key] = replace(made[key], findings=(finding, *made[key].findings))
-    return made
+        named[key] = replace(named[key], findings=(finding, *named[key].findings))
+    return named
 
 
 def correction_notices(placed: Measurement, corrections: Iterable[Correction]) -> list[Notice]:
     """Return one warning for each correction."""
-    made = []
+    notices = []
     for correction in corrections:
         body = placed.bodies[correction.body]
         where = f" in run {placed.runs[correction.run]}" if len(placed.runs) > 1 else ""
         whole = len(correction.channels) == len(body.points)
         names = f"body {body.body}" if whole else channel_list(correction.channels, body)
-        made.append(
+        notices.append(
             Notice(
                 "corrected",
                 f"{names}{where}: {correction.verdict}, {correction.estimate}; {correction.action}.",
             )
         )
-    return made
+    return notices

@@ -180,8 +180,8 @@ class _Diagnose:
         """Return data of unknown noise with weights by their residuals."""
         if self.known:
             return data
-        made, self.spread = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
-        return made
+        weighted, self.spread = equalise_noise(data, Nuisance.of(data, self.prior, self.lasers))
+        return weighted
 
     def prepared(self, data: Packed, share: float = 1.0) -> Search:
         """Search data with the noise that residuals show, where it is unknown or shared within points."""
@@ -190,10 +190,10 @@ class _Diagnose:
         white = with_point_noise(search.state, search.noise) if self.mixes else data
         return search if white is data else self.searched(white, share)
 
-    def after(self, data: Packed, found: Finding, findings: list[Finding]) -> Search:
+    def after(self, data: Packed, culprit: Finding, findings: list[Finding]) -> Search:
         """Search data without a finding, their noise as it shows without the culprits."""
-        left = adapted(data, found)
-        if found.kind == "noise" or (self.known and left.whiten is None):
+        left = adapted(data, culprit)
+        if culprit.kind == "noise" or (self.known and left.whiten is None):
             return self.searched(left, _NEXT)
         return self.prepared(left.under(self._as_stated(left.assumed, findings)), _NEXT)
 
@@ -202,9 +202,9 @@ class _Diagnose:
         if self.known:
             return replace(assumed, correlation=None)
         loud = np.where(np.isfinite(assumed.loud), 1.0, np.inf)
-        for found in findings:
-            if found.kind == "noise":
-                loud[found.channels] *= found.size
+        for finding in findings:
+            if finding.kind == "noise":
+                loud[finding.channels] *= finding.size
         return replace(assumed, loud=loud, level=np.ones(1), correlation=None)
 
     def run(self, data: Packed) -> Diagnosis:
@@ -216,16 +216,16 @@ class _Diagnose:
         search = first
         kept = 1.0
         while True:
-            found = search.best()
-            if found is None:
+            culprit = search.best()
+            if culprit is None:
                 break
-            if found.kind == "flexible":
-                found = self._single(current, found, findings)
-            if found.kind == "flexible" or len(findings) >= self.most:
-                body = found if not findings and found.kind == "flexible" else first.flexible()
+            if culprit.kind == "flexible":
+                culprit = self._single(current, culprit, findings)
+            if culprit.kind == "flexible" or len(findings) >= self.most:
+                body = culprit if not findings and culprit.kind == "flexible" else first.flexible()
                 return self._many(first, search, data, findings, body)
-            findings = joined(findings, found)
-            search = self.after(current, found, findings)
+            findings = joined(findings, culprit)
+            search = self.after(current, culprit, findings)
             current = search.data
             if len(findings) == 1 and findings[0].owner != "body":
                 kept = search.excess() / max(first.excess(), 1e-300)
@@ -236,9 +236,9 @@ class _Diagnose:
         if len(findings) > 1:
             spread = self._scattered(first, findings)
             if spread is not None:
-                return _made((spread,), first, first)
+                return _diagnosis((spread,), first, first)
             findings = self._again(_as_quiet(data, current, findings), findings)
-        return _made(tuple(findings), first, search, kept)
+        return _diagnosis(tuple(findings), first, search, kept)
 
     def _many(
         self, first: Search, last: Search, data: Packed, findings: list[Finding], otherwise: Finding
@@ -247,29 +247,29 @@ class _Diagnose:
         spread = self._scattered(first, findings)
         pair = None if spread is not None else self._masked(first, data)
         if pair is not None:
-            return _made(tuple(pair[0]), first, pair[1], 0.0)
-        return _made((spread or otherwise,), first, last)
+            return _diagnosis(tuple(pair[0]), first, pair[1], 0.0)
+        return _diagnosis((spread or otherwise,), first, last)
 
-    def _single(self, data: Packed, found: Finding, findings: list[Finding]) -> Finding:
+    def _single(self, data: Packed, bending: Finding, findings: list[Finding]) -> Finding:
         """Return a fault at one place that leaves nothing to be found, instead of a body that bends."""
-        for other in found.rivals:
+        for other in bending.rivals:
             if self.after(data, other, findings).clean():
                 return other
-        return found
+        return bending
 
     def _again(self, data: Packed, findings: list[Finding]) -> list[Finding]:
         """Judge every finding again, the others gone."""
-        made: list[Finding] = []
+        confirmed: list[Finding] = []
         for number, finding in enumerate(findings):
             others = data
-            for other in [*made, *findings[number + 1 :]]:
+            for other in [*confirmed, *findings[number + 1 :]]:
                 others = adapted(others, other)
-            found = self.searched(others).best()
-            if found is not None and set(found.channels) & set(finding.channels):
-                made.append(found if found.kind != "flexible" else finding)
-            elif found is not None:
-                made.append(finding)
-        return made
+            again = self.searched(others).best()
+            if again is not None and set(again.channels) & set(finding.channels):
+                confirmed.append(again if again.kind != "flexible" else finding)
+            elif again is not None:
+                confirmed.append(finding)
+        return confirmed
 
     def _account_for_it(self, first: Search, after: Search, findings: list[Finding]) -> bool:
         """Return whether findings, undone by their estimates, leave hardly more than noise.
@@ -300,13 +300,13 @@ class _Diagnose:
         size, gain = likeliest_size(score / first.scale, information / first.scale, sizes)
         if not _MORE * float(np.max(self.prior, initial=0.0)) < size < lever:
             return None
-        fits = [found.fit for found in findings if found.fit is not None]
+        fits = [finding.fit for finding in findings if finding.fit is not None]
         if gain < sum(fit.drop / first.scale - _PER_PARAMETER * (1 + fit.fault.size) for fit in fits):
             return None
         if not self.searched(first.data, prior=np.full(len(self.prior), size)).clean():
             return None
         text = f"positions of all points off by about {size * 1e3:.2g} mm (standard deviation per axis)"
-        p = min((found.p_value for found in [*findings, first.flexible()]), default=1.0)
+        p = min((finding.p_value for finding in [*findings, first.flexible()]), default=1.0)
         return Finding("position", list(first.live), p, None, size, text=text)
 
     def _masked(self, first: Search, data: Packed) -> tuple[list[Finding], Search] | None:
@@ -316,29 +316,32 @@ class _Diagnose:
         -----
         Faults that drift are left: two of them have enough parameters to pass for a body that bends.
         """
-        for one, two in masking_pairs(first):
-            if not can_lose(data, [one, two]):
+        for first_channel, second_channel in masking_pairs(first):
+            if not can_lose(data, [first_channel, second_channel]):
                 continue
-            last = self.searched(data.under(data.assumed.without([one, two])))
+            last = self.searched(data.under(data.assumed.without([first_channel, second_channel])))
             if not last.clean():
                 continue
-            alone = [self.searched(data.under(data.assumed.without([c]))).best() for c in (two, one)]
-            found = [other for other in alone if other is not None and other.fit is not None]
-            if any(other.kind == "drift" for other in found):
+            alone = [
+                self.searched(data.under(data.assumed.without([c]))).best()
+                for c in (second_channel, first_channel)
+            ]
+            pair = [other for other in alone if other is not None and other.fit is not None]
+            if any(other.kind == "drift" for other in pair):
                 continue
-            if [other.channels for other in found] != [[one], [two]]:
+            if [other.channels for other in pair] != [[first_channel], [second_channel]]:
                 continue
-            if self._account_for_it(first, self.searched(corrected(data, found)), found):
-                return found, last
+            if self._account_for_it(first, self.searched(corrected(data, pair)), pair):
+                return pair, last
         return None
 
 
 def _as_quiet(data: Packed, left: Packed, findings: list[Finding]) -> Packed:
     """Return data with the noise that was found without the culprits."""
     loud = np.where(np.isfinite(left.assumed.loud), left.assumed.loud, data.assumed.loud)
-    for found in findings:
-        if found.kind == "noise":
-            loud[found.channels] = data.assumed.loud[found.channels]
+    for finding in findings:
+        if finding.kind == "noise":
+            loud[finding.channels] = data.assumed.loud[finding.channels]
     assumed = replace(data.assumed, loud=loud, level=left.assumed.level, correlation=left.assumed.correlation)
     return data.under(assumed)
 
@@ -361,7 +364,7 @@ def _own_course(search: Search, channel: int, scale: float) -> bool:
     return bool(left < _SURE * scale * np.sqrt(max(number, 1)) or left < _SHARE * whole)
 
 
-def _made(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:
+def _diagnosis(findings: tuple[Finding, ...], first: Search, last: Search, kept: float = 1.0) -> Diagnosis:
     whole = any(finding.kind == "flexible" for finding in findings)
     energy = first.energy.copy()
     if not whole:

@@ -76,28 +76,28 @@ def label_findings(
     doi:10.1214/aos/1176344136) below the best real change of the rows and the best course of a factor over
     frequency, the faults that a single point can have.
     """
-    motions = {key: found for key, found in motions.items() if found.level > 0.0}
+    motions = {key: motion for key, motion in motions.items() if motion.level > 0.0}
     suspects = [
-        made
+        suspect
         for home in motions.values()
         for channels in home.suspects
-        if (made := _suspect(home, channels, motions)) is not None
+        if (suspect := _suspect(home, channels, motions)) is not None
     ]
-    found: dict[Key, list[Finding]] = {}
+    findings: dict[Key, list[Finding]] = {}
     for suspect, place, score in _with_reverse(_paired(suspects), motions):
         home = suspect.home
         text = _told(suspect, place, runs, freq_hz)
         p = float(np.exp(-min(suspect.own - score, 700.0)) * len(suspect.places))
         kind = "sign" if place.kind == "conjugate" else "label_swap"
         finding = Finding(kind, list(suspect.channels), min(p, 1.0), text=text)
-        found.setdefault((home.run, home.number), []).append(finding)
-    return found
+        findings.setdefault((home.run, home.number), []).append(finding)
+    return findings
 
 
 def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[_Entry]:
     """Add the rows that were exchanged with others, where a fault of their own would explain them as well."""
     taken = {(s.home.run, s.home.number, c) for s, _, _ in chosen for c in s.channels}
-    made = list(chosen)
+    both_ways = list(chosen)
     for suspect, place, _ in chosen:
         other = place.at
         if place.kind != "run" or any((other.run, other.number, c) in taken for c in suspect.channels):
@@ -111,8 +111,8 @@ def _with_reverse(chosen: list[_Entry], motions: Mapping[Key, Cleared]) -> list[
             entry = _Suspect(
                 other, suspect.channels, {}, _places(other, arms, motions), own, own / other.level
             )
-            made.append((entry, back, score / level))
-    return made
+            both_ways.append((entry, back, score / level))
+    return both_ways
 
 
 def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cleared]) -> _Suspect | None:
@@ -139,18 +139,18 @@ def _suspect(home: Cleared, channels: tuple[int, ...], motions: Mapping[Key, Cle
 def _places(home: Cleared, arms: Array, motions: Mapping[Key, Cleared]) -> list[_Place]:
     if len(home.lines) == 2:
         return [_Place("lines", home, arms)]
-    made = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
-    made += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
+    places = [_Place("conjugate", home, arms, sign=sign) for sign in (1, -1)]
+    places += [_Place("shift", home, arms, shift=s) for s in range(-REACH, REACH + 1) if s]
     for (run, number), other in motions.items():
         if number == home.number and run != home.run:
-            made.append(_Place("run", other, arms))
+            places.append(_Place("run", other, arms))
         if number != home.number and run == home.run:
-            made.append(_Place("body", other, arms))
+            places.append(_Place("body", other, arms))
             names = other.body.points
             for point in dict.fromkeys(names):
                 partner = tuple(c for c, name in enumerate(names) if name == point)
-                made.append(_Place("point", other, other.body.positions_mm[partner[0]] * 1e-3, partner))
-    return made
+                places.append(_Place("point", other, other.body.positions_mm[partner[0]] * 1e-3, partner))
+    return places
 
 
 def _expected(
@@ -211,43 +211,43 @@ def _fault_of_its_own(home: Cleared, channels: tuple[int, ...], arms: Array) -> 
 
 def _left(columns: NDArray[Any], value: NDArray[Any]) -> float:
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    found = np.linalg.lstsq(columns / scale, value, rcond=1e-10)[0]
-    return float(np.sum(np.abs(value - columns / scale @ found) ** 2))
+    coefficients = np.linalg.lstsq(columns / scale, value, rcond=1e-10)[0]
+    return float(np.sum(np.abs(value - columns / scale @ coefficients) ** 2))
 
 
 def _paired(suspects: list[_Suspect]) -> list[_Entry]:
     """Choose where each suspect belongs: two that belong to each other's places before all others."""
-    made: list[tuple[float, list[tuple[int, _Place, float]]]] = []
+    candidates: list[tuple[float, list[tuple[int, _Place, float]]]] = []
     for number, suspect in enumerate(suspects):
         for k, score in suspect.scores.items():
             place = suspect.places[k]
             if place.kind != "point":
-                made.append((score - suspect.bar, [(number, place, score)]))
+                candidates.append((score - suspect.bar, [(number, place, score)]))
                 continue
-            for other, one in enumerate(suspects[number + 1 :], start=number + 1):
-                back = _back(suspect, place, one)
+            for other, partner in enumerate(suspects[number + 1 :], start=number + 1):
+                back = _back(suspect, place, partner)
                 if back is not None:
-                    total = score - suspect.bar + one.scores[back] - one.bar
-                    both = [(number, place, score), (other, one.places[back], one.scores[back])]
-                    made.append((total, both))
+                    total = score - suspect.bar + partner.scores[back] - partner.bar
+                    both = [(number, place, score), (other, partner.places[back], partner.scores[back])]
+                    candidates.append((total, both))
     taken: set[int] = set()
     chosen: list[_Entry] = []
-    for _, entries in sorted(made, key=lambda entry: entry[0]):
+    for _, entries in sorted(candidates, key=lambda entry: entry[0]):
         if not taken & {entry[0] for entry in entries}:
             taken |= {entry[0] for entry in entries}
             chosen += [(suspects[number], place, score) for number, place, score in entries]
     return chosen
 
 
-def _back(one: _Suspect, place: _Place, two: _Suspect) -> int | None:
-    """Return the place of ``two`` that is the point of ``one`` when ``place`` is the point of ``two``."""
-    if place.at is not two.home or not set(two.channels) <= set(place.partner):
+def _back(suspect: _Suspect, place: _Place, partner: _Suspect) -> int | None:
+    """Return the place of ``partner`` at the suspect's point, when ``place`` is the point of ``partner``."""
+    if place.at is not partner.home or not set(partner.channels) <= set(place.partner):
         return None
-    if len(one.channels) != len(two.channels):
+    if len(suspect.channels) != len(partner.channels):
         return None
-    for k in two.scores:
-        back = two.places[k]
-        if back.kind == "point" and back.at is one.home and set(one.channels) <= set(back.partner):
+    for k in partner.scores:
+        back = partner.places[k]
+        if back.kind == "point" and back.at is suspect.home and set(suspect.channels) <= set(back.partner):
             return k
     return None
 
