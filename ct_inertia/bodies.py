@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.background import Later
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Numbers of the bodies in label volumes, written and read.
 BACKGROUND, STAPES, PLATE, OTHER_BONE = 0, 1, 2, 3
 # Voxels a slab of labels that is read at a time: 4 MB.

@@ -23,7 +23,6 @@ from fitting.uncertainty.identifiability import relative_sizes
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 AUTO, LOAD = "auto", "load"
 # Level of the test of a load by motion outside the model: 1 of 1000 fits without a load takes it.
 _LEVEL = 0.999

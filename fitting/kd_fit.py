@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.budget import Budget, Derived
 from fitting.causes.diagnosis import Diagnosis
@@ -24,9 +23,8 @@ from fitting.model.symmetric import entry_names, join, split
 from fitting.options import KDOptions
 from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.identifiability import Identifiability
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.kd import fit_kd
 from fitting.montecarlo import monte_carlo
 from fitting.options import KDOptions
 from fitting.results import KDResult
+from stapeskit.arrays import Array
 from stapeskit.option_values import WithSd
 from stapeskit.results import extended
 from stapeskit.warnings import Notice, unique
@@ -21,8 +21,6 @@ from stapeskit.warnings import Notice, unique
 if TYPE_CHECKING:
     from stapeskit.records.mass_record import MassMatrix, MassRecord
     from stapeskit.records.motion import RigidMotion
-
-Array = NDArray[np.float64]
 
 
 def kd_of(

@@ -22,12 +22,10 @@ from fitting.model.lines import Lines, motion_rows
 from fitting.model.model import modes
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import ATTENUATION, JOINED_FRAME
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page import page
 from stapeskit.page.page import Section
 from stapeskit.spatial import DOF_NAMES, dof_indices
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.export_formats import exported, file_name
 from fitting.kd_fit import KDFit
 from fitting.montecarlo import MonteCarlo, monte_carlo_json, monte_carlo_section
+from stapeskit.arrays import Array
 from stapeskit.results import Result
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from stapeskit.option_values import WithSd
     from stapeskit.page.page import Section
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import BodyChannels, LeftOut, Measurement, direction_name
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.options import near
 
-Array = NDArray[np.float64]
 # Beams are written with three decimals in messages; two different lasers are farther apart.
 _SAME_BEAM = 2e-3
 _LISTED = 8

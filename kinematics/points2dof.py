@@ -38,8 +38,6 @@ from stapeskit.records.mass_record import MassRecord
 from stapeskit.records.motion import STORED, RigidMotion
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Points2Dof:

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kinematics.errors import KinematicsError
 from kinematics.faults.across.all_bodies import told_across
 from kinematics.faults.adaptation import Correction, corrections_of
@@ -21,10 +18,10 @@ from kinematics.fit.body_noise import with_noise
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels, Measurement
 from kinematics.registration.lasers import Lasers
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Rounds of correcting and searching again; a search finds several faults itself.
 _ROUNDS = 3
 

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.vocabulary import named
 
-Array = NDArray[np.float64]
 # Matrices written with seven digits pass.
 _ROTATION_TOLERANCE = 1e-6
 

@@ -7,12 +7,11 @@ All lengths here are in m, as everything that enters a matrix.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.frames import cross_matrix
-
-Array = NDArray[np.float64]
 
 DOF_NAMES: tuple[str, ...] = ("x", "y", "z", "alpha", "beta", "gamma")
 DOF_UNITS: dict[str, str] = dict.fromkeys(DOF_NAMES[:3], "m") | dict.fromkeys(DOF_NAMES[3:], "rad")

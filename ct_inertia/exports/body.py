@@ -7,17 +7,15 @@ from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import central_tensor
 
 if TYPE_CHECKING:
     from ct_inertia.ct2mass import MassMeasurement
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.surface.surface_field import Diffusion, Patch, step_response
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 _SI = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
 
 

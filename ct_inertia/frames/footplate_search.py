@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.surface.surface_field import Mesh
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Directions over the sphere: 12 degrees apart, half the cone of a face, then 6 degrees apart within
 # 10 degrees of the best, which covers the cell of a coarse direction.

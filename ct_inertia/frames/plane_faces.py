@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.footplate_search import sphere
 from ct_inertia.surface.surface_field import Mesh
+from stapeskit.arrays import Array
 from stapeskit.frames import rotation_from_vector
 
 if TYPE_CHECKING:
     from ct_inertia.frames.footplate import SurfaceLike
 
-Array = NDArray[np.float64]
 
 _CONE_DEG = calibrated("plane_faces.cone_deg")
 _LAYER_MM = calibrated("plane_faces.layer_mm")

@@ -13,9 +13,8 @@ from ct_inertia.grey.cupping import LEAST_RMS, Cupping, deep_cupping_notice, fin
 from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.normal import normal_cdf
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 _GOOD_BONE_SD = calibrated("bone_level.good_sd")
 _DEEPER = calibrated("bone_level.deeper")

@@ -6,16 +6,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.bodies import STAPES
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
     from ct_inertia.bodies import Bodies
 
-Array = NDArray[np.float64]
 
 # Depth below the surface, in standard deviations of the blur, from which bone is pure: 0.1 % of air is left.
 _DEPTH_SIGMAS = 3.0

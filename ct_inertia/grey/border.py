@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 CODE = "touches_border"
 

@@ -15,10 +15,10 @@ from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 BARE = "bare_bone_assumed"
 
 # Mucosa of the middle ear: 20 to 50 um thick, attenuates like water, 10 to 20 % of the contrast of bone and

@@ -13,8 +13,7 @@ from ct_inertia.surface.isosurface import iso_surface
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.normal import normal_quantile
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Largest blocks, mm: the scale of the normals in the definition of the frame (footplate_face).
 _GRID_MM = 0.05

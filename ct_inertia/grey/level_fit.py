@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ct_inertia.calibrated import calibrated
 from ct_inertia.native import checked, compiled, shape_of
 from ct_inertia.volume.grids import gaussian
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Samples of a voxel along each axis, and the range of grey values (share of the contrast) over which a sample
 # changes from outside to inside: about what changes across its own width.

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.native import compiled
 from ct_inertia.surface.moments import Moments
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Voxels a piece: ten values each, 4 MB.
 _PIECE = 50_000
 # About how many voxels covariances are summed over, thinned evenly: a sum of so many is off by 0.3 % of the

@@ -12,8 +12,8 @@ from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Distance from the face, in standard deviations of its blur, from which it changes no grey value (0.02 %).
 _WIDTHS = 3.5
 _DISPLACED_SD = calibrated("plate_face_doubt.displaced_sd")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 Grey = NDArray[np.float32]
 
 # A Gaussian ends here, in widths: the rest is 3e-7.

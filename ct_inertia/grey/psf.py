@@ -12,8 +12,8 @@ from ct_inertia.native import compiled, shape_of
 from ct_inertia.volume.grids import interpolated
 from ct_inertia.volume.mask_statistics import places_between
 from ct_inertia.volume.normal import normal_quantile
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Reach of the Gaussian gradient in its standard deviations: 0.03 % of its weight is cut off.
 _REACH_WIDTHS = 3.6
 # Most edge voxels that are measured: for time only.

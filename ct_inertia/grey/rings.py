@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.bodies import Levels
 from ct_inertia.calibrated import calibrated
 from ct_inertia.grey.level_fit import spread
 from ct_inertia.segment.cutting import Cut
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # Rings are named from this size on (share of the contrast of bone and air), and when they stand out of noise
 # so many times.

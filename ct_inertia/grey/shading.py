@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.grey.bone_level import Bone
 from ct_inertia.grey.cupping import Cupping
@@ -12,8 +11,7 @@ from ct_inertia.grey.partial_volume import Share, sensitivity
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.volume import Volume
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def unweighted_centre(moments: Moments, bone: Bone, air: float, volume: Volume, cut: Cut) -> Array:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Values looked at for the step; more different ones than this have none that matters.
 _SAMPLE, _MOST_STEPS = 400_000, 4096

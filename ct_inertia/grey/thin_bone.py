@@ -12,8 +12,6 @@ from ct_inertia.grey.bone_level import Bone, bone_of
 from ct_inertia.grey.level_fit import BodyFit, blurred
 from ct_inertia.grey.levels import Air, Surroundings
 
-Array = NDArray[np.float64]
-
 _NEARLY = calibrated("thin_bone.fitted_share")
 _MORE_NEARLY = calibrated("thin_bone.compared_share")
 _LEAST = calibrated("thin_bone.least_voxels")

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Walls thicker than this many widths of the blur have faces that do not see each other (3e-5 of a width).
 _THICK = 5.0

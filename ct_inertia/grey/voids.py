@@ -15,9 +15,9 @@ from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.grids import dilated, labelled, used_box
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 

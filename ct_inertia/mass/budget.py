@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.mass.voxel_scale import SCANNER_WORDS
+from stapeskit.arrays import Array
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.spatial import parameter_basis
-
-Array = NDArray[np.float64]
 
 
 def budget(matrix: MassMatrix) -> dict[str, dict[str, Any]]:

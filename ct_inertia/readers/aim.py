@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import check_positive, density_notice, header_fault
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_volume
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _V030 = b"AIMDATA_V030"
 _TYPES = {
     0x00010001: "<i1",

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.readers.checks import mm_per_unit
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 _UM = "µm"
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.readers.checks import mm_per_unit, settle_spacing
 from ct_inertia.readers.formats import ReadOptions
@@ -16,13 +15,12 @@ from ct_inertia.readers.tiff_log import listening
 from ct_inertia.readers.tiff_pages import stack_array, turned_notice, white_is_zero
 from ct_inertia.volume.blocks import turned
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
 if TYPE_CHECKING:
     import tifffile
-
-Array = NDArray[np.float64]
 
 
 def read(path: Path, options: ReadOptions) -> Volume:

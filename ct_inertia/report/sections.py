@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.bodies import PLATE
 from ct_inertia.mass.budget import mass_sd_missing
@@ -21,6 +20,7 @@ from ct_inertia.report.report_evidence import evidence_rows
 from ct_inertia.report.report_found import found_section
 from ct_inertia.report.report_masses import cross_check_section, files_blocks, masses_section
 from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.page import page
 from stapeskit.page.quantities import SMALL_LENGTH, matrix_units
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ct_inertia.bodies import LabelledVolume
     from ct_inertia.ct2mass import MassMeasurement
 
-Array = NDArray[np.float64]
 
 # Of an entry of the mass matrix, by how many of its two degrees of freedom are rotations.
 

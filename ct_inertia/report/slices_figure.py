@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
 from ct_inertia.report.colours import BODY_COLOURS, CUT
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 NAMES = {STAPES: "stapes", PLATE: "plate", OTHER_BONE: "other bone", CUT: "cut"}
 # Border of the pictures around the stapes, and their width: choices for the eye.

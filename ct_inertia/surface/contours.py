@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.native import checked, compiled, shape_of
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

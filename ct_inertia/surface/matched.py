@@ -11,8 +11,8 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.surface.isosurface import cropped, part_above, placed
 from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface, enclosed_moments
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
 _LEAST_SHARE, _MOST_SHARE = calibrated("isosurface.shares")

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.volume.graphs import graph_pieces, solver
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 # Twice the area of a triangle over the square of its longest edge (0.87 if equilateral) below which it is a

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ct_inertia.native import checked, compiled, shape_of
 from ct_inertia.volume.grids import used_box
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Voxels a piece: 0.2 to 0.8 MB by the type of the counts.
 _PIECE = 200_000
 # Relative difference up to which spacings are equal, and squared distances are counted in whole voxels.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.native import checked, compiled, shape_of
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Part = TypeVar("Part")
 # A slab of this size stays in the cache of a core.
 _SLAB_VOXELS = 100_000

@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 _GZIP = 31  # wbits of zlib: the widest window (15), with the header of gzip (16)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.native import compiled, shape_of
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Grey = NDArray[np.float32]
 _LOWEST = ("uint8", "int16", "uint16", "float32")

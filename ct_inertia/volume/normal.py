@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.native import compiled
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def normal_cdf(z: Any) -> Array:

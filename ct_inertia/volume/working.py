@@ -13,8 +13,8 @@ from ct_inertia.native import checked, compiled
 from ct_inertia.volume.coarse import finite, noise_of
 from ct_inertia.volume.interior import in_threads
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 WORKING_MM: float = calibrated("working.largest_block_mm")

@@ -11,15 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.joint_covariance import joint_covariance
 from fitting.ligament.joint_fit import JointFit, expand
 from fitting.ligament.joint_lines import JointLines
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.model.lines import Lines, State
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.
 _SMALL_PRODUCT = 200_000
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.model.lines import Lines
 from fitting.native import compiled
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 DISTANCES, CORRECTED, MEASURED, EQUAL = range(4)
 # Largest number of degrees of freedom of the kernels (a body has six).
 _MOST = 6

@@ -10,11 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.model.symmetric import basis, join, split
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Objective = Callable[[Array], float]
 Expansion = Callable[[Array], tuple[float, Array, Array]]
 # First weight of the pull towards unit matrices over the objective, its last, and how it falls.

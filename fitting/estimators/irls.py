@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import pinv
 from fitting.estimators.base import (
@@ -20,8 +19,8 @@ from fitting.estimators.base import (
 from fitting.estimators.expansion import EQUAL, MEASURED, expanded
 from fitting.estimators.interior import inside, pull_inside, shortest_distance
 from fitting.model.lines import Lines, backward, cholesky, evaluate, forward, real_rows, regressor
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # A fit that needs more is reported as not converged.
 _MOST_ITERATIONS = 60
 

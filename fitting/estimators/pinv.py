@@ -6,7 +6,6 @@ The noisy difference dq is its regressor, so its estimate is attenuated however 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.base import (
     Estimate,
@@ -17,8 +16,7 @@ from fitting.estimators.base import (
     times,
 )
 from fitting.model.lines import Lines, evaluate, real_rows, regressor
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def estimate(

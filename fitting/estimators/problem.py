@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import estimator
 from fitting.estimators.base import Estimate, EstimatorOptions, Method
@@ -13,9 +12,7 @@ from fitting.model.damping import DampingLaw
 from fitting.model.inertia import Inertia
 from fitting.model.lines import Lines, Scale, assemble
 from fitting.model.observation import Observation
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,12 @@ Models, section 2.2). Where noise is small beside the motion this is the inverse
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import ml
 from fitting.model.lines import Lines, backward, forward
 from fitting.model.symmetric import basis
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Share of the Hessian that must be information for first order to mean anything.
 _LEAST = 0.05
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import constrained, irls, ml
 from fitting.estimators.base import Estimate, EstimatorOptions, least_squares
 from fitting.estimators.problem import Problem
 from fitting.model.lines import Lines, cholesky, evaluate, forward, real_rows, regressor
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Softest directions of the data along which starts are placed.
 _DIRECTIONS = 3
 _FLUID_ROUNDS = 3  # of weighted least squares, each with the noise at the last estimate

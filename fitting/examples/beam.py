@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting.examples.paper import BEAM_HEIGHT_MM, BEAM_LENGTH_MM, BEAM_WIDTH_MM, BEAM_YOUNG_N_MM2
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # kg/m3, of structural steel.
 STEEL_DENSITY = 7850.0
 

@@ -14,17 +14,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from fitting.examples.beam import STEEL_DENSITY, Beam, element_mass, element_stiffness, transport_to_tip
 from fitting.examples.experiment import Layout
 from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.options import KDOptions
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 BEAM_DOF: tuple[str, ...] = ("y", "alpha")
 # Edge of the cube of the paper.
 CUBE_MM = 10.0

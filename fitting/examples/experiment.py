@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.model.damping import VISCOUS, DampingLaw
 from fitting.model.model import simulate
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS, dof_indices, point_rows
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Nine points on a stapes (footplate rim, crura, head) and eight on the bone around it, mm, footplate frame.
 STAPES_POINTS_MM = np.array(

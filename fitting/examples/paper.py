@@ -7,9 +7,8 @@ matrix: y, alpha; N and mm.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 PAPER_DOF: tuple[str, ...] = ("y", "alpha", "gamma")
 

@@ -6,12 +6,10 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.kd_fit import KDFit
 from fitting.model.symmetric import join, pairs, vector
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 @dataclass(frozen=True)

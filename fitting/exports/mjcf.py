@@ -10,14 +10,13 @@ from __future__ import annotations
 from xml.etree import ElementTree as Tree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.kd_fit import KDFit
 from fitting.model.principal_axes import PRINCIPAL_DOF
+from stapeskit.arrays import Array
 from stapeskit.spatial import parameters_from_matrix
 
-Array = NDArray[np.float64]
 _JOINTS = {"y": ("slide", "0 1 0"), "alpha": ("hinge", "1 0 0"), "gamma": ("hinge", "0 0 1")}
 # A thousandth of the period of the fastest motion that a stapes shows, 10 kHz.
 _STEP_S = "1e-7"

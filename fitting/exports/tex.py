@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fitting.kd_fit import KDFit
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 _LETTERS = {"alpha": r"\alpha", "beta": r"\beta", "gamma": r"\gamma"}
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
 from fitting.model.laws import LAWS, law_of
 from fitting.model.laws.law import Law
+from stapeskit.arrays import ComplexArray
 from stapeskit.page.quantities import time_unit
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

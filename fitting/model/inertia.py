@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
+from stapeskit.arrays import Array
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative
 from stapeskit.spatial import dof_indices, matrix_from_parameters, parameter_basis, parameters_from_matrix
 
-Array = NDArray[np.float64]
 # No body that is measured here has a mass or moment of inertia beyond these.
 SMALLEST, LARGEST = 1e-30, 1e6
 

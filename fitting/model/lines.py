@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from fitting.model.damping import DampingLaw
 from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, join, split
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Multiplications of a matrix product up to which common BLAS libraries start no threads.
 _SMALL_PRODUCT = 200_000
 

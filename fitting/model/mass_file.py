@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.inertia import check_mass
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.records.mass_record import MassMatrix, MassRecord, read_mass_record
-
-Array = NDArray[np.float64]
 
 
 def read_mass(path: Path, dof: tuple[str, ...]) -> tuple[MassMatrix | Array, MassRecord | None]:

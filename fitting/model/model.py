@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.model.damping import VISCOUS, DampingLaw
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 NORMALISATION = (
     "unit Euclidean norm of the state eigenvector (q, lambda q) in SI; phase such that the component of "

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 from stapeskit.records.motion import RigidMotion
 from stapeskit.vocabulary import named
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # A difference of two motions this small beside them is rounding.
 _AS_ONE = 1e-9
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.errors import FittingError
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 PRINCIPAL_DOF: tuple[str, ...] = ("y", "alpha", "gamma")
 
 

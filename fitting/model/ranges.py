@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.observation import Observation
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 
-Array = NDArray[np.float64]
 # Of one line to the median of all lines: a resonance reaches 1e3, a vibrometer's dynamic range is 1e6.
 MOST = 1e7
 

@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fitting.model.principal_axes import PrincipalAxes, principal_axes
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Shear moduli of published models of the human annular ligament that give the measured piston stiffness.
 PUBLISHED_SHEAR_PA = (5e3, 70e3)
 # Simpson's rule along a straight piece of the rim: exact for r^T r.

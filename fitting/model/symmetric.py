@@ -7,9 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_UNITS
-
-Array = NDArray[np.float64]
 
 
 @lru_cache(maxsize=16)

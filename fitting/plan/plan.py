@@ -23,6 +23,7 @@ from fitting.model.model import simulate
 from fitting.model.symmetric import join, split
 from fitting.options import KDOptions
 from fitting.plan.planned_errors import PlannedErrors, shared_errors
+from stapeskit.arrays import Array
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import diagonal_unit
 from stapeskit.records.mass_record import MassMatrix
@@ -30,7 +31,6 @@ from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES, DOF_UNITS
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Directions that a shaker may drive in one more run, with words for them.
 _DRIVES = {
     "y": "driven along y",

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.examples.paper import PAPER_DAMPING_CORRECTED, PAPER_DOF, PAPER_MASS, PAPER_STIFFNESS
@@ -20,11 +19,11 @@ from fitting.model.mass_file import read_mass
 from fitting.model.model import passive
 from fitting.plan.plan import Plan
 from fitting.plan.planned_errors import PlannedErrors
+from stapeskit.arrays import Array
 from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 
-Array = NDArray[np.float64]
 _ERROR_KEYS = tuple(error.name for error in fields(PlannedErrors))
 KEYS = (
     "dof",

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.examples.experiment import Layout
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
 from stapeskit.records.motion import SharedErrors
 from stapeskit.spatial import dof_indices
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _AXES = "xyz"
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fitting.report.responses import Responses
 from fitting.uncertainty.bands import FrequencyDependence
+from stapeskit.arrays import Array
 from stapeskit.page.drawings import amplitude_axis
 from stapeskit.page.page import new_figure
 from stapeskit.spatial import DOF_UNITS
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 MEASURED = "#5d6b7a"
 SIMULATED = "#0b6e99"
 BASE = "#b7c0ca"

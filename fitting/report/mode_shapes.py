@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.model.model import Modes
 from fitting.model.ring import ellipse_mm
+from stapeskit.arrays import Array
 from stapeskit.page.page import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 # Length and width of a usual footplate, mm: an ellipse to draw on where there is no outline.
 _USUAL_MM = (2.7, 1.24)
 _INK = "#1d2733"

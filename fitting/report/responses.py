@@ -11,9 +11,7 @@ from fitting.estimators import ml
 from fitting.kd_fit import KDFit
 from fitting.model.model import dynamic_stiffness, simulate
 from fitting.model.symmetric import basis, split
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True)

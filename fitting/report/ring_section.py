@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.model.principal_axes import PRINCIPAL_DOF
 from fitting.model.ring import RingTest, Value, ring_test
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.quantities import ROTATION_STIFFNESS, STIFFNESS
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from fitting.kd_fit import KDFit
     from stapeskit.option_values import WithSd
-
-Array = NDArray[np.float64]
 
 
 def ring_of(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None = None) -> RingTest | None:

@@ -24,11 +24,10 @@ from fitting.model.lines import Lines, backward, evaluate, forward, motion_rows,
 from fitting.model.symmetric import basis, split
 from fitting.options import USUAL_BANDS
 from fitting.uncertainty.covariance import chi2, degrees, invert, joined_mass_sources, motion_moves_mass
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Lines a band: 8 give 48 equations for 12 unknowns.
 _FEWEST_LINES = 8
 # Level of the test that one K and D hold over the band: 1 of 1000 right fits is called frequency dependent.

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import ml
 from fitting.estimators.base import Estimate, solve_symmetric
@@ -20,10 +19,8 @@ from fitting.estimators.regressor_noise import information, regressor_noise
 from fitting.model.lines import Lines, evaluate
 from fitting.model.symmetric import basis
 from fitting.uncertainty.sensitivity import contract, slope_by_motion
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_NAMES
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NOISE = "channel_noise"
 ATTENUATION = "attenuation"

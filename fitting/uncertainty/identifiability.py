@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.base import gram
 from fitting.model.lines import Lines, real_rows, regressor
 from fitting.model.symmetric import entry_names, pairs, split
 from fitting.uncertainty.covariance import chi2, degrees, invert, known_and_spread
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Relative sd from which on an entry, or a combination of entries, is reported as weak; how many are named.
 WEAK_ENTRY = 0.10
 WEAK_COMBINATION = 0.25

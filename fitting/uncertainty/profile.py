@@ -19,8 +19,8 @@ from fitting.estimators.base import Estimate, EstimatorOptions, solve_symmetric
 from fitting.model.lines import Lines
 from fitting.model.symmetric import pairs
 from fitting.uncertainty.covariance import degrees, invert, known_and_spread
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Chi2 of one degree of freedom at 95 %.
 QUANTILE_95 = 3.841458820694124
 # Of the search for one end of an interval, and of the refits on the way.

@@ -12,15 +12,12 @@ So the effect of any number of common errors is one contraction of this slope wi
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import ml
 from fitting.estimators.problem import Problem
 from fitting.model.lines import Lines, evaluate, motion_rows, regressor
 from fitting.model.symmetric import split
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
 
 
 def slope_by_motion(problem: Problem, lines: Lines, parameters: Array) -> ComplexArray:

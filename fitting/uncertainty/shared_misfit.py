@@ -7,15 +7,13 @@ takes them for a misfit; here they are unknowns with their own covariance, to fi
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import ml
 from fitting.estimators.base import solve_symmetric
 from fitting.estimators.problem import Problem
 from fitting.model.lines import Lines, forward, real_rows
 from fitting.uncertainty.bands import common_errors
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def chi2_with_shared_errors(problem: Problem, lines: Lines, parameters: Array) -> float:

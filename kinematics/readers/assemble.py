@@ -19,11 +19,11 @@ from kinematics.readers.reported_noise import body_noise
 from kinematics.readers.value_checks import value_faults
 from kinematics.tidy.frequency_grids import join_lines
 from kinematics.tidy.points_csv import Points
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Channel = tuple[str, str, tuple[int, int, int]]
 # Positions written with four digits agree to this.

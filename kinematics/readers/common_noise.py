@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.measurement import RecordNoise
 from kinematics.readers.recording import Recording
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 def with_common_noise(

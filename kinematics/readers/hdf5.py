@@ -54,9 +54,9 @@ from kinematics.readers.recording import Recording, Recordings, scaled, unknown_
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import number_faults
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 
-Array = NDArray[np.float64]
 SCHEMA = "stapeskit.ldv/1"
 # Groups in groups that are looked through for the data.
 _DEEPEST = 6

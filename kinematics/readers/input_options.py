@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.options import SeriesOptions
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import axis_vector
 
-Array = NDArray[np.float64]
 AMPLITUDES = ("peak", "rms")
 LENGTH_UNITS = ("m", "mm", "um")
 SERIES = "the options of time series"

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 QUANTITIES = ("displacement", "velocity", "acceleration")
 
 

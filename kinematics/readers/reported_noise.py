@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from kinematics.readers.recording import Recording
 from kinematics.tidy.few_averages import steady_noise
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Place = tuple[int, int, NDArray[np.intp]]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
@@ -16,10 +15,9 @@ from kinematics.registration.mesh_distance import TriangleSurface
 from kinematics.registration.placement import Placement, place, place_on_surface, scan_guess
 from kinematics.registration.sample_moved import check_surfaces, clouds
 from kinematics.registration.scan_surfaces import ScanSurfaces
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
-
-Array = NDArray[np.float64]
 
 
 def tie(

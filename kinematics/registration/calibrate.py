@@ -12,12 +12,11 @@ from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.measurement import Measurement
 from kinematics.registration.geometry_model import GeometryModel, GeometryPriors
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Weights = Mapping[tuple[int, int], Array]
 # Limit of steps of Gauss and Newton.
 _ROUNDS = 12

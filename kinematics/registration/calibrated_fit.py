@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.fit.beams import beam_set
 from kinematics.fit.body_noise import with_noise
@@ -15,10 +14,9 @@ from kinematics.measurement import Measurement
 from kinematics.registration.calibrate import Calibration, calibrate
 from kinematics.registration.geometry_model import GeometryPriors
 from kinematics.registration.shared_errors import fit_derivatives
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.spatial import dof_indices
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Up to here derivatives of all parameters are kept by name, beyond as so many patterns from so many lines.
 _NAMED_BYTES = 2**27
 _PATTERNS = 40

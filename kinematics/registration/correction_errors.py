@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.adaptation import Correction
 from kinematics.faults.catalogue import Fault
@@ -14,11 +13,10 @@ from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.registration.lasers import channel_part
 from kinematics.registration.shared_errors import fit_derivatives
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.spatial import dof_indices, point_rows
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Key = tuple[int, int]
 # Step of the numerical derivatives of the geometry, in units of what is common for the kind of fault.
 _STEP = 1e-5

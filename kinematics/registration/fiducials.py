@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.measurement import mirror_sign
 from kinematics.tidy.points_csv import finite_faults, require, sd_faults
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 
-Array = NDArray[np.float64]
 FRAMES = ("plate", "scan", "footplate")
 _SEEN = ("x_mm", "y_mm", "z_mm")
 _KNOWN = ("x_ref_mm", "y_ref_mm", "z_ref_mm")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 
-Array = NDArray[np.float64]
 # Sine of the angle below which points hardly resist a motion of the whole.
 OPEN = 0.05
 

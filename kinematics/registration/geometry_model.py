@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.fit.laser_groups import group_lasers
 from kinematics.measurement import BodyChannels, Measurement
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import rotation_from_vector
 from stapeskit.spatial import point_rows, shifted_point_rows
 from stapeskit.vocabulary import named
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 

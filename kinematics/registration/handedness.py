@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import MIRRORS, Measurement
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.spatial import dof_indices, point_rows
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _LEAST_MISFIT: float = calibrated("handedness.least_misfit")
 _CURED_SHARE: float = calibrated("handedness.cured_share")
 _CURED_SHARE_UNKNOWN_NOISE: float = calibrated("handedness.cured_share_unknown_noise")

@@ -27,10 +27,10 @@ from kinematics.registration.icp_search import Candidate, candidates, separation
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.fiducial_faults import inconsistent, undo_mirror, unit_hint
 from stapeskit.alignment.registration import Registration
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _LEAST_SHARE_NEAR: float = calibrated("surface_fit.least_share_near")
 _APART_SD: float = calibrated("surface_fit.distinct_placements_sd")
 _LEAST_EVIDENCE: float = calibrated("surface_fit.least_evidence")

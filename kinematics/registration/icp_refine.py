@@ -11,10 +11,10 @@ from kinematics.calibrated import calibrated
 from kinematics.registration.icp_search import Candidate
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.registration import displacement
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform, cross_matrix, rotation_from_vector
 from stapeskit.spatial import point_rows
 
-Array = NDArray[np.float64]
 Guess = tuple[RigidTransform, Array]
 OUTLIER_SD: float = calibrated("surface_fit.outlier_sd")
 # Rounds in all, and rounds in which the width of the search narrows.

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.registration.mesh_distance import TriangleSurface
 from stapeskit.alignment.paired_points import pose_rows
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Sizes of the search over all rotations: samples of the surface, points, samples and rotations of the start
 # (about 33 degrees apart), and stages (rounds, width, starts kept).
 _SAMPLES = 30_000

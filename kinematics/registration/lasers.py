@@ -15,10 +15,9 @@ from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import Measurement
 from kinematics.registration.laser_estimate import KINDS, LaserEstimate, laser_estimate
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 

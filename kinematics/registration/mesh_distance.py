@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 _ROUGHNESS_EDGES: float = calibrated("surface_fit.roughness_edges")
 _SAME_SIDE_COSINE: float = calibrated("surface_fit.same_side_cosine")

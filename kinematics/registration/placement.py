@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.registration.fiducials import Fiducials
 from stapeskit.alignment.registration import Registration, displacement, fit_rigid
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import DOF_NAMES
@@ -21,7 +21,6 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from kinematics.registration.surface_check import SurfaceCheck
 
-Array = NDArray[np.float64]
 # Step of central differences, rad and mm: the third root of rounding.
 _STEP = 1e-5
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
@@ -19,12 +18,12 @@ from kinematics.registration.scan_surfaces import ScanSurfaces
 from kinematics.registration.surface_check import SurfaceCheck, shift_words
 from stapeskit.alignment.fiducial_faults import undo_mirror
 from stapeskit.alignment.paired_points import pose_rows
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import MassRecord
 from stapeskit.spatial import point_rows
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Points that are needed to compare with a surface.
 LEAST = 3
 _MOST_DISTANCE_MM: float = calibrated("sample_moved.most_distance_mm")

@@ -13,11 +13,10 @@ from kinematics.fit.line_noise import blocks
 from kinematics.fit.rigid_fit import Channels, LineFit
 from kinematics.measurement import BodyChannels
 from kinematics.registration.placement import Placement
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.frames import cross_matrix
 from stapeskit.spatial import dof_indices, shifted_point_rows
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _WHOLE = slice(None)
 # Up to here derivatives are kept by name; beyond, as patterns from a sample of values that leave out less
 # than 1e-3 of their energy.

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

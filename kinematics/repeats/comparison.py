@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
@@ -20,9 +19,9 @@ from kinematics.repeats.repeat_tests import (
     shape_tests,
 )
 from kinematics.repeats.take_shapes import Shapes
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Share of good sets of repeats that may raise an alarm, over all tests together.
 ALARM = 0.05
 _NOTABLE_SCATTER: float = calibrated("repeats.notable_scatter")

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from stapeskit.arrays import Array, ComplexArray
+
 # Lines apart up to which noise is taken for correlated: a Hann window reaches two.
 _CORRELATED_LINES = 3
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 # Lines between which noise is compared: a Hann window correlates neighbours.
 _APART = 2
 # Fewest lines and readings a line that show the scatter of a noise estimate.

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.measurement import BodyChannels, Measurement, Take
@@ -15,11 +14,10 @@ from kinematics.repeats.noise_freedom import inverse_moments, stated_freedom
 from kinematics.repeats.repeat_shift import frequency_shifts
 from kinematics.repeats.scatter_noise import scatter_noise
 from kinematics.repeats.take_shapes import Shapes, Stack, shapes_of
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.records.motion import RigidMotion, SharedErrors
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _COHERENT_SHARE: float = calibrated("repeats.coherent_share")
 _WIDENED_SCATTER: float = calibrated("repeats.widened_scatter")
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.repeats.take_shapes import Shapes
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Fewer lines cannot separate a shift from noise.
 _LEAST_LINES = 8
 

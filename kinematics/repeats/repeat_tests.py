@@ -12,8 +12,8 @@ from kinematics.calibrated import calibrated
 from kinematics.measurement import Take
 from kinematics.repeats.contrast_sums import ContrastSums, Outliers, contrasts, energy_of
 from kinematics.repeats.take_shapes import Shapes
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 SHAPE = ("shape_trend", "shape_level", "shape_outlier")
 _COLLINEAR_SHARE: float = calibrated("repeats.collinear_share")
 

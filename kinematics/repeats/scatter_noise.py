@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.repeats.take_shapes import Shapes
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Degrees of freedom to which neighbouring lines are added up (the sd is known to 7 % then), and the fewest
 # that tell noise at all.
 _WANTED_FREEDOM, _LEAST_FREEDOM = 100.0, 8.0

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from kinematics.calibrated import calibrated
 from kinematics.fit.line_noise import Lines, blocks
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _CLEAR_RATIO: float = calibrated("repeats.clear_ratio")
 # A shape needs three channels.
 _LEAST_CHANNELS = 3

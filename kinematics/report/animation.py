@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.report.draw_motion import (
     SHARE,
@@ -18,6 +17,7 @@ from kinematics.report.draw_motion import (
     surface_body,
 )
 from kinematics.report.stapes_surface import Scenery, packed, packed_mesh
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.drawings import colour, kept_lines, log_spaced, shortened
 from stapeskit.page.shading import View, views
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from kinematics.points2dof import Points2Dof
 
-Array = NDArray[np.float64]
 # Sizes of the picture, which keep the page small.
 _MOST_FACES = 2200
 _MOST_NUMBERS = 200_000

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinematics.report.draw_labels import label_points, written
 from kinematics.report.stapes_surface import Scenery
+from stapeskit.arrays import Array
 from stapeskit.page.drawings import FAULT, INK, colour, plain, shortened
 from stapeskit.page.page import new_figure
 from stapeskit.page.shading import Shaded, View, shade, views
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from kinematics.measurement import BodyChannels
     from kinematics.points2dof import Points2Dof
 
-Array = NDArray[np.float64]
 # Depth from which on a point counts as hidden, so that points on the surface are seen; width of the figure,
 # inches.
 _BEHIND_MM = 0.08

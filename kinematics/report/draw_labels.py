@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.page.drawings import FAULT, colour, distinct, plain
 from stapeskit.page.shading import View
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from kinematics.measurement import BodyChannels
 
-Array = NDArray[np.float64]
 # More labels cover the picture; and offsets of a label that are tried, points.
 _MOST_LABELS = 48
 _OFFSETS = (

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinematics.report.draw_geometry import equal_panels
 from kinematics.report.stapes_surface import Scenery, coarse
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.page.drawings import INK, colour, plain, shortened
 from stapeskit.page.shading import View, shade, silhouette, views
 from stapeskit.spatial import DOF_NAMES
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
     from stapeskit.records.motion import RigidMotion
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Phases drawn, largest drawn motion as a share of the picture, and triangles of the surface.
 PHASES = 8
 SHARE = 0.12

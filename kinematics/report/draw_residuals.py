@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.fit.rigid_fit import fit_noise
+from stapeskit.arrays import Array
 from stapeskit.page.drawings import FAULT, INK, colour, distinct, frequency_axis, log_spaced, plain, shortened
 from stapeskit.page.page import new_figure
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from kinematics.measurement import BodyChannels
     from kinematics.points2dof import Points2Dof
 
-Array = NDArray[np.float64]
 # Columns of the picture, values at a time, and sizes in inches.
 COLUMNS = 700
 _PIECE = 500_000

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.page.drawings import (
     GRID,
     INK,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 # Quantile of the normal distribution.
 TWO_SIDED_95 = 1.96
 # Beyond, a picture is smaller than SVG.

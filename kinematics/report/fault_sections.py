@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.measurement import direction_name
 from kinematics.report.detectable_sections import detectable_blocks
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from kinematics.measurement import BodyChannels
     from kinematics.points2dof import Points2Dof
 
-Array = NDArray[np.float64]
 # Maps and rows of a page; the channels table holds all.
 _MOST_MAPS = 4
 _MOST_ROWS = 2000

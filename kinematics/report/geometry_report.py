@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
     from kinematics.registration.surface_check import SurfaceCheck
     from stapeskit.page.page import Section
 
-Array = NDArray[np.float64]
 _CENTRE = np.zeros((1, 3))
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.report.draw_geometry import faulty_channels, placement_figure
 from kinematics.report.stapes_surface import Scenery
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.page import Section
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from kinematics.points2dof import Points2Dof
     from stapeskit.alignment.registration import Registration
 
-Array = NDArray[np.float64]
 # Channels up to which the figure is SVG.
 _LIGHT = 150
 

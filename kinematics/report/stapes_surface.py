@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
+
 if TYPE_CHECKING:
     from kinematics.registration.scan_surfaces import ScanSurfaces
     from stapeskit.records.mass_record import MassRecord
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 # Triangles of pictures: more are not seen at 700 pixels.
 MOST_FACES = 24000

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
@@ -31,12 +30,11 @@ from kinematics.signals.frf_noise import (
 )
 from kinematics.signals.leakage import bend_notice, edge_notice
 from kinematics.signals.record_delays import delay_notice
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Records = Sequence[tuple[Array, Array]]
 # Segments: two give no variance of a variance.
 _FEWEST = 3

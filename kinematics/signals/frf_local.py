@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Degree of the polynomials (Pintelon et al. 2010 take 2).
 _ORDER = 2
 # Degrees of freedom for the noise of a line at the least, and to how many neighbours are gathered.

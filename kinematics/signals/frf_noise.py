@@ -6,15 +6,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Rounds of own and common noise in turn.
 _ROUNDS = 4
 _NOTABLE_EXCESS: float = calibrated("frf.notable_common_noise")

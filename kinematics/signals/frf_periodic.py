@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf import Records, checked_records
 from kinematics.signals.frf_noise import Frf, common_notice, smoothed, split_noise, steady_common
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Samples by which a block may miss a whole number of periods.
 _WHOLE = 1e-3
 # Tried periods a block: more would need a clock better than 1e-3 of a sample.

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # The end of a segment that is looked at, and what share of its mean power is too much there.
 _EDGE = 0.02
 _MOST_EDGE_POWER: float = calibrated("leakage.most_edge_power")

@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, raise_all
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Noise is read off so many offset frequencies on each side, from this many bins on, within this share of
 # the frequency.
 OFFSETS = 32

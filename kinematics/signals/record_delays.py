@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Share of the largest power above which a line carries the excitation, and how many such lines are needed.
 _EXCITED = 0.1
 _LEAST_LINES = 8

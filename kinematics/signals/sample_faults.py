@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Shorter records are not looked at.
 _LEAST = 64
 # Clipping: width of the outermost stretch as a share of the range, stretches that are compared, by how much

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
 from kinematics.errors import KinematicsError
 from kinematics.signals.frf_noise import Frf, check_signals, common_notice, split_noise
 from kinematics.signals.lock_in import OFFSETS, SineFit, SteppedSine, fit_sine
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _LEAST_SINE_SHARE: float = calibrated("lock_in.least_sine_share")
 # N sum w^4 / (sum w^2)^2 of a Hann window: how many lines of its spectra count as one.
 _CORRELATED = 35.0 / 18.0

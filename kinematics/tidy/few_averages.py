@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.calibrated import calibrated
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # Range of averages in which scatter of the stated sd is looked for: below no sd exists, above it is below 5
 # %.

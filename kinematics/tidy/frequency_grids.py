@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Relative difference of equal frequencies (six written digits), largest difference of lines that are joined
 # as a share of their spacing, and relative to the frequency.

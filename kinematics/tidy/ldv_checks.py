@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.tidy.ldv_columns import DIRECTION, Columns
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.frames import axis_vector
 from stapeskit.tables.csv_table import Table
 from stapeskit.units import HIGHEST_HZ, LARGEST, LOWEST_HZ
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Rows that are listed; messages join them to ranges.
 _MOST = 1_000_000

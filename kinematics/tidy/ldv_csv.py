@@ -15,11 +15,11 @@ from kinematics.tidy.few_averages import steady_noise
 from kinematics.tidy.ldv_columns import Columns, columns_of, ignored_notice
 from kinematics.tidy.ldv_rows import Rows, rows_of
 from kinematics.tidy.points_csv import read_points
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 

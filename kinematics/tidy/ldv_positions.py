@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from kinematics.tidy.ldv_checks import each
 from kinematics.tidy.ldv_columns import POSITION, Columns
 from kinematics.tidy.points_csv import Points
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place
 from stapeskit.tables.csv_table import Table
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Rounding of written coordinates.
 _SAME_MM = 1e-6

@@ -22,12 +22,12 @@ from kinematics.tidy.ldv_checks import (
 from kinematics.tidy.ldv_columns import POSITION, Columns
 from kinematics.tidy.ldv_positions import alike_notice, check_positions, unmeasured_notice
 from kinematics.tidy.points_csv import Points
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import Table, TextColumn
 from stapeskit.tables.csv_text import no_rows
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Rows that are listed; messages join them to ranges.
 _MOST = 2000

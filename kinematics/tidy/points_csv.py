@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.tables.csv_table import Table, read_table
 from stapeskit.units import FARTHEST_MM, NEAREST_MM
 
-Array = NDArray[np.float64]
 _POSITION = ("x_mm", "y_mm", "z_mm")
 
 

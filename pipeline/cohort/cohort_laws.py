@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.compatibility import ears_without_sd, faults_of_cohort
 from pipeline.cohort.components import Components, independent_parameters
@@ -23,7 +22,6 @@ from pipeline.errors import PipelineError
 from stapeskit.faults import Fault, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 SCHEMA = "stapeskit.cohort/1"
 
 # Planned before any data: what a ligament of one material and one shape would follow. All others are

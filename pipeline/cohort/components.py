@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Variation below 5 % between ears is of no use in a model of hearing: such a parameter may be left out.
 SMALLEST_SD = 0.05

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.ears import Ear
 from pipeline.errors import PipelineError
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS, matrix_units
 from stapeskit.tables.text_cells import as_text_cell
-
-Array = NDArray[np.float64]
 
 SHARED_SOURCES = ("density", "voxel_size", "mass")
 """Sources of the mass's errors that ears can share."""

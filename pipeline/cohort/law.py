@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.likelihood import HIGHEST, LOWEST, RestrictedLikelihood
 from pipeline.cohort.minimise import Minimum, minimise
 from pipeline.cohort.pairs import LogPairs
 from pipeline.cohort.scatter import scatter_interval
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # A side of an interval that is not closed within so many widenings of 1.7 is called unbounded: the widest is
 # some thousand times the standard error of least squares.

@@ -14,11 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.pairs import LogPairs
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Natural logarithms of scatter are kept within these: e^-9 is far below, e^2 far above what ears can show.
 LOWEST, HIGHEST = -9.0, 2.5

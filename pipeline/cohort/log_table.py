@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from pipeline.cohort.covariates import Covariates
 from pipeline.cohort.ears import SHARED_SOURCES, Ear, source_id
 from pipeline.cohort.pairs import LogPairs
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # How a relative error of the voxel size enters: masses and forces go with its third power, moments of
 # inertia and rotational stiffnesses with its fifth, lengths and areas with their own.

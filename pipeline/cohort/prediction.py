@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.law import Profile
 from pipeline.cohort.likelihood import RestrictedLikelihood, covariance_between_ears
 from pipeline.cohort.pairs import LogPairs
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Points of the grid over (ln tau, b, ln sigma). Twice as many of each change no limit by more than 1 % of its
 # distance from the middle.

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.cohort.pairs import LogPairs
-
-Array = NDArray[np.float64]
 
 
 def scatter_interval(

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.report.stapes_surface import packed_mesh
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.spatial import DOF_NAMES
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from stapeskit.records.measured_mass import MeasuredMass
 
-Array = NDArray[np.float64]
 # Triangles that a page of a few megabytes holds and a telephone turns smoothly.
 _MOST_FACES = {"stapes": 14000, "plate": 5000}
 _AXIS_MM = 1.4

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stapeskit.alignment.paired_points import kabsch
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Order = tuple[int, ...]
 # All orders of up to this many points are tried; of more, those that fit three of the points.
 _ALL_ORDERS = 7

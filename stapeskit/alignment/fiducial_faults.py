@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stapeskit.alignment.exchanged_points import best_order, cycles
 from stapeskit.alignment.paired_points import kabsch
+from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Probability of residuals below which fiducials are reported as inconsistent; 1 of 1000 right sets is.
 INCONSISTENT = 1e-3
 # Errors below 50 um are below the accuracy of marks and are not reported where no sd is stated.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.frames import cross_matrix, rotation_from_vector
 
-Array = NDArray[np.float64]
 # Limit of rounds of reweighting.
 _ROUNDS = 50
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stapeskit.alignment.fiducial_faults import (
     check_size,
@@ -17,11 +17,11 @@ from stapeskit.alignment.fiducial_faults import (
     refuse_mirrored,
 )
 from stapeskit.alignment.paired_points import kabsch, pair_weights, pose_covariance, pose_rows, refined
+from stapeskit.arrays import Array
 from stapeskit.faults import StapeskitError
 from stapeskit.frames import RigidTransform, vector_from_rotation
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Points thinner than this share of their extent count as coplanar: their mirror image fits as well.
 _THIN = 0.02
 

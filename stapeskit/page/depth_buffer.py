@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 Pixels = NDArray[np.intp]
 # Candidates for a pixel that are looked at together: bounds the memory to some 200 MB.
 _TOGETHER = 1 << 21

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.spatial import DOF_UNITS
 
 if TYPE_CHECKING:
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 COLOURS = ("#0b6e99", "#c2571a", "#3f8f4f", "#7a4fa3", "#8a6d1f", "#4d4d4d")
 FAULT = "#c81e3a"

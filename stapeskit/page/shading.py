@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.frames import axis_vector
 from stapeskit.page.depth_buffer import Pixels, fragments, nearest, vertex_normals
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 _BONE = np.array([0.93, 0.89, 0.80])
 _LIGHT = np.array([-0.45, 0.55, 0.70])

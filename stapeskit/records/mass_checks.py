@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.frames import RigidTransform, transform_faults
 from stapeskit.spatial import (
@@ -21,7 +21,6 @@ from stapeskit.spatial import (
     twist_transfer,
 )
 
-Array = NDArray[np.float64]
 MADE_BY = "Make the file with ct2mass"
 # Relative differences by which redundant entries of a file may round: all entries; mass against volume
 # times density, which people type.

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.documents import parse_json
 from stapeskit.faults import StapeskitError, raise_all
 from stapeskit.frames import RigidTransform, rotation_from_vector
@@ -24,7 +24,6 @@ from stapeskit.spatial import (
 )
 from stapeskit.warnings import Notice, from_json
 
-Array = NDArray[np.float64]
 SCHEMA = "stapeskit.mass/1"
 FRAME_SOURCE = "frame"
 _SOURCE_WORDS = {

@@ -15,9 +15,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.records.mass_record import MassRecord, read_mass_record
 
-Array = NDArray[np.float64]
 Mesh = tuple[Array, NDArray[np.int64]]
 
 

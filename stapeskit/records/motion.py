@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array, ComplexArray
 from stapeskit.faults import Fault, StapeskitError, raise_all
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Above it a double is no exact count.
 LARGEST_COUNT = 1e15
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place
 from stapeskit.tables.csv_fast import MISSING
 from stapeskit.tables.csv_text import Sheet, decoded, no_text
 
-Array = NDArray[np.float64]
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 _ENDLESS = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.tables.csv_text import Sheet
 
-Array = NDArray[np.float64]
 MISSING = ("", "nan", "NaN", "NAN", "Nan", "-nan", "+nan", "-NaN")
 Coded = tuple[NDArray[np.intp], list[str]]
 _PIECE_BYTES = 4 << 20  # small enough that the pieces of an ordinary file keep every thread busy

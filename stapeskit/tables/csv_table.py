@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, StapeskitError
 from stapeskit.tables.csv_cells import read_cells
 from stapeskit.tables.csv_fast import read_fast
 from stapeskit.tables.csv_text import no_rows, open_sheet
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
+
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 

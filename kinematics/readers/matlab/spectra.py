@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.matlab_file import describe, read_mat
@@ -35,11 +34,10 @@ from kinematics.readers.matlab.variables import (
 )
 from kinematics.readers.recording import Recording, Recordings, scaled, unknown_vector
 from kinematics.readers.unit_labels import MotionUnit
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 
 def read(path: Path, mapping: Path | None = None) -> Recordings:

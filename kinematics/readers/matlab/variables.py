@@ -16,9 +16,9 @@ from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import LENGTHS, MOTIONS, MotionUnit, motion_unit
 from kinematics.readers.value_checks import in_mm
+from stapeskit.arrays import Array
 from stapeskit.frames import axis_vector
 
-Array = NDArray[np.float64]
 LENGTH_END = r"_(mm|um|m)$"
 
 

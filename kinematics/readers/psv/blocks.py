@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 _SUFFIXES = (".txt", ".asc", ".csv", ".dat")
 # Characters of the name in a line ``Name: value``.

@@ -20,11 +20,11 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.unit_labels import is_none, length_scale
 from kinematics.readers.value_checks import in_mm
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 # Positions written with four digits agree to this.
 _SAME_PLACE_MM = 1e-3

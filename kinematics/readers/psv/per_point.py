@@ -10,7 +10,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.blocks import Block, fields_of, read_blocks, value_of
@@ -20,10 +19,10 @@ from kinematics.readers.recording import QUANTITIES, Recording, Recordings, unkn
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import length_scale
 from kinematics.readers.value_checks import in_mm
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _POINT = ("point index", "punktindex", "punkt-index")
 _FREQUENCY = ("frequency", "frequenz", "fréquence")
 _TIME = ("time", "zeit", "temps")

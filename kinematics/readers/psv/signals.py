@@ -7,16 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.blocks import Block, value_of
 from kinematics.readers.recording import scaled
 from kinematics.readers.text import shown
 from kinematics.readers.unit_labels import MotionUnit, is_none, motion_unit
+from stapeskit.arrays import ComplexArray
 from stapeskit.faults import Fault, Place, collecting, raise_all
 
-ComplexArray = NDArray[np.complex128]
 _PARTS = {
     "re": re.compile(r"^(real|re|realteil|réel|réelle)\b", re.IGNORECASE),
     "im": re.compile(r"^(imag|imaginary|im|imaginär|imaginärteil|imaginaire)\b", re.IGNORECASE),

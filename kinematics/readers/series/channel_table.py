@@ -20,16 +20,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import plain_text
 from kinematics.readers.unit_labels import MOTIONS, motion_unit, plain
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.tables.csv_table import Table, read_table
 
-Array = NDArray[np.float64]
 ROLES = ("response", "reference", "ignore")
 _NUMBERS = ("dir_x", "dir_y", "dir_z", "x_mm", "y_mm", "z_mm")
 _TEXTS = ("channel", "role", "body", "point", "dir", "unit", "sensitivity", "run", "file")

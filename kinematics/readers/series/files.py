@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.containers.hdf5_file import is_hdf5
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.units import HIGHEST_HZ, LARGEST
 
-Array = NDArray[np.float64]
 TIMES = ("time_s", "time", "t", "x")
 RATES = ("sample_rate_hz", "sample_rate", "fs", "fs_hz")
 # Difference of sampling times, in samples, that counts as rounding of written times.

@@ -13,7 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.options import LOCAL, SeriesOptions
@@ -27,11 +26,11 @@ from kinematics.signals.frf_periodic import Periodic, periodic_frf
 from kinematics.signals.lock_in import SteppedSine
 from kinematics.signals.sample_faults import sample_notices
 from kinematics.signals.stepped_sine import Step, stepped_amplitudes, stepped_frf, steps_of
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
 # Share of a step that may lie within another one: times are rounded.
 _OVERLAP = 0.01
 

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.uff.functions import AUTO, COHERENCE, FRF, PSD, TRANSMISSIBILITY, Function
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Key = tuple[object, ...]
 # A coherence above 1 by more than rounding is none.
 _OVER = 1.05

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from kinematics.errors import KinematicsError
 from kinematics.readers.text import lines_of, shown
 from kinematics.readers.uff.datasets import CUT, Dataset, data_form
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collecting, raise_all
 
-Array = NDArray[np.float64]
 # Function types, number of header records and widths of record 6: SDRC universal file format, dataset 58.
 TIME, AUTO, CROSS, FRF, TRANSMISSIBILITY, COHERENCE, PSD, SPECTRUM = 1, 2, 3, 4, 5, 6, 9, 12
 KINDS = {

@@ -7,16 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.recording import unknown_vector
 from kinematics.readers.text import shown
 from kinematics.readers.uff.datasets import CUT, Dataset
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 Node = tuple[Array, int, int, str]
 # Numbers of datasets (SDRC universal file format): nodes, units, coordinate systems.
 _NODES, _PRECISE_NODES, _UNITS, _SYSTEMS, _PRECISE_SYSTEMS = 15, 2411, 164, 18, 2420

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.options import SeriesOptions
@@ -20,11 +19,11 @@ from kinematics.readers.uff.functions import COHERENCE, KINDS, SPECTRUM, TIME, F
 from kinematics.readers.uff.geometry import Geometry, read_geometry
 from kinematics.readers.uff.motion_functions import Motion, direction_label, point_name, usable_motions
 from kinematics.readers.unit_labels import is_none
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
 # Datasets of nodes, coordinate systems and units.
 _GEOMETRY = (15, 18, 164, 2411, 2420)
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.options import SeriesOptions
@@ -29,7 +28,6 @@ from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
 # Specific data type of the abscissa (dataset 58, record 8).
 _TIME = 17
 _SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6}

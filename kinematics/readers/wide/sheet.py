@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.errors import KinematicsError
 from kinematics.readers.psv.blocks import decoded, value_of
 from kinematics.readers.text import lines_of, shown
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, Place, raise_all
 
-Array = NDArray[np.float64]
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 # Lines above the names: a header of a measuring program has some ten.
 _MOST_ABOVE = 100

@@ -25,11 +25,11 @@ from kinematics.readers.wide.columns import (
 )
 from kinematics.readers.wide.mapping import mapped_beams, plain_name, read_mapping
 from kinematics.readers.wide.sheet import Sheet, header_of, read_sheet
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, collecting, raise_all
 from stapeskit.frames import axis_vector
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 _TURNS = {
     "deg": np.pi / 180.0,
     "°": np.pi / 180.0,
