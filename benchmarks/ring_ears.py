@@ -25,7 +25,8 @@ PISTON = (1, 3, 5)
 class EarSettings:
     """What a case of the benchmark varies; lengths in mm, noise relative to the points' motion.
 
-    ``cause`` is an error of ERRORS with its size, or a law of LAWS.
+    ``head_mm`` is where the head lies along z. ``cause`` is an error of ERRORS with its size, or a law of
+    LAWS; ``second_run`` measures twice.
     """
 
     height_mm: float = 0.1
@@ -36,6 +37,12 @@ class EarSettings:
     cause: str = ""
     size: float = 0.0
     law: str = "viscous"
+    head_mm: float = 0.12
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return 2 if self.cause == "second_run" else 1
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,7 @@ def ring(radial: float, tangential: float, normal: float, tilt: np.ndarray, cent
     return total
 
 
-def stapes_mass(rng: Generator) -> np.ndarray:
+def stapes_mass(rng: Generator, head_mm: float = 0.12) -> np.ndarray:
     """Return ten inertial parameters (m, m c, J about the origin) of a footplate, two crura and a head."""
     masses, places = [], []
     for x in np.linspace(-1.25, 1.25, 11):
@@ -92,7 +99,7 @@ def stapes_mass(rng: Generator) -> np.ndarray:
             masses.append(0.045)
             places.append((side * (1.0 - 0.75 * t**2), 0.2 + 2.4 * t, 0.08 * t))
     masses.append(0.75)
-    places.append((0.1 + 0.05 * rng.standard_normal(), 3.0, 0.12 + 0.05 * rng.standard_normal()))
+    places.append((0.1 + 0.05 * rng.standard_normal(), 3.0, head_mm + 0.05 * rng.standard_normal()))
     m = np.array(masses) * 1e-6 * rng.uniform(0.85, 1.15)
     p = np.array(places) * 1e-3
     inertia = np.einsum("i,ij,ij->", m, p, p) * np.eye(3) - np.einsum("i,ij,ik->jk", m, p, p)
@@ -118,9 +125,9 @@ def observation_rows(points: np.ndarray, beams: np.ndarray) -> np.ndarray:
 
 def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
     """Draw an ear, measure it with all errors, and return what the experimenter has."""
-    freq = np.linspace(400.0, 5000.0, settings.lines)
+    freq = np.tile(np.linspace(400.0, 5000.0, settings.lines), settings.runs)
     omega = 2.0 * np.pi * freq
-    parameters = stapes_mass(rng)
+    parameters = stapes_mass(rng, settings.head_mm)
     mass = mass_matrix(parameters)
     tilt = np.radians(settings.tilt_sd_deg) * np.array([rng.standard_normal(), 0.0, rng.standard_normal()])
     centre = np.array([-0.2 * rng.uniform(), settings.height_mm, 0.2 * rng.uniform(-1, 1)]) * 1e-3
@@ -138,6 +145,8 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
         dynamic[:, 1, 1] -= omega**2 * 1e-6 * size
     if settings.cause == "drift":
         dynamic = dynamic * (1.0 + 0.01 * size * time)
+    if settings.cause == "second_run":
+        dynamic[settings.lines :] *= 1.0 + 0.01 * size
     if settings.cause == "holder":
         ratio = freq / 2600.0
         seen_base = base * (1.0 + 0.001 * size / (1.0 - ratio**2 + 0.1j * ratio))[:, None]
@@ -153,8 +162,10 @@ def ear(settings: EarSettings, rng: Generator) -> SimulatedEar:
         stapes = stapes * np.exp(-1j * np.radians(size))
     if settings.cause == "gain":
         stapes = stapes / (1.0 + 0.01 * size)
-    if settings.cause == "centre_z":
-        parameters = shifted_parameters(parameters, np.array([0.0, 0.0, -1e-3 * size]))
+    if settings.cause.startswith("centre_"):
+        parameters = shifted_parameters(parameters, -1e-3 * size * np.eye(3)["xyz".index(settings.cause[-1])])
+    if settings.cause == "mirrored":
+        parameters = parameters * np.array([1, 1, 1, -1, 1, 1, 1, 1, -1, -1])
     if settings.cause == "inertia":
         parameters = parameters.copy()
         parameters[4:] /= 1.0 + 0.01 * size
@@ -205,11 +216,13 @@ ERRORS = {
     "fluid": 0.5,
     "head_mass": 5.0,
     "centre_z": 0.3,
+    "mirrored": 1.0,
     "inertia": 25.0,
     "drift": 8.0,
+    "second_run": 5.0,
     "holder": 2.0,
 }
-"""Sizes that 1 % of noise lets see: us, degrees, %, mg, mg, mm, %, %, %."""
+"""Sizes that 1 % of noise lets see: us, degrees, %, mg, mg, mm, 1 (whole), %, %, %, %."""
 
 
 def drive(freq: np.ndarray, rng: Generator) -> np.ndarray:
@@ -279,14 +292,22 @@ def measured(
     mass = MassMatrix("footplate_centre", "footplate", parameters + mass_error, contributions if on else {})
     shared = None
     if on:
-        derivatives = np.array(slopes)[:, None]
+        derivatives = by_run(np.array(slopes), settings.runs)
         shared = SharedErrors(tuple(names), np.diag(np.array(spread) ** 2), derivatives)
-    none = np.full((1, 2, len(freq)), np.nan)
+    runs, freq = settings.runs, freq[: settings.lines]
+    none = np.full((runs, 2, settings.lines), np.nan)
     motion = RigidMotion(
-        ("1",), ("stapes", "base"), DOF, freq, np.array(q)[None], np.array(covariance)[None] + 0j,
-        none, none, shared=shared,
+        tuple("12"[:runs]), ("stapes", "base"), DOF, freq, by_run(np.array(q), runs, body=0),
+        by_run(np.array(covariance) + 0j, runs, body=0), none, none, shared=shared,
     )  # fmt: skip
     return SimulatedEar(motion, mass, stiffness, damping)
+
+
+def by_run(values: np.ndarray, runs: int, body: int = 1) -> np.ndarray:
+    """Split the lines after the axis of bodies by run; runs come before that axis."""
+    shape = values.shape
+    split = values.reshape(*shape[: body + 1], runs, shape[body + 1] // runs, *shape[body + 2 :])
+    return np.moveaxis(split, body + 1, body)
 
 
 def frame_change(error: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ from fitting.uncertainty.covariance import (
 
 Array = NDArray[np.float64]
 EXPONENT = "damping_exponent"
+MODEL_ERROR = "model_error"
 
 
 @dataclass(frozen=True)
@@ -100,10 +101,19 @@ class Derived:
     principal_sd: Array | None
 
 
-def budget_of(problem: Problem, lines: Lines, fit: LawFit) -> Budget:
-    """Gather the covariance of an estimate from every source."""
+def budget_of(problem: Problem, lines: Lines, fit: LawFit, off: Array | None = None) -> Budget:
+    """Gather the covariance of an estimate from every source.
+
+    Parameters
+    ----------
+    problem : Problem
+    lines : Lines
+    fit : LawFit
+    off : ndarray, (p, k), optional
+        Columns E: a wrong model puts K and D off by E E^T, in the mean square; SI. With a ligament only.
+    """
     if fit.ligament is not None:
-        return _joint_budget(problem, fit.ligament)
+        return _joint_budget(problem, fit.ligament, off)
     scaled, widened, method = noise_covariance(problem, lines, fit.estimate)
     units = problem.units
     noise = scaled * np.outer(units, units)
@@ -121,15 +131,21 @@ def budget_of(problem: Problem, lines: Lines, fit: LawFit) -> Budget:
     return Budget(entry_names(problem.n), sources, covariance, noise, tuple(effects), widened, method, bias)
 
 
-def _joint_budget(problem: Problem, ligament: LigamentFit) -> Budget:
+def _joint_budget(problem: Problem, ligament: LigamentFit, off: Array | None) -> Budget:
     """Return the budget of a joint fit: its shared errors are known as well as the data leave them."""
-    covariance = sum(ligament.sources.values(), np.zeros_like(ligament.plane_covariance))
+    sources, effects = dict(ligament.sources), ligament.effects
+    if off is not None and off.size:
+        size = off.shape[1]
+        sources[MODEL_ERROR] = off @ off.T
+        still = np.zeros((size, problem.n, problem.n))
+        effects = (*effects, SharedEffect(MODEL_ERROR, (), np.eye(size), off, still))
+    covariance = sum(sources.values(), np.zeros_like(ligament.plane_covariance))
     return Budget(
         entry_names(problem.n),
-        ligament.sources,
+        sources,
         0.5 * (covariance + covariance.T),
-        ligament.sources[NOISE],
-        ligament.effects,
+        sources[NOISE],
+        effects,
         ligament.widened,
         "fisher",
         np.zeros(len(covariance)),

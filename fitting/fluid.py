@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fitting.causes.catalogue import title_of
-from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected, with_refits
+from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected
+from fitting.causes.model_error import off_by_law
 from fitting.errors import FittingError
-from fitting.laws import LawFit, fit_law, with_ligament
+from fitting.laws import LawFit, start_of_law, with_ligament
 from fitting.model.laws import LAWS
 from fitting.model.observation import Observation
 from fitting.model.symmetric import join
@@ -69,9 +70,8 @@ def choose_fluid(
     fit, diagnosis, choice
     """
     assert best.ligament is not None  # noqa: S101
-    diagnosis = with_corrected(diagnose(best.problem, best.ligament), best.ligament)
-    if diagnosis.searched and options.damping != COMPARE:
-        diagnosis = with_refits(diagnosis, _other_laws(best, plain, both, options))
+    laws = None if options.damping == COMPARE else lambda: _other_laws(best, plain, both, options)
+    diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws), best.ligament)
     if FLUID in best.ligament.terms:
         asked = FLUID in options.causes
         reason = (
@@ -108,15 +108,20 @@ def choose_fluid(
 
 
 def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptions) -> list[Refit]:
-    """Refit under the damping laws that were not asked for; their exponents count as an unknown."""
+    """Refit under the damping laws that were not asked for; their exponents count as an unknown.
+
+    A misfit under another law is left as it is: the law that the data speak for has none.
+    """
     assert best.ligament is not None  # noqa: S101
     names = tuple(best.ligament.terms)
+    omega = 2.0 * np.pi * both.freq_hz
     refits = []
     for name in LAWS:
         if name == best.law.name:
             continue
         try:
-            other = with_ligament(fit_law(plain.problem, name, options.lower, options.upper), both, names)
+            law_fit = start_of_law(plain.problem, name, options.lower, options.upper)
+            other = with_ligament(law_fit, both, names, briefly=True)
         except (FittingError, np.linalg.LinAlgError):
             continue
         if other.ligament is None or not other.law.physical:
@@ -130,7 +135,8 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
         size = other.law.exponent
         left = other.ligament.p_value
         unknowns = 1.0 + other.law.unknowns - best.law.unknowns
-        refits.append(Refit(f"law_{name}", size, other.exponent_sd or 0.0, fall, change, left, unknowns))
+        sd, off = other.exponent_sd or 0.0, off_by_law(best.ligament, other.ligament, omega)
+        refits.append(Refit(f"law_{name}", size, sd, fall, change, left, unknowns, off=off))
     return refits
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.budget import budget_of, derived_quantities
+from fitting.causes.diagnosis import model_error
 from fitting.errors import FittingError
 from fitting.estimators.base import EstimatorOptions
 from fitting.estimators.problem import Problem
@@ -114,11 +115,14 @@ def _fitted(
         raise FittingError(_not_joint(options))
     plain, laws, choice, undetermined = _laws(problem, options, both)
     best = min(laws, key=lambda fit: (not fit.law.physical, fit.bic))
-    diagnosis, fluid = None, None
+    diagnosis, fluid, off = None, None, np.zeros((24, 0))
     if best.ligament is not None and both is not None:
         before = best
         start = next(fit for fit in plain if fit.law.name == best.law.name)
         best, diagnosis, fluid = choose_fluid(best, start, both, options)
+        if best.ligament is not None:
+            off = model_error(diagnosis, best.ligament)
+            best = replace(best, ligament=best.ligament.with_model_error(off[12:]))
         laws = tuple(best if law is before else law for law in laws)
     problem = best.problem
     lines = problem.lines()
@@ -128,7 +132,7 @@ def _fitted(
         best = replace(best, estimate=estimate, chi2=chi2(estimate.parameters, lines))
         laws = tuple(best if law.law.name == best.law.name else law for law in laws)
         known = identifiability(estimate.parameters, lines, problem.units)
-    fit = _result(motion, options, problem, choice, laws, best, lines, known)
+    fit = _result(motion, options, problem, choice, laws, best, lines, known, off[:12])
     fit = replace(fit, diagnosis=diagnosis, fluid=fluid)
     fit = replace(fit, notices=unique([*fit.notices, *cause_notices(fit)]))
     return replace(
@@ -237,13 +241,14 @@ def _result(
     best: LawFit,
     lines: Lines,
     known: Identifiability,
+    off: Array,
 ) -> KDFit:
     """Put a result together: matrices, uncertainty, modes, axes, verdicts."""
     scaled, ligament = best.estimate.parameters, best.ligament
     stiffness, damping = split(scaled * problem.units, problem.n)
     if ligament is not None:
         stiffness, damping = ligament.stiffness, ligament.damping
-    budget = budget_of(problem, lines, best)
+    budget = budget_of(problem, lines, best, off)
     check_result(stiffness, damping, budget.covariance, budget.noise)
     mode_list = modes(problem.vibrating_mass, stiffness, damping, problem.law)
     derived = derived_quantities(problem, stiffness, damping, budget)

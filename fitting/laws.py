@@ -28,6 +28,8 @@ from fitting.uncertainty.covariance import chi2, degrees
 from stapeskit.page.quantities import MASS
 
 Array = NDArray[np.float64]
+# Exponents or times at which a law is tried before a joint fit, which goes on from the best of them.
+_STARTS = 6
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,21 @@ def fit_law(problem: Problem, name: str, lower: Mapping[str, float], upper: Mapp
     return replace(best, exponent_sd=_exponent_sd(best))
 
 
+def start_of_law(
+    problem: Problem, name: str, lower: Mapping[str, float], upper: Mapping[str, float]
+) -> LawFit:
+    """Return the best fit under a law at a few of the exponents or times that it may have."""
+    search = law_of(name).search
+    if search is None:
+        return fit_law(problem, name, lower, upper)
+    ends = np.linspace(*search, _STARTS + 1)
+    laws = [
+        DampingLaw(name, float(at)).scaled(1.0 / problem.scale.omega)
+        for at in ends[:-1] + 0.5 * np.diff(ends)
+    ]
+    return min((_at(problem, law, lower, upper) for law in laws), key=lambda fit: fit.chi2)
+
+
 def compare_laws(
     problem: Problem, lower: Mapping[str, float], upper: Mapping[str, float]
 ) -> tuple[tuple[LawFit, ...], dict[str, str]]:
@@ -122,6 +139,7 @@ def with_ligament(
     names: tuple[str, ...] = (),
     sizes: Mapping[str, float] | None = None,
     held: bool = False,
+    briefly: bool = False,
 ) -> LawFit:
     """Return a fit extended by the plane of the ligament and the shared errors, or itself if that fails.
 
@@ -135,6 +153,8 @@ def with_ligament(
         Where the fit starts as well, in the units of the causes.
     held : bool
         Whether K and D are kept positive semidefinite, without causes.
+    briefly : bool
+        Whether a misfit is left as it is.
     """
     problem = fit.problem
     begun = None
@@ -152,7 +172,8 @@ def with_ligament(
             for term in terms
         )
 
-    ligament = fit_ligament(problem, both, fit.estimate.parameters, extend if names else None, begun, held)
+    start = fit.estimate.parameters
+    ligament = fit_ligament(problem, both, start, extend if names else None, begun, held, briefly)
     if ligament is None:
         return fit
     extended = LawFit(

@@ -129,6 +129,7 @@ def cause_notices(fit: KDFit) -> list[Notice]:
     )
     if others:
         text += f" The data hardly tell it from {' or '.join(others)}."
+    text += " K and D are without it, but their intervals include that change."
     text += f" {named('correct')} {cause.name} estimates and removes it." if cause.name in CORRECT else ""
     if cause.p_value < _MISFIT:
         text += " It does not explain the whole misfit."

@@ -27,6 +27,8 @@ HEAD_M = (0.0, 3.4e-3, 0.0)
 # Shared errors of the place of that mass.
 HEAD_PLACE = "mass.head_place"
 _HOLDER_QUALITY = 10.0
+# Inertial parameters that are odd in z: m z, Jyz, Jxz.
+_ODD_IN_Z = [3, 8, 9]
 # Steps of one width of a resonance at half power.
 _HOLDERS_HZ = np.geomspace(450.0, 5000.0, 26)
 
@@ -85,6 +87,8 @@ class Cause:
         Shared errors that the cause brings with it; its term sets their effect.
     usual : float
         Standard deviation of its size where it is there, in the unit; infinite where any size occurs.
+    only : float or None
+        The one size that it can have where it is there.
     """
 
     title: str
@@ -100,6 +104,7 @@ class Cause:
     family: str = ""
     nuisances: tuple[str, ...] = ()
     usual: float = np.inf
+    only: float | None = None
 
 
 def title_of(name: str) -> str:
@@ -279,6 +284,14 @@ def _part(places: slice) -> Callable[[float, Setting], Array]:
     return change
 
 
+def _mirrored(value: float, setting: Setting) -> Array:
+    """Return the way (0 to 1) to the mirror image along z, by which one side becomes the other."""
+    parameters = parameters_from_matrix(setting.mass)
+    change = np.zeros(10)
+    change[_ODD_IN_Z] = -2.0 * value * parameters[_ODD_IN_Z]
+    return change
+
+
 def _time(setting: Setting) -> Array:
     """Return time over the measurement, -0.5 to 0.5: lines are measured in their order."""
     return np.linspace(-0.5, 0.5, setting.lines.count)
@@ -375,6 +388,13 @@ CAUSES: dict[str, Cause] = {
     },
     "mass": Cause(
         "another mass and density", "%", 0.01, _mass(_part(slice(0, 10))), scored=False, example=10.0
+    ),
+    "mirrored": Cause(
+        "the mass matrix of the mirror image (another side, or slices in reverse order)",
+        "",
+        1.0,
+        _mass(_mirrored),
+        only=1.0,
     ),
 }
 """By name; `fitting.causes.diagnosis` ranks them by evidence."""

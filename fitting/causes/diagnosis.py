@@ -4,12 +4,13 @@ it.
 A cause is searched for where one of the scores is improbable (Bonferroni over all of them) or the fit is a
 misfit. The refit with the largest fall of chi2 is named when the fall exceeds ln(equations) an unknown, the
 criterion of Schwarz (1978), doi:10.1214/aos/1176344136, and what a size beyond the usual one costs; causes
-whose refits are nearly as good are its look-alikes.
+whose refits are nearly as good are its look-alikes. A cause that can have one size only is no unknown: chi2
+must fall by twice the logarithm of how rare it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,12 +18,13 @@ from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, term_of
+from fitting.causes.model_error import off_by_cause, off_unexplained
 from fitting.causes.scores import Scores, scores
 from fitting.estimators.problem import Problem
 from fitting.ligament.equations import Term
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.joint_fit import JointFit
-from fitting.ligament.ligament import extended_fit
+from fitting.ligament.ligament import FEW_ROUNDS, MOST_ROUNDS, extended_fit
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
 
@@ -30,6 +32,8 @@ Array = NDArray[np.float64]
 # Probability of a score below which a cause that may be far from first order is refitted to be sure: one
 # needless refit in twenty, which the evidence then judges. Chosen by judgement.
 _DOUBTFUL = 0.05
+# Standard deviations between a threshold and the mean of what passes it in 80 %.
+_POWER_80 = 0.8416
 # Steps of a refit, and of one beside a cause that explains the data.
 _MOST, _FEW = 60, 20
 
@@ -56,6 +60,9 @@ class Refit:
         By how many the unknowns of the model grow; nuisance parameters count by what the data say of them.
     strange : float
         Squared size over the usual one: what a normal distribution of sizes adds to chi2.
+    off : ndarray, (24, k)
+        Columns E: E E^T is the mean square by which K and D are off, about the footplate centre and, in the
+        second half, about the plane of the ligament, where this cause is there; SI.
     """
 
     name: str
@@ -66,6 +73,7 @@ class Refit:
     p_value: float
     unknowns: float = 1.0
     strange: float = 0.0
+    off: Array = field(default_factory=lambda: np.zeros((24, 0)), repr=False)
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,8 @@ class Diagnosis:
         Whether a score or the misfit called for a search.
     corrected : mapping of str to (float, float)
         Causes in the model: size and sd, in their unit.
+    search_z : float
+        Score, over its standard deviation, from which a cause is searched for.
     """
 
     tested: tuple[str, ...]
@@ -96,6 +106,20 @@ class Diagnosis:
     sensitivities: dict[str, Array]
     searched: bool = False
     corrected: dict[str, tuple[float, float]] = field(default_factory=dict)
+    search_z: float = np.inf
+
+    @property
+    def seen_from(self) -> dict[str, float]:
+        """Size of each scored cause that is found in four of five measurements like this one, in its unit.
+
+        Notes
+        -----
+        The minimal detectable bias of Baarda (1968), A testing procedure for use in geodetic networks.
+        """
+        seen = (self.search_z + _POWER_80) * self.scores.sd
+        return {
+            name: float(size) for name, size in zip(self.tested, seen, strict=True) if CAUSES[name].scored
+        }
 
     def evidence(self, refit: Refit) -> float:
         """Return the decrease of chi2, minus the penalties for the unknowns and for the size of the cause."""
@@ -105,6 +129,21 @@ class Diagnosis:
     def named(self) -> Refit | None:
         """The cause that the data speak for, or None."""
         return self.refits[0] if self.refits and self.evidence(self.refits[0]) > 0.0 else None
+
+    @property
+    def off(self) -> Array:
+        """Columns E (24, k): E E^T is the mean square by which a wrong model puts K and D off.
+
+        Notes
+        -----
+        The fit stays without the causes. Their effect is averaged over the fit as it is and the refits with
+        weights exp(evidence / 2) (Hoeting et al. 1999, Bayesian model averaging, doi:10.1214/ss/1009212519).
+        """
+        evidence = np.array([0.0, *(self.evidence(refit) for refit in self.refits)])
+        shares = np.exp(0.5 * (evidence - evidence.max()))
+        roots = np.sqrt(shares / shares.sum())[1:]
+        columns = [root * refit.off for root, refit in zip(roots, self.refits, strict=True)]
+        return np.concatenate([np.zeros((24, 0)), *columns], axis=1)
 
     @property
     def look_alikes(self) -> tuple[str, ...]:
@@ -121,11 +160,21 @@ def setting_of(problem: Problem, ligament: LigamentFit) -> Setting:
     return Setting(ligament.lines, ligament.lines.omega * problem.scale.omega, problem.inertia.matrix)
 
 
-def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
+def diagnose(
+    problem: Problem, ligament: LigamentFit, laws: Callable[[], Sequence[Refit]] | None = None
+) -> Diagnosis:
     """Score every cause at a fit, and refit with the likeliest where a score or the misfit is improbable.
 
     Causes that may be far from first order are also refitted where their score is doubtful; a large fall of
     chi2 calls for the search, too.
+
+    Parameters
+    ----------
+    problem : Problem
+    ligament : LigamentFit
+    laws : callable, optional
+        Refits under other damping laws, for a search. They come first: where one explains the data, most
+        causes are looked at briefly.
     """
     from scipy.special import chdtri
 
@@ -136,6 +185,7 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
     tested = scores(ligament.lines, ligament.equations, ligament.joint, terms)
     scored = [place for place, name in enumerate(names) if CAUSES[name].scored]
     p_values = tested.p_values[scored]
+    least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
     alarm = p_values.min() * len(scored) < calibrated("causes.false_alarm")
     units = problem.with_law(ligament.law).units
     entries = len(units)
@@ -146,20 +196,23 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
     ranked = [scored[place] for place in np.argsort(p_values, kind="stable")]
     leading = _first_of_families(ranked, names)
     likely = [place for place in leading if CAUSES[names[place]].refitted]
-    searched = bool(alarm or ligament.p_value < calibrated("causes.misfit_p"))
+    whole = any(_fall_of_whole(name, tested, place) > _rarity() for place, name in enumerate(names))
+    searched = bool(alarm or whole or ligament.p_value < calibrated("causes.misfit_p"))
     if not searched and ligament.estimate.active:  # a refit would be credited with leaving the limit
         likely = []
     elif not searched:
         likely = [place for place in likely if _large(names[place]) and tested.p_values[place] < _DOUBTFUL]
+    under_laws = list(laws()) if searched and laws is not None else []
     refits: list[Refit] = []
-    for place in likely[: int(calibrated("causes.shortlist"))]:
-        explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in refits)
+    for number, place in enumerate(likely[: int(calibrated("causes.shortlist"))]):
+        known = [*refits, *under_laws] if number else []
+        explained = any(candidate.p_value > calibrated("causes.misfit_p") for candidate in known)
         refit = _refit(ligament, names[place], terms[place], tested, place, units, explained)
         refits += [] if refit is None else [refit]
     if not searched:
-        least = float(chdtri(1, calibrated("causes.false_alarm") / len(scored)))
         searched = any(candidate.fall > least for candidate in refits)
         refits = refits if searched else []
+        under_laws = list(laws()) if searched and laws is not None else []
     equations = 2 * ligament.equations.n * ligament.lines.count
     shown = sorted(leading)
     kept = Scores(
@@ -170,9 +223,15 @@ def diagnose(problem: Problem, ligament: LigamentFit) -> Diagnosis:
         tested.response[:, shown],
     )
     diagnosis = Diagnosis(
-        tuple(names[place] for place in shown), kept, (), float(np.log(equations)), sensitivities, searched
+        tuple(names[place] for place in shown),
+        kept,
+        (),
+        float(np.log(equations)),
+        sensitivities,
+        searched,
+        search_z=float(np.sqrt(least)),
     )
-    return with_refits(diagnosis, refits)
+    return with_refits(diagnosis, [*refits, *under_laws])
 
 
 def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:
@@ -181,6 +240,19 @@ def _first_of_families(ranked: list[int], names: tuple[str, ...]) -> list[int]:
     for place in ranked:
         first.setdefault(CAUSES[names[place]].family or names[place], place)
     return list(first.values())
+
+
+def _rarity() -> float:
+    """Return what an error that is there wholly or not at all must lower chi2 by to be likely."""
+    return -2.0 * float(np.log(calibrated("causes.whole_error")))
+
+
+def _fall_of_whole(name: str, tested: Scores, place: int) -> float:
+    """Return to first order by how much chi2 falls with a cause of its only size."""
+    only = CAUSES[name].only
+    if only is None:
+        return -np.inf
+    return float((tested.estimate[place] ** 2 - (tested.estimate[place] - only) ** 2) / tested.sd[place] ** 2)
 
 
 def _large(name: str) -> bool:
@@ -206,6 +278,8 @@ def _refit(
     best = None
     starts = (float(start_scores.estimate[place]), *CAUSES[name].starts)
     for begin in starts[: 1 if explained else None]:
+        if begin == 0.0 and best is not None and best[2].chi2 < ligament.joint.chi2:
+            continue
         shifted = ligament.joint.parameters - begin * start_scores.response[:, place]
         start = replace(ligament.joint, parameters=shifted)
         fitted = extended_fit(
@@ -215,6 +289,7 @@ def _refit(
             (term,),
             np.array([begin]),
             _FEW if explained else _MOST,
+            FEW_ROUNDS if explained or best is not None or begin in CAUSES[name].starts[1:] else MOST_ROUNDS,
         )
         if fitted is not None and (best is None or fitted[2].chi2 < best[2].chi2 - 1e-6):
             best = fitted
@@ -224,7 +299,9 @@ def _refit(
         return None
     lines, equations, fit = best
     level = max(1.0, fit.level)
-    change = (fit.parameters[: len(units)] - ligament.joint.parameters[: len(units)]) * units
+    before = ligament.equations.unknowns
+    change = fit.parameters[:before] - ligament.joint.parameters[:before]
+    effect = change[: len(units)] * units
     fall = (ligament.joint.chi2 - fit.chi2) / level
     size = float(fit.parameters[equations.term][-1])
     if CAUSES[name].positive and size < 0.0:
@@ -232,8 +309,14 @@ def _refit(
     left = float(chdtrc(fit.n_dof, fit.chi2))
     more = lines.errors - ligament.lines.errors
     unknowns = 1.0 + _informed(fit, more) / np.log(2 * equations.n * lines.count)
-    strange = (size / CAUSES[name].usual) ** 2
-    return Refit(name, size, float(start_scores.sd[place]), fall, change, left, unknowns, strange)
+    strange, only = (size / CAUSES[name].usual) ** 2, CAUSES[name].only
+    if only is not None:
+        variance = level * inverse_of(fit.at.hessian)[equations.term, equations.term][-1, -1]
+        unknowns, strange = unknowns - 1.0, (size - only) ** 2 / variance + _rarity()
+    sd = float(start_scores.sd[place])
+    factor = equations.applied(lines, fit.parameters)[1].factor
+    off = off_by_cause(ligament, change, sd / max(abs(size), 1e-300), factor)
+    return Refit(name, size, sd, fall, effect, left, unknowns, strange, off)
 
 
 def _informed(fit: JointFit, count: int) -> float:
@@ -247,6 +330,18 @@ def _informed(fit: JointFit, count: int) -> float:
         return 0.0
     left = inverse_of(fit.at.hessian)[-count:, -count:]
     return max(0.0, -float(np.linalg.slogdet(left)[1]))
+
+
+def model_error(diagnosis: Diagnosis, ligament: LigamentFit) -> Array:
+    """Return columns E (24, k): E E^T is the mean square by which a wrong model puts K and D off.
+
+    See `Diagnosis.off`; where no cause explains the misfit, what it may move K and D by is added.
+    """
+    named = diagnosis.named
+    left = ligament.p_value if named is None else named.p_value
+    if left > calibrated("causes.misfit_p"):
+        return diagnosis.off
+    return np.concatenate([diagnosis.off, off_unexplained(ligament)], axis=1)
 
 
 def relative_effect(change: Array, stiffness: Array, damping: Array) -> Array:

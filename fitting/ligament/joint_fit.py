@@ -61,6 +61,8 @@ class Expansion:
         yhat with the terms in it.
     operators : ndarray, (t, lines, n, 12), complex, or None
         Derivatives of the operator on the motion as measured by the terms.
+    jacobian : ndarray, (lines * n, p), complex, or None
+        Derivative of the residual; None where the Hessian was given.
     """
 
     value: float
@@ -71,6 +73,7 @@ class Expansion:
     gain: ComplexArray
     fitted: ComplexArray
     operators: ComplexArray | None = None
+    jacobian: ComplexArray | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,8 @@ class JointFit:
     converged : bool
     iterations : int
     at : Expansion
+    noise : float
+        Variance of the noise with which it was fitted over the stated one.
     """
 
     parameters: Array
@@ -96,6 +101,7 @@ class JointFit:
     converged: bool
     iterations: int
     at: Expansion
+    noise: float = 1.0
 
     @property
     def level(self) -> float:
@@ -150,6 +156,7 @@ def expand(
     value = float(np.sum(np.abs(white) ** 2)) + 0.5 * float(off @ off) + 0.5 * float(errors @ errors)
     gradient[:p] += prior.root.T @ off
     gradient[p:] += errors
+    jacobian = None
     if hessian is None:
         columns = [whitening @ structural.reshape(lines.count, equations.n, p)]
         if lines.errors:
@@ -159,7 +166,7 @@ def expand(
         hessian = 2.0 * (real.T @ real)
         hessian[:p, :p] += prior.root.T @ prior.root
         hessian[np.arange(p, len(hessian)), np.arange(p, len(hessian))] += 1.0
-    return Expansion(value, gradient, hessian, white, whitening, gain, fitted, operators)
+    return Expansion(value, gradient, hessian, white, whitening, gain, fitted, operators, jacobian)
 
 
 def _structural_columns(

@@ -13,6 +13,7 @@ K = K' + Y K_cc Y^T about the footplate centre follows.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from fitting.ligament.inplane_stiffness import COLUMNS, ROWS, scaled_law, semide
 from fitting.ligament.joint_fit import JointFit, equation_error_start, fit_joint
 from fitting.ligament.joint_lines import DOFS, JointLines, joint_lines
 from fitting.ligament.ligament_fit import LigamentFit, coupling_units, ligament_in_si
-from fitting.ligament.misfit import explained, fit_any, fit_with_noise, noise_of
+from fitting.ligament.misfit import explained, fit_any, fit_with_noise
 from fitting.ligament.prior import Prior, coupling_prior
 from fitting.model.observation import Observation
 from fitting.model.principal_axes import PRINCIPAL_DOF
@@ -39,6 +40,9 @@ _SMALLEST, _WIDTH, _SETTLED = 0.1, 1.5, 1e-3
 # Steps at or below which a fit is not worth an outer search: those of a fit that only looks (a cause beside
 # another one that explains the data).
 _FEW = 20
+# Fits with other noise of one that adds a term, and of one that only looks or starts far away: with the
+# noise of the fit without it, and with the noise that is left.
+MOST_ROUNDS, FEW_ROUNDS = 4, 2
 Extended = tuple[JointLines, Equations, JointFit]
 
 
@@ -61,6 +65,7 @@ def fit_ligament(
     extend: Extension | None = None,
     begun: tuple[Array, Array] | None = None,
     held: bool = False,
+    briefly: bool = False,
 ) -> LigamentFit | None:
     """Fit K, D, the coupling by the plane of the ligament and the shared errors together.
 
@@ -78,6 +83,8 @@ def fit_ligament(
         The first start with them: scaled K and D, and their values.
     held : bool
         Whether K' and D' are kept positive semidefinite, without further unknowns.
+    briefly : bool
+        Whether a misfit is left as it is: where another model explains the data.
 
     Returns
     -------
@@ -99,7 +106,7 @@ def fit_ligament(
         first = np.concatenate([begun[0], begins[len(start) :], prior])
         fitted = _prepared(lines, equations, first, terms, begun[1])
     if fitted is None or not explained(fitted[2]):
-        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)))
+        joint = _from_valleys(lines, equations, begins, (prior, np.zeros(_N * _N)), briefly)
         if not terms:
             fitted = (lines, equations, joint) if joint is not None and joint.converged else None
         elif joint is not None:
@@ -110,12 +117,12 @@ def fit_ligament(
 
 
 def _from_valleys(
-    lines: JointLines, equations: Equations, begins: Array, couplings: tuple[Array, ...]
+    lines: JointLines, equations: Equations, begins: Array, couplings: tuple[Array, ...], briefly: bool
 ) -> JointFit | None:
     """Return the fit from the first coupling that settles; those that lead to one valley are tried once.
 
     Without shared errors, which costs little, starts show whether they lead to the same valley. A misfit is
-    fitted with as much noise.
+    fitted with as much noise, unless ``briefly``.
     """
     joint: JointFit | None = None
     seen: list[float] = []
@@ -127,7 +134,7 @@ def _from_valleys(
         joint = fit_joint(lines, equations, np.concatenate([bare.parameters, np.zeros(lines.errors)]))
         if joint.converged:
             break
-    if joint is not None and joint.converged and explained(joint):
+    if joint is not None and (briefly or (joint.converged and explained(joint))):
         return joint
     start = np.concatenate([begins, couplings[0]])
     return fit_with_noise(lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin))
@@ -179,15 +186,24 @@ def extended_fit(
     terms: tuple[Term, ...],
     begin: Array | None = None,
     most: int = 60,
+    rounds: int = MOST_ROUNDS,
 ) -> Extended | None:
-    """Minimise with further unknowns, from values ``begin`` (0) of theirs; None if it needs more steps."""
+    """Minimise with further unknowns, from values ``begin`` (0) of theirs; None if it needs more steps.
+
+    Where the data are not explained by as much noise as stated, ``rounds`` is the most fits with other noise.
+    """
     lines = lines.with_nuisances(tuple(name for term in terms for name in term.nuisances))
     start = np.insert(fit.parameters, equations.unknowns, np.zeros(len(terms)) if begin is None else begin)
     value = 0.0 if begin is None else float(begin[0])
     extended = equations.with_terms(terms)
     joint = _settled(
         lambda: fit_with_noise(
-            lines, extended, start, lambda wide, at: fit_joint(wide, extended, at, most=most), noise_of(fit)
+            lines,
+            extended,
+            start,
+            lambda wide, at: fit_joint(wide, extended, at, most=most),
+            fit,
+            rounds,
         )
     )
     if joint is None and len(terms) == 1 and terms[0].nuisances and value and most > _FEW:
@@ -208,7 +224,7 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
     """Minimise over the value of one term in an outer search, along a valley too curved for joint steps.
 
     With a mass at the head all of K and D grow, while its place, and with it the direction of the valley,
-    depends on the mass.
+    depends on the mass. The noise is that of the fit without it.
     """
     from scipy.optimize import minimize_scalar
 
@@ -217,7 +233,8 @@ def _profiled(lines: JointLines, equations: Equations, term: Term, fit: JointFit
 
     def profile(logarithm: float) -> float:
         applied = term.apply(float(np.exp(logarithm)), lines, equations)
-        inner = fit_any(*applied, equation_error_start(*applied, fit.parameters))
+        wide = replace(applied[0], covariance=fit.noise * applied[0].covariance)
+        inner = fit_joint(wide, applied[1], equation_error_start(*applied, fit.parameters))
         fits[logarithm] = inner
         return inner.chi2
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,8 @@ class LigamentFit:
         Residuals over their noise; real and imaginary parts have unit variance.
     lines, equations, joint
         What was solved.
+    to_centre, to_plane : ndarray, (12, p)
+        Derivatives of K and D about the footplate centre, and of K' and D', SI, by the scaled unknowns.
     terms : dict of str to (float, float)
         Further unknowns that are part of the model, e.g. a fluid: value and sd, SI.
     """
@@ -89,6 +91,8 @@ class LigamentFit:
     lines: JointLines = field(repr=False)
     equations: Equations = field(repr=False)
     joint: JointFit = field(repr=False)
+    to_centre: Array = field(repr=False)
+    to_plane: Array = field(repr=False)
     terms: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -102,6 +106,10 @@ class LigamentFit:
     def applied(self) -> JointLines:
         """The lines with the further unknowns in them."""
         return self.equations.applied(self.lines, self.joint.parameters)[0]
+
+    def with_model_error(self, off: Array) -> LigamentFit:
+        """Return the fit with columns E (12, k) of K' and D': a wrong model puts them off by E E^T; SI."""
+        return replace(self, plane_covariance=self.plane_covariance + off @ off.T)
 
     @property
     def p_value(self) -> float:
@@ -219,6 +227,8 @@ def ligament_in_si(
         lines,
         equations,
         fit,
+        to_centre,
+        to_plane,
         {
             term.name: (float(fit.parameters[at] * term.unit), float(np.sqrt(total[at, at]) * term.unit))
             for at, term in enumerate(equations.terms, equations.term.start)

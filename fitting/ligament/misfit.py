@@ -34,11 +34,6 @@ def explained(fit: JointFit) -> bool:
     return bool(chdtrc(fit.n_dof, fit.chi2) > calibrated("causes.misfit_p"))
 
 
-def noise_of(fit: JointFit) -> float:
-    """Return the variance of the noise over the stated one, 1 where the stated one explains the data."""
-    return 1.0 if explained(fit) else fit.level
-
-
 def fit_any(lines: JointLines, equations: Equations, start: Array) -> JointFit:
     """Fit with the noise as stated or, where that does not explain the data, with as much as there is.
 
@@ -51,7 +46,12 @@ def fit_any(lines: JointLines, equations: Equations, start: Array) -> JointFit:
 
 
 def fit_with_noise(
-    lines: JointLines, equations: Equations, start: Array, descent: Descent, noise: float | None = None
+    lines: JointLines,
+    equations: Equations,
+    start: Array,
+    descent: Descent,
+    before: JointFit | None = None,
+    rounds: int = _ROUNDS,
 ) -> JointFit:
     """Fit while the noise is lowered until chi2 per degree of freedom agrees with it, or to the stated one.
 
@@ -62,9 +62,12 @@ def fit_with_noise(
     start : ndarray, (p,) or (p + k,)
     descent : callable
         Fits lines from a start.
-    noise : float, optional
-        Variance over the stated one to begin with; 1: the stated one, whatever comes of it. Chi2 per degree
-        of freedom at the start when left out.
+    before : JointFit, optional
+        A fit without some of the unknowns: it begins with the noise of that fit, and where that was the
+        stated one keeps to it. What explains hardly more than it did is left at its noise. When left out, it
+        begins with chi2 per degree of freedom at the start.
+    rounds : int
+        Most fits.
 
     Returns
     -------
@@ -76,28 +79,34 @@ def fit_with_noise(
     LinAlgError
         The start has no likelihood.
     """
-    if noise == 1.0:
+    if before is not None and before.noise == 1.0:
         return descent(lines, start)
     free = 2 * equations.n * lines.count - equations.prior.free
-    if noise is None:
+    if before is not None:
+        noise = before.noise
+    else:
         whole = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
         noise = 2.0 * expand(lines, equations, whole, np.empty(0)).value / free
-    noise, low, best = max(noise, 1.0), 1.0, None
-    for _ in range(_ROUNDS):
+    noise, low, best, found = max(noise, 1.0), 1.0, None, 1.0
+    for _ in range(rounds):
         fit = descent(replace(lines, covariance=noise * lines.covariance), start)
         if fit.converged and _probable(equations, fit.parameters):
-            best, start = fit, fit.parameters
+            best, start, found = fit, fit.parameters, noise
             left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
             if noise <= _CLOSE * low or left > _AGREES * noise:
+                break
+            if before is not None and left > _AGREES * before.level:
                 break
             noise = max(left, float(np.sqrt(low * noise)) if low > 1.0 else 1.0)
         elif best is None:
             low, noise = noise, _GROWS * noise
         else:
-            break
-    best = best or fit
+            low, noise = noise, float(np.sqrt(noise * found))
+            if found <= _CLOSE * low:
+                break
+    best, found = (best, found) if best is not None else (fit, noise)
     at = expand(lines, equations, best.parameters)
-    return JointFit(best.parameters, 2.0 * at.value, best.n_dof, best.converged, best.iterations, at)
+    return JointFit(best.parameters, 2.0 * at.value, best.n_dof, best.converged, best.iterations, at, found)
 
 
 def _probable(equations: Equations, parameters: Array) -> bool:

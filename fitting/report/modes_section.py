@@ -20,12 +20,18 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 Array = NDArray[np.float64]
+# Elements of the stapes in the circuit of Hudde and Engel 1998, Acustica 84:720, 894 and 1091: 1.2 mm/N,
+# 0.018 N s/m, 3 mg. Read as Sankowsky-Rothe et al. 2022, Acta Acustica, take them over for their program.
+_CIRCUIT = "circuit model (Hudde and Engel 1998, Acustica 84, quoted by Sankowsky-Rothe et al. 2022)"
 # Piston stiffness K(y), N/m, of human ears with the reference; CURAC 2019, p. 98 ff., cites the mean.
 PUBLISHED_PISTON = (
     ("1722", "vibrations of one stapes, 400 to 5000 Hz (CURAC 2019, p. 98 ff.)"),
     ("1238 ± 973", "mean of published values (given there)"),
+    ("833", _CIRCUIT),
     ("120", "atomic force microscopy (Kwacz et al. 2015, doi:10.1007/s10162-015-0525-9)"),
 )
+# Piston damping D(y), N s/m.
+PUBLISHED_PISTON_DAMPING = (("0.0229", "one stapes (CURAC 2019, p. 98 ff.)"), ("0.018", _CIRCUIT))
 # Damped frequencies of the modes, Hz, of that stapes, its incus removed and its cochlea open.
 PUBLISHED_MODES_HZ = (1753.0, 2783.0, 3862.0)
 
@@ -69,6 +75,9 @@ def _published(fit: KDFit) -> tuple[Markup, ...]:
     """Return heading and table of published stiffnesses and frequencies beside those of the fit."""
     value, sd = fit.stiffness[0, 0], fit.standard_deviation[0][0, 0]
     rows = [("K(y) (N/m)", plus_minus(value, sd), other, source) for other, source in PUBLISHED_PISTON]
+    if fit.law.name == "viscous":
+        own = plus_minus(fit.damping[0, 0], fit.standard_deviation[1][0, 0])
+        rows += [("D(y) (N s/m)", own, other, source) for other, source in PUBLISHED_PISTON_DAMPING]
     pairs = zip(fit.modes.pairs, fit.derived.frequency_sd_hz, PUBLISHED_MODES_HZ, strict=False)
     for place, (mode, frequency_sd, other) in enumerate(pairs, 1):
         own = plus_minus(mode.frequency_hz, float(frequency_sd))

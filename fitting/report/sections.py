@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.budget import MODEL_ERROR
 from fitting.causes.catalogue import title_of
 from fitting.kd_fit import KDFit
 from fitting.model.causality import causal_rise
@@ -48,6 +49,7 @@ SOURCE_WORDS = {
     "correction": "corrected faults of points and lasers",
     "inplane_stiffness": "stiffness in the plane of the ligament",
     "damping_exponent": "exponent of the damping law",
+    MODEL_ERROR: "what the model lacks",
 }
 
 

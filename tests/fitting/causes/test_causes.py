@@ -96,6 +96,27 @@ def test_a_mass_at_the_head_is_undetermined_in_its_place_and_its_intervals_hold(
     assert np.sum(np.array(fit.ligament.lines.sources) == HEAD_PLACE) == 3
 
 
+def test_the_mass_matrix_of_the_other_side_is_told_from_a_centre_elsewhere() -> None:
+    """Before, it was called a centre of mass elsewhere along z."""
+    settings = EarSettings(0.1, 0.005, lines=60, cause="mirrored", size=1.0, head_mm=0.5)
+    fit = fitted(ear(settings, np.random.default_rng([71, 0])))
+    assert fit.diagnosis.named.name == "mirrored"
+    assert "mirror image" in next(one.text for one in fit.notices if one.code == "cause_found")
+    assert fit.diagnosis.named.size == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_error_is_found_from_the_size_that_the_page_states(clean: KDFit) -> None:
+    scores, seen = clean.diagnosis.scores, clean.diagnosis.seen_from
+    place = clean.diagnosis.tested.index("centre_y")
+    assert seen["centre_y"] == pytest.approx((clean.diagnosis.search_z + 0.84) * scores.sd[place], rel=1e-3)
+    for share, found in ((2.0, True), (0.3, False)):
+        fit = fitted(case_of("centre_z", 0, size=share * seen["centre_z"]))
+        assert ("cause_found" in codes(fit)) == found
+    assert "mass" not in seen
+    text = kd_page(clean, {}).html()
+    assert "seen from" in text
+
+
 def test_a_size_that_no_stapes_has_counts_against_a_cause(clean: KDFit) -> None:
     """A mass at the head looks like a centre of mass 1 mm higher in a larger mass matrix."""
     likely, far = (

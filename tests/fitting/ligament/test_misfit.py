@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import chdtri
@@ -10,7 +12,7 @@ from benchmarks.ring_ears import PISTON, EarSettings, ear
 from fitting.kd import fit_kd
 from fitting.kd_fit import KDFit
 from fitting.ligament.joint_fit import fit_joint
-from fitting.ligament.misfit import fit_any, fit_with_noise, noise_of
+from fitting.ligament.misfit import fit_any, fit_with_noise
 from fitting.options import KDOptions
 
 PISTON_STIFFNESS = PISTON[0], PISTON[0]
@@ -41,9 +43,10 @@ def test_data_that_are_explained_are_fitted_as_before() -> None:
     ligament = fit.ligament
     lines, equations, start = ligament.lines, ligament.equations, ligament.joint.parameters
     plain = fit_joint(lines, equations, start)
-    assert noise_of(plain) == 1.0
+    assert plain.noise == 1.0
     assert fit_any(lines, equations, start).parameters == pytest.approx(plain.parameters, rel=1e-12)
+    noisy = replace(plain, noise=50.0, chi2=50.0 * plain.chi2)
     brought_down = fit_with_noise(
-        lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin), 50.0
+        lines, equations, start, lambda wide, begin: fit_joint(wide, equations, begin), noisy
     )
     assert brought_down.chi2 == pytest.approx(plain.chi2, rel=1e-5)

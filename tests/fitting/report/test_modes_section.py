@@ -45,6 +45,8 @@ def test_rocking_about_a_shifted_axis_has_its_nodal_line_there() -> None:
 def test_the_section_has_every_mode_and_the_published_numbers(fit: KDFit) -> None:
     text = "".join(str(block) for block in modes_section(fit, None).blocks)
     assert "1238 ± 973" in text
+    assert "833" in text
+    assert "0.018" in text
     assert text.count("damped (Hz)") >= 4
     assert "nodal line" in text
     other = fit_kd(paper_motion(0.02, 0), M[:2, :2], KDOptions(dof=("y", "alpha"), bands=0))
