@@ -16,7 +16,6 @@ from ct_inertia.options import MassOptions
 from ct_inertia.readers.mapping import lost_pages
 from ct_inertia.small_inputs import read_small_inputs
 from stapeskit.background import Later
-from stapeskit.faults import Fault
 from stapeskit.progress import Tell, silent
 from stapeskit.unchanged import InputStates
 from stapeskit.warnings import Notice
@@ -71,8 +70,8 @@ def ct2mass(
 def _check_inputs(inputs: InputStates, lost: int) -> None:
     inputs.check(CtInertiaError)
     if lost_pages() != lost:
-        raise CtInertiaError(
-            Fault("the scan", "readable to its end", "a part that its disk did not give", "", "Copy it anew")
+        raise CtInertiaError.of(
+            "the scan", "readable to its end", "a part that its disk did not give", "", "Copy it anew"
         )
 
 
@@ -127,8 +126,8 @@ def _bodies(options: MassOptions, progress: Tell) -> Bodies:
     labels = None
     if options.labels is not None:
         if not Path(options.labels).exists():
-            raise CtInertiaError(
-                Fault("{labels}", "an existing label volume", options.labels, next_step="Check the path")
+            raise CtInertiaError.of(
+                "{labels}", "an existing label volume", options.labels, next_step="Check the path"
             )
         spacing = options.spacing_mm if volume is None else tuple(float(v) for v in volume.spacing_mm)
         labels = read_labels(options.labels, spacing, options.mirror, options.follow)

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from ct_inertia.frames.plate_frame import PlateFrame
     from ct_inertia.frames.window_gap import WindowGap
 
-Array = NDArray[np.float64]
-
 
 def mass_of_bodies(
     options: MassOptions,

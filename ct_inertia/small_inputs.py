@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.frames.anatomy import AnatomyHints
+from stapeskit.arrays import Array
 
 if TYPE_CHECKING:
     from ct_inertia.frames.plate_fiducials import PlateFiducials
     from ct_inertia.mass.calibration import Calibration
     from ct_inertia.options import MassOptions
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

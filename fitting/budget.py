@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators.problem import Problem
 from fitting.laws import LawFit
@@ -24,8 +23,8 @@ from fitting.uncertainty.covariance import (
     noise_covariance,
     shared_effects,
 )
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 EXPONENT = "damping_exponent"
 MODEL_ERROR = "model_error"
 

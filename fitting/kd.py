@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.budget import budget_of, derived_quantities
 from fitting.causes.diagnosis import model_error
@@ -33,13 +32,13 @@ from fitting.uncertainty.identifiability import Identifiability, identifiability
 from fitting.uncertainty.profile import profile_intervals
 from fitting.uncertainty.shared_misfit import chi2_with_shared_errors
 from fitting.verdicts import cause_notices, verdicts
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 from stapeskit.records.mass_record import MassMatrix
 from stapeskit.records.motion import RigidMotion
 from stapeskit.spatial import DOF_NAMES
 from stapeskit.warnings import Notice, unique
 
-Array = NDArray[np.float64]
 # Relative sd of the worst combination from which minimisation over the other entries settles nowhere, so that
 # there is no profile; the Fisher intervals, which are enormous then, stand alone.
 _HOPELESS = 3.0
@@ -87,14 +86,12 @@ def _fitted(
 ) -> KDFit:
     if options.dof_reordered and not isinstance(mass, MassMatrix):
         step = f"Write {','.join(options.dof)} and order rows and columns of the matrix so"
-        raise FittingError(
-            Fault(
-                "{dof}",
-                f"in the order {','.join(DOF_NAMES)} where a plain mass matrix counts by it",
-                "another",
-                "",
-                step,
-            )
+        raise FittingError.of(
+            "{dof}",
+            f"in the order {','.join(DOF_NAMES)} where a plain mass matrix counts by it",
+            "another",
+            "",
+            step,
         )
     inertia = inertia_of(mass, options.dof)
     observation = observe(

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.causes.catalogue import Setting, term_of
 from fitting.causes.correction import corrected_problem
@@ -25,9 +24,9 @@ from fitting.model.lines import forward, real_rows
 from fitting.model.observation import Observation
 from fitting.model.symmetric import entry_names, split
 from fitting.uncertainty.covariance import chi2, degrees
+from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS
 
-Array = NDArray[np.float64]
 # Exponents or times at which a law is tried before a joint fit, which goes on from the best of them.
 _STARTS = 6
 

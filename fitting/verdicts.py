@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.options import CORRECT
 from fitting.uncertainty.identifiability import relative_sizes
+from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
@@ -16,7 +16,6 @@ from stapeskit.warnings import Notice
 if TYPE_CHECKING:
     from fitting.kd_fit import KDFit
 
-Array = NDArray[np.float64]
 # Published stiffness of the human annular ligament in piston direction, N/m.
 PISTON_RANGE = (120.0, 3200.0)
 # Masses of human stapedes; outside the wider range a mass is one in another unit, or of something else.

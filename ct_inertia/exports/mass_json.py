@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.exports.output_files import LABELS, SCAN_CROP, SEGMENTS
@@ -21,6 +20,7 @@ from ct_inertia.mass.mass_properties import point_masses
 from ct_inertia.mass.published import comparisons, measured_values
 from ct_inertia.native import which
 from ct_inertia.surface.surface import Surface, write_surface
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.options import declared, plain
 from stapeskit.provenance import Hashes, record
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ct_inertia.frames.window_gap import WindowGap
     from ct_inertia.options import MassOptions
 
-Array = NDArray[np.float64]
 
 REDUCED = ("y", "alpha", "gamma")
 _CONVENTION = {

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 LANDMARK_NAMES = ("anterior", "posterior", "superior", "inferior", "head", "footplate_centre")
 # Angle of a given direction to the long axis, degrees: refused above the first, for its sign is then within

@@ -34,10 +34,9 @@ from ct_inertia.frames.footplate_landmarks import check_head, contradiction
 from ct_inertia.frames.footplate_search import FaceCandidate, face_candidates
 from ct_inertia.frames.footplate_uncertainty import contributions_of
 from ct_inertia.surface.surface_field import Mesh, outer_loop
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 
 class SurfaceLike(Protocol):

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface_field import Diffusion, Mesh, Patch, outer_loop, positive_patch, refined, unit
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Definition of the footplate frame: the medial face is what faces medially within this angle, its normals
 # averaged over this length; its plane is the robust fit with this scale. Other values define another frame.

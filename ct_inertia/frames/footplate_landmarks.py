@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import AnatomyHints
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault
 
-Array = NDArray[np.float64]
 # Largest distance of the landmark head from the bone, mm. Chosen by judgement: about the width of the head,
 # so that a point set inside it or beside it passes and one in other coordinates does not.
 _HEAD_MM = 1.0

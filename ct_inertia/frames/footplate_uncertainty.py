@@ -13,9 +13,8 @@ from ct_inertia.frames.footplate_noise import (
     height_covariance,
     height_noise,
 )
+from stapeskit.arrays import Array
 from stapeskit.frames import vector_from_rotation
-
-Array = NDArray[np.float64]
 
 _RIM_DEG_PER_MM = calibrated("footplate_uncertainty.rim_deg_per_mm")
 _SEEN_RIM_DEG_PER_MM = calibrated("footplate_uncertainty.seen_rim_deg_per_mm")

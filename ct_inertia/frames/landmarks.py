@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.anatomy import LANDMARK_NAMES
 from ct_inertia.readers.checks import mm_per_unit
+from stapeskit.arrays import Array
 from stapeskit.documents import parse_json
 from stapeskit.faults import Fault, raise_all
 from stapeskit.tables.csv_table import read_table
 
-Array = NDArray[np.float64]
 Named = list[tuple[str, Array]]
 
 _LPS_FROM = {"LPS": np.array([1.0, 1.0, 1.0]), "RAS": np.array([-1.0, -1.0, 1.0])}

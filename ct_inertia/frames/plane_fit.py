@@ -12,8 +12,7 @@ from ct_inertia.calibrated import calibrated
 from ct_inertia.frames.plane_faces import PlaneFace, fitted_plane
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Heights over the face in standard deviations of the blur: half the length of a column; where a material is
 # pure (beyond 3 the blur leaves 0.1 % of the other); the least distance of a column from another face; and

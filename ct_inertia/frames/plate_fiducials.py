@@ -7,19 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.frames.plate_frame import PlateFrame, positive_sense
 from stapeskit.alignment.registration import fit_rigid
+from stapeskit.arrays import Array
 from stapeskit.faults import Fault, raise_all
 from stapeskit.frames import RigidTransform, axes_matrix
 from stapeskit.tables.csv_table import read_table
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 _SCAN = ("x_mm", "y_mm", "z_mm")
 _PLATE = ("x_ref_mm", "y_ref_mm", "z_ref_mm")

@@ -22,11 +22,10 @@ from ct_inertia.frames.plane_fit import fitted_to_grey
 from ct_inertia.frames.plate_covered import covered_face
 from ct_inertia.frames.plate_surface import PlateSurface
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform, axes_matrix, vector_from_rotation
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 _LEAST_EDGE_MM = calibrated("plate_frame.least_edge_mm")
 _STEEP = calibrated("plate_frame.steep_side")

@@ -20,9 +20,8 @@ from ct_inertia.frames.footplate import FootplateFrame, SurfaceLike
 from ct_inertia.frames.footplate_face import EDGE_MM, NORMAL_SCALE_MM, SEEN_EDGE_MM, sunk_by_blur
 from ct_inertia.surface.surface_field import Diffusion, Mesh, refined, unit
 from ct_inertia.volume.normal import normal_cdf
+from stapeskit.arrays import Array
 from stapeskit.background import Later
-
-Array = NDArray[np.float64]
 
 # Distance of places along the rim, mm: about the scale of the surface's normals, and more than its triangles.
 _STEP_MM = 0.06

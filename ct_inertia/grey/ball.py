@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.volume import Volume
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Radii in diameters. The surface is at 0.5; inside and outside are read at least 0.15 diameters away from it,
 # that is one voxel of the smallest ball and most of its blur.

@@ -12,9 +12,8 @@ from ct_inertia.grey.psf import Candidates, candidate_edges, tangents
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian, interpolated
 from ct_inertia.volume.normal import normal_cdf
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # Edges that are looked at, and the least that must be clean.
 _MOST, _LEAST = 12_000, 120

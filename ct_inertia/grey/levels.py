@@ -13,8 +13,7 @@ from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.mask_statistics import Sums, deviation, every_nth, lowest, sums
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 # Voxels of air from which a mean is taken: its noise is 5 % of a voxel's; and in an eighth of the box, 7 %.
 _LEAST_AIR = 400

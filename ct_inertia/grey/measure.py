@@ -26,10 +26,9 @@ from ct_inertia.surface.moments import Moments
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.mask_statistics import gathered
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.background import Later
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 _REST_SD = calibrated("edges.rest_of_overshoot_sd")
 _FITTED_BLUR_SD = calibrated("measure.fitted_blur_sd")

@@ -17,10 +17,9 @@ from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import eroded, labelled
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # Bodies whose blur carries a layer thinner than this across the middle of their gap, mm, exchange less
 # than 3e-4 of a stapes, of which most cancels.

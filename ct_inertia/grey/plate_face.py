@@ -15,8 +15,7 @@ from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import dilated, gaussian
 from ct_inertia.volume.normal import normal_cdf
 from ct_inertia.volume.volume import Volume
-
-Array = NDArray[np.float64]
+from stapeskit.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ from ct_inertia.grey.stored_levels import Stored, as_before_storing, stored_leve
 from ct_inertia.segment.cutting import Cut
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # The blur of a plane edge beyond 4.2 widths holds 3e-6 of a width.
 _TAIL_SIGMAS = 4.2

@@ -18,10 +18,9 @@ from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.mask_statistics import every_nth
 from ct_inertia.volume.normal import normal_cdf, normal_quantile
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 _MOST_BONE = calibrated("soft.most_bone")
 _CELL_MM = calibrated("soft.cell_mm")

@@ -15,9 +15,8 @@ from ct_inertia.grey.levels import Air, Surroundings
 from ct_inertia.grey.store import Level, Store, level_of, store_of
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.grids import gaussian
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
-
-Array = NDArray[np.float64]
 
 # A pile of voxels at an end of the range, as a share of those of a material, and the least of them.
 _PILE, _LEAST = 0.01, 100

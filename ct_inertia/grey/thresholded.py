@@ -13,7 +13,6 @@ from ct_inertia.surface.surface import Surface
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Most grey values of a scan that somebody has thresholded: a few materials, where a scan has hundreds.
 _FEW_VALUES = 4
 # Voxels a piece, after each of which the search can end.

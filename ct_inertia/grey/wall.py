@@ -15,8 +15,6 @@ from ct_inertia.segment.cutting import Cut
 from ct_inertia.surface.contours import contoured
 from ct_inertia.volume.volume import Volume
 
-Array = NDArray[np.float64]
-
 # Widths of the blur around other bone within which its own grey values are followed.
 _REACH_SIGMAS = 3.0
 

@@ -28,11 +28,10 @@ from ct_inertia.surface.moments import Moments
 from ct_inertia.surface.surface import Surface
 from ct_inertia.volume.distance import capped_distance
 from ct_inertia.volume.volume import Volume
-from stapeskit.faults import Fault
+from stapeskit.arrays import Array
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Distance between the voxels of labels and scan, in voxels, up to which both have one grid: rounding of
 # origins in files stays below, half a voxel between conventions of origins does not.
 _SAME_GRID = 0.05
@@ -58,7 +57,7 @@ def bodies_from_labels(volume: Volume | None, options: SearchOptions, coat: Coat
     """
     labels = options.labels
     if labels is None:
-        raise CtInertiaError(Fault("the label volume", "given", "none", "", "Give it with {labels}"))
+        raise CtInertiaError.of("the label volume", "given", "none", "", "Give it with {labels}")
     numbers = body_numbers(labels, options.stapes_label, options.plate_label)
     _check_labels(labels, numbers[0])
     stapes, islands = without_islands(labels, numbers[0])
@@ -81,26 +80,22 @@ def _check_labels(labels: Volume, number: int) -> None:
     array = labels.array
     name = "the label volume" if labels.source is None else Path(labels.source).name
     if array.dtype.kind == "f" and any(np.any(piece != np.rint(piece)) for piece in array):
-        raise CtInertiaError(
-            Fault(
-                "the label volume",
-                "whole numbers, one for each body",
-                "grey values",
-                name,
-                "Give the scan as the first argument and its segmentation with {labels}",
-            )
+        raise CtInertiaError.of(
+            "the label volume",
+            "whole numbers, one for each body",
+            "grey values",
+            name,
+            "Give the scan as the first argument and its segmentation with {labels}",
         )
     count = sum(int(np.count_nonzero(piece == number)) for piece in array)
     if count < _LEAST_VOXELS:
         present = sorted({int(v) for piece in array[:: max(1, len(array) // 64)] for v in np.unique(piece)})
-        raise CtInertiaError(
-            Fault(
-                "the label volume",
-                f"one with voxels of the stapes (number {number})",
-                f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
-                name,
-                "Name the stapes' number with {stapes_label}",
-            )
+        raise CtInertiaError.of(
+            "the label volume",
+            f"one with voxels of the stapes (number {number})",
+            f"{count} of them; numbers present: {', '.join(map(str, present[:12]))}",
+            name,
+            "Name the stapes' number with {stapes_label}",
         )
 
 
@@ -248,14 +243,12 @@ def _offset(volume: Volume, labels: Volume) -> NDArray[np.int64]:
         return offset
     if np.array_equal(labels.size, volume.size) and not labels.handedness_confirmed:
         return np.zeros(3, dtype=np.int64)
-    raise CtInertiaError(
-        Fault(
-            "the label volume",
-            f"on the voxels of the scan ({_grid(volume)})",
-            _grid(labels),
-            "" if labels.source is None else Path(labels.source).name,
-            "Resample it onto the scan, or give {labels} alone",
-        )
+    raise CtInertiaError.of(
+        "the label volume",
+        f"on the voxels of the scan ({_grid(volume)})",
+        _grid(labels),
+        "" if labels.source is None else Path(labels.source).name,
+        "Resample it onto the scan, or give {labels} alone",
     )
 
 
@@ -361,13 +354,11 @@ def _guess(
     spread = air - float(np.percentile(outside, 5.0))
     bone = float(np.median(grey[deep]))
     if not bone - air > 4.0 * spread:
-        raise CtInertiaError(
-            Fault(
-                "the stapes of the label volume",
-                "brighter than the air around it",
-                f"grey values about {bone:.6g} inside and {air:.6g} outside",
-                next_step="Check that the labels belong to this scan and lie on it",
-            )
+        raise CtInertiaError.of(
+            "the stapes of the label volume",
+            "brighter than the air around it",
+            f"grey values about {bone:.6g} inside and {air:.6g} outside",
+            next_step="Check that the labels belong to this scan and lie on it",
         )
     return Guess(air, bone)
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.bodies import Bodies
@@ -28,12 +27,10 @@ from ct_inertia.segment.sight import SearchOptions, Sight
 from ct_inertia.surface.matched import moment_matched
 from ct_inertia.volume.coarse import Glance, calmed, take_glance
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.background import Later
-from stapeskit.faults import Fault
 from stapeskit.progress import Tell, silent
 from stapeskit.warnings import unique
-
-Array = NDArray[np.float64]
 
 
 def find_bodies(
@@ -72,7 +69,7 @@ def find_bodies(
 
         return bodies_from_labels(volume, options, coat)
     if volume is None:
-        raise CtInertiaError(Fault("the scan", "given", "none", "", "Give a volume or labels"))
+        raise CtInertiaError.of("the scan", "given", "none", "", "Give a volume or labels")
     if options.box_mm is not None:
         volume, glance = volume.cropped(options.box_mm), None
     glance = glance or Later(take_glance, volume)

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.mass.mass_properties import PLAUSIBLE_DENSITY, MassProperties, from_density, unit_parameters
 from ct_inertia.surface.moments import Moments
+from stapeskit.arrays import Array
 from stapeskit.documents import is_finite_number, parse_toml
 from stapeskit.records.mass_record import parameter_transfer
-
-Array = NDArray[np.float64]
 
 # Largest grey value and density of a calibration: products and quotients of two stay exact enough in doubles.
 _LARGEST = 1e12

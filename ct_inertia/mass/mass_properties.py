@@ -6,15 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.moments import Moments
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.records.mass_record import FRAME_SOURCE, MassMatrix, frame_derivative, parameter_transfer
 from stapeskit.spatial import central_tensor
-
-Array = NDArray[np.float64]
 
 # kg/m3, refused outside. Chosen by judgement: it holds every bone (published.py: 1300 to 2200) and no density
 # in a wrong unit, which is off by a factor of 1000.

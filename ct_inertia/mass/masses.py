@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
 from ct_inertia.errors import CtInertiaError
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from ct_inertia.mass.calibration import Calibration
     from ct_inertia.options import MassOptions
 
-Array = NDArray[np.float64]
 
 WORDS = {
     "mass": "the balance",

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from stapeskit.arrays import Array
 from stapeskit.memory import available_memory
 from stapeskit.vocabulary import named
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Bytes that a byte of a packed file can become at most, by the formats: deflate 1032, LZ4 255, PackBits 64.
 # The others (zstd, bzip2, lzma, JPEG ...) have no such limit: a zstd block of 11 bytes is 128 KiB of zeros.
 _MOST_PACKED = {"raw": 1.0, "deflate": 1100.0, "lz4": 260.0, "packbits": 65.0}

@@ -17,9 +17,9 @@ from ct_inertia.readers.dicom_lengths import dicom_size
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.volume.blocks import BlockArray
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Share of the usual distance of slices by which another one may differ: a missing slice doubles it.
 _UNEVEN = 0.02
 _TYPES = {

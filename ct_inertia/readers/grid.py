@@ -17,9 +17,9 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.mapping import mapped
 from ct_inertia.volume.blocks import BlockArray, scaled
 from ct_inertia.volume.volume import Volume, unmirrored_frame
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Unpacked at once: bounds the memory beside the volume itself.
 _STREAM_BYTES = 16 << 20
 # Bytes of an unpacked stream before its voxels; headers have some thousands.

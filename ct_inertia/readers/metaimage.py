@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbered_names
@@ -18,7 +17,6 @@ from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, check_dimensions, grid_volume
 from ct_inertia.volume.volume import Volume
 
-Array = NDArray[np.float64]
 _TYPES = {
     "MET_CHAR": "i1",
     "MET_UCHAR": "u1",

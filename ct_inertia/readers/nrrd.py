@@ -18,9 +18,9 @@ from ct_inertia.readers.checks import beside, header_fault, mm_per_unit, numbere
 from ct_inertia.readers.formats import ReadOptions
 from ct_inertia.readers.grid import Grid, grid_array, grid_volume
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Most bytes of the text header, and of a line skipped before data: a damaged file may have no end of them.
 _HEADER_BYTES = 1 << 20
 _TYPES = {

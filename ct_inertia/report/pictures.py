@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.report.colours import AXIS_COLOURS
 from ct_inertia.report.drawn_body import Body
+from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 from stapeskit.page.shading import View, views
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Pixels along an edge of a view: about 300 an inch where three views share the width of a page.
 _PIXELS = 720

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from stapeskit.arrays import Array
 from stapeskit.page.depth_buffer import fragments, nearest, vertex_normals
 
 if TYPE_CHECKING:
     from ct_inertia.report.drawn_body import Body
 
-Array = NDArray[np.float64]
 # Directions to the lamp and the eye in the picture's axes, and the shares of ambient and diffuse light.
 _LAMP, _EYE = np.array([-0.33, 0.44, 0.835]), np.array([0.0, 0.0, 1.0])
 _AMBIENT, _BY_LAMP, _BY_EYE = 0.22, 0.58, 0.28

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.surface import Surface
+from stapeskit.arrays import Array
 from stapeskit.spatial import matrix_from_parameters
-
-Array = NDArray[np.float64]
 
 # Steps of Taubin's smoothing, the defaults of MeshLab: pass band 1 / lambda + 1 / mu = 0.11.
 _LAMBDA, _MU = 0.5, -0.53

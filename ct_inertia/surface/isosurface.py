@@ -10,8 +10,8 @@ from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.contours import contoured
 from ct_inertia.surface.surface import Surface, enclosed_volume
 from ct_inertia.volume.graphs import graph_pieces
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 _TINY_SHARE = calibrated("isosurface.least_cavity")
 # Value of the padding, below every level, so that the surface closes at the border.
 _OUTSIDE = -1.0

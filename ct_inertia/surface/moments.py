@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ct_inertia.errors import CtInertiaError
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 MOMENT_NAMES = ("V", "cx", "cy", "cz", "Sxx", "Syy", "Szz", "Sxy", "Syz", "Sxz")
 
 

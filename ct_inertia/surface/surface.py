@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.surface.glb_claims import check_glb
 from ct_inertia.surface.moments import Moments
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 SURFACE_SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 
 

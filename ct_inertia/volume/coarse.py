@@ -14,8 +14,8 @@ from ct_inertia.volume.blocks import sampled
 from ct_inertia.volume.grids import gaussian
 from ct_inertia.volume.interior import Interior, interior
 from ct_inertia.volume.volume import Volume
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Squares of larger values, summed over a scan, overflow in single precision.
 _LARGEST = 1e15
 # A stapes is 3 mm high: 60 coarse voxels.

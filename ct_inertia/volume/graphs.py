@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.native import checked, compiled
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 # Residual at which conjugate gradients stop, relative to the right-hand side: near rounding, as
 # the direct solver is that stands in for them. Most steps: a guard, for steps without progress end it before.

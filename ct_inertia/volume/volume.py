@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.volume.blocks import part_of
+from stapeskit.arrays import Array
 from stapeskit.warnings import Notice
 
-Array = NDArray[np.float64]
 # Largest error of the products of direction vectors: files round cosines to four or more digits, and shear
 # above it would move points of a stapes by more than 0.3 um.
 _ORTHONORMAL = 1e-4

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from fitting.calibrated import calibrated
 from fitting.ligament.equations import Equations, Term
 from fitting.ligament.joint_lines import DOFS, JointLines
+from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS
 from stapeskit.spatial import matrix_from_parameters, parameters_from_matrix
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Applied = tuple[JointLines, Equations]
 # Where a mass at the head sits: height of a human stapes, 3.2 to 3.8 mm (Sim et al. 2013, JARO 14:159), m.

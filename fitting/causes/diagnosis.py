@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.calibrated import calibrated
 from fitting.causes.catalogue import CAUSES, Setting, term_of
@@ -27,8 +26,8 @@ from fitting.ligament.joint_fit import JointFit
 from fitting.ligament.ligament import FEW_ROUNDS, MOST_ROUNDS, extended_fit
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.symmetric import pairs
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Probability of a score below which a cause that may be far from first order is refitted to be sure: one
 # needless refit in twenty, which the evidence then judges. Chosen by judgement.
 _DOUBTFUL = 0.05

@@ -10,14 +10,13 @@ variance over the lines is added; 1.96 standard deviations then hold the whole r
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.ligament.inplane_stiffness import inverse_of
 from fitting.ligament.ligament_fit import LigamentFit
 from fitting.model.damping import DampingLaw
 from fitting.model.symmetric import join
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Parts of the lines, in their order, whose residuals are taken as alike.
 _PARTS = 5
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.estimators import pinv
 from fitting.estimators.base import Estimate, EstimatorOptions, Method, fixed_precision
@@ -27,8 +26,8 @@ from fitting.estimators.stability import best_stable, height, stable_start
 from fitting.model.lines import Lines, real_rows, regressor
 from fitting.model.model import state_matrix
 from fitting.model.symmetric import entry_names, pairs, split
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # Relative gap of primal and dual objective at which the optimum is certified: far below any sd.
 _GAP = 1e-10
 # The stability constraint is not convex: starts beside the convex optimum, of which the best is kept.

@@ -27,9 +27,8 @@ from fitting.estimators.base import (
 from fitting.estimators.expansion import CORRECTED, DISTANCES, Expansion, expanded
 from fitting.estimators.interior import active_names, inside, minimise
 from fitting.model.lines import Lines, State, backward, cholesky, evaluate, forward, real_rows, regressor
+from stapeskit.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # A fit that needs more is reported as not converged.
 _MOST_ITERATIONS = 60
 # Degrees of freedom of the t distribution of --robust t4 (Lange, Little and Taylor 1989,

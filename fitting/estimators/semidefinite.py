@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.model.symmetric import basis, split
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # A fit that needs more steps is reported as not converged.
 _MOST_STEPS = 60
 # Share of the way to the border of the cone that a step takes (Nocedal and Wright 2006, 14.2).

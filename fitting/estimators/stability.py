@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.estimators.interior import descent
 from fitting.model.model import state_matrix
 from fitting.model.symmetric import basis, split
+from stapeskit.arrays import Array
 
-Array = NDArray[np.float64]
 # How far left of the imaginary axis every eigenvalue must lie, in units of the reference frequency.
 MARGIN = 5e-7
 # Weights of the barrier, in units of the objective: one that outweighs it, and the last.

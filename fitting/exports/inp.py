@@ -10,14 +10,13 @@ body ties them to the footplate; springs 1e4 times stiffer hold x, z and beta.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.kd_fit import KDFit
 from fitting.model.principal_axes import PRINCIPAL_DOF, principal_axes
+from stapeskit.arrays import Array
 from stapeskit.spatial import parameters_from_matrix
 
-Array = NDArray[np.float64]
 # Length of the springs to the ground, without effect: they have one direction each.
 _GROUND_M = 1e-3
 # In-plane over piston and rocking stiffness: changes the natural frequencies by less than 1e-3.

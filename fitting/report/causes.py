@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.causes.catalogue import CAUSES, title_of, unit_of
 from fitting.causes.diagnosis import Diagnosis, largest_effect, relative_effect
 from fitting.kd_fit import KDFit
 from fitting.model.symmetric import join
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
@@ -18,7 +18,6 @@ from stapeskit.page.page import Section
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Array = NDArray[np.float64]
 # Relative error of the frequency axis whose effect is given.
 _FREQUENCY = 1e-3
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fitting.kd_fit import KDFit
 from fitting.model.model import NORMALISATION
 from fitting.model.principal_axes import PRINCIPAL_DOF
 from fitting.report.mode_shapes import shape_figure
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
 from stapeskit.page.page import Section
@@ -19,7 +17,6 @@ from stapeskit.spatial import DOF_UNITS
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Array = NDArray[np.float64]
 # Elements of the stapes in the circuit of Hudde and Engel 1998, Acustica 84:720, 894 and 1091: 1.2 mm/N,
 # 0.018 N s/m, 3 mg. Read as Sankowsky-Rothe et al. 2022, Acta Acustica, take them over for their program.
 _CIRCUIT = "circuit model (Hudde and Engel 1998, Acustica 84, quoted by Sankowsky-Rothe et al. 2022)"

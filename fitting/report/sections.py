@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fitting.budget import MODEL_ERROR
 from fitting.causes.catalogue import title_of
@@ -28,6 +27,7 @@ from fitting.report.responses import responses
 from fitting.report.ring_section import ring_of, ring_parts
 from fitting.uncertainty.bands import FrequencyDependence
 from fitting.uncertainty.covariance import ATTENUATION, NOISE
+from stapeskit.arrays import Array
 from stapeskit.option_values import WithSd
 from stapeskit.page import page
 from stapeskit.page.numbers import plus_minus
@@ -35,7 +35,6 @@ from stapeskit.page.page import Page, Section
 from stapeskit.page.quantities import MASS, ROTATION_STIFFNESS, STIFFNESS, diagonal_unit, matrix_units
 from stapeskit.records.mass_record import mass_source_words
 
-Array = NDArray[np.float64]
 # Runs drawn, and points up to which a figure is SVG: beyond it would be larger than its picture.
 _MOST_RUNS = 4
 _MOST_VECTOR_POINTS = 1000

@@ -12,10 +12,9 @@ from kinematics.faults.detectable import POWER
 from kinematics.fit.neglected_motion import extended_beams
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
+from stapeskit.arrays import Array
 from stapeskit.spatial import dof_indices, shifted_point_rows
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 KINDS = ("laser_gain", "laser_phase", "laser_delay")
 # Points and lines of a body that are looked at: more of them say hardly more of a few lasers.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinematics.faults.detectable import detectable
 from kinematics.faults.detectable_joint import SHIFT_UM, TURN_DEG, Joint, invisible, joint
@@ -14,6 +13,7 @@ from kinematics.faults.unit_slips import FASTEST, SLOWEST
 from kinematics.measurement import direction_name
 from kinematics.registration.laser_notices import UNITS
 from kinematics.report.draw_motion import full_motion
+from stapeskit.arrays import Array
 from stapeskit.page import page
 from stapeskit.page.drawings import shortened
 from stapeskit.vocabulary import named
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from kinematics.measurement import BodyChannels
     from kinematics.points2dof import Points2Dof
 
-Array = NDArray[np.float64]
 # Rows of the table; a direction that is off by more than 60 degrees is written as such.
 _MOST_POINTS = 400
 _MOST_DEG = 60.0
