@@ -182,6 +182,20 @@ def surrounded(labels: NDArray[np.integer], piece: Piece) -> float:
     return float(np.count_nonzero(inside) * every / len(own))
 
 
+def within_hull(labels: NDArray[np.integer], piece: Piece, other: Piece) -> float:
+    """Return the share of another piece that lies within the convex hull of one, both of labels [z, y, x]."""
+    own, asked = (_places(labels, one) for one in (piece, other))
+    low = np.minimum(own.min(axis=0), asked.min(axis=0))
+    return float(np.mean(in_hull(own - low, asked - low)))
+
+
+def _places(labels: NDArray[np.integer], piece: Piece) -> NDArray[np.intp]:
+    """Return some voxels z, y, x of a piece, (n, 3)."""
+    box = tuple(slice(int(a), int(b)) for a, b in zip(piece.low[::-1], piece.high[::-1], strict=True))
+    index = np.argwhere(labels[box] == piece.label)
+    return index[:: max(1, len(index) // (4 * _HULL_POINTS))] + piece.low[::-1]
+
+
 def _outside(value: float, span: tuple[float, float]) -> float:
     return float(max(0.0, np.log(span[0] / value), np.log(value / span[1])))
 

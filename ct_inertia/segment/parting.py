@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ct_inertia.calibrated import calibrated
-from ct_inertia.segment.candidates import MOST_SURROUNDED, TYPICAL_MM3, Piece, describe, with_holes_of
+from ct_inertia.segment.candidates import (
+    MOST_SURROUNDED,
+    TYPICAL_MM3,
+    Piece,
+    describe,
+    with_holes_of,
+    within_hull,
+)
 from ct_inertia.segment.doubts import USUAL
 from ct_inertia.segment.necks import MOST_POINTS, Neck, necks
 from ct_inertia.segment.separate import Separation, renamed, separations
@@ -34,6 +41,9 @@ _LEAST_UNITED_MM3 = calibrated("parting.least_united_mm3")
 # Largest parts that are put together by twos and threes: 56 trials.
 _MOST_UNITED = 7
 _WHOLE = calibrated("parting.whole")
+_MOST_WALL_MM3 = calibrated("parting.most_wall_mm3")
+# More of a wall of the stapes lies within the hull of the rest than outside, of other bone less.
+_WALL_WITHIN = 0.5
 _NECK_ODDNESS = calibrated("parting.neck_oddness")
 
 
@@ -129,7 +139,8 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
     del grey
     empty = np.broadcast_to(np.float32(0.0), working.shape)
     working = replace(working, volume=replace(working.volume, array=empty), single=None)
-    for way in _every_way(held, bone, spacing, whole):
+    for apart in _every_way(held, bone, spacing, whole):
+        way = _with_own_walls(apart, spacing)
         # A small part is a part only at the border of the scan, which may have cropped a larger bone.
         placed = [(p, _in_coarse(p, working, volume, step)) for p in way.pieces]
         kept = [(p, q) for p, q in placed if p.volume_mm3 > _LEAST_PART_MM3 or q.at_border]
@@ -144,7 +155,7 @@ def partings(volume: Volume, coarse: CoarseGrid, whole: Piece) -> Iterator[Parti
         labels *= way.sure
         markers = Markers(labels, working.first, working.block)
         yield Parting(pieces, parts, markers, way.depth_mm, way.neck)
-        del way, labels, markers  # before the next way is looked for
+        del apart, way, labels, markers  # before the next way is looked for
 
 
 def _of_the_whole(
@@ -235,6 +246,32 @@ def _refined(ways: Iterator[Separation], spacing_mm: Array) -> Iterator[Separati
             whole, labels = best
             rest = [p for p in way.pieces if np.any(labels == p.label) and p.label != whole.label]
             yield Separation(way.depth_mm, labels, way.sure, [whole, *rest])
+
+
+def _with_own_walls(way: Separation, spacing_mm: Array) -> Separation:
+    """Give the stapes back what lies within its own hull.
+
+    A gutter of a crus is a narrow gap as well, along which its wall is parted from the rest.
+    """
+    small = [p for p in way.pieces if _LEAST_PART_MM3 < p.volume_mm3 < _MOST_WALL_MM3]
+    usual = sorted((p for p in way.pieces if p.possible and p.oddness < USUAL), key=lambda p: p.oddness)
+    stapes = next((p for p in usual if _counted(way.labels, p, spacing_mm).arched), None)
+    if not small or stapes is None or way.neck is not None:
+        return way
+    walls = [p for p in small if within_hull(way.labels, stapes, p) > _WALL_WITHIN]
+    if not walls:
+        return way
+    name = np.arange(int(way.labels.max()) + 1)
+    name[[p.label for p in walls]] = stapes.label
+    labels = renamed(way.labels, name)
+    low = np.min([p.low for p in (stapes, *walls)], axis=0)
+    high = np.max([p.high for p in (stapes, *walls)], axis=0)
+    box = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+    united = describe(labels, stapes.label, box, spacing_mm)
+    if not united.possible or not _counted(labels, united, spacing_mm).arched:
+        return way
+    kept = [p for p in way.pieces if p.label != stapes.label and all(p is not wall for wall in walls)]
+    return replace(way, labels=labels, pieces=[united, *kept])
 
 
 def _united(

@@ -85,3 +85,10 @@ def test_the_blur_of_bone_across_a_narrow_gap_is_no_coat(tmp_path):
     found = scores("alone", tmp_path, (24, 38), **fixed)
     assert not any({"coat_suspected", "blur_uneven"} & set(s.codes) for s in found)
     assert all(s.sd < 0.003 for s in found)
+
+
+def test_the_wall_of_a_gutter_is_not_parted_from_its_crus(tmp_path):
+    fixed = {"voxel_um": 35.0, "gap_mm": 0.055, "blur": 1.3, "noise": 0.012, "correlation": 0.0}
+    (found,) = scores("alone", tmp_path, (31,), **fixed)
+    assert found.error is not None
+    assert abs(found.error) < 0.002

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ct_inertia.segment.candidates import labelled_pieces, with_holes_of
+from ct_inertia.segment.candidates import labelled_pieces, with_holes_of, within_hull
 
 STEP = 0.05
 
@@ -51,3 +51,13 @@ def test_a_body_with_two_wide_holes_is_no_stapes(arch):
     across = (np.abs(x - 1.8) < 1.0) & (np.abs(z - 0.9) < 0.2) & (np.abs(y - 1.8) < 0.15)
     piece = counted(solid | across)
     assert (piece.holes, piece.perforated, piece.arched) == (2, False, False)
+
+
+def test_a_wall_between_the_crura_lies_within_the_hull_of_the_rest_and_a_bone_beside_does_not(arch):
+    solid, (z, y, x) = arch
+    wall = (np.abs(np.abs(x - 2.4) - 0.1) < 0.06) & (np.abs(z - 0.9) < 0.2) & (y > 1.0) & (y < 2.5)
+    beside = (x > 3.3) & (np.abs(z - 0.9) < 0.2) & (y > 1.0) & (y < 2.5)
+    labels, pieces = labelled_pieces(solid | wall | beside, np.full(3, STEP))
+    inside = {round(float(p.centre[0] * STEP), 1): within_hull(labels, pieces[0], p) for p in pieces[1:]}
+    assert min(share for place, share in inside.items() if place < 3.0) > 0.9
+    assert max(share for place, share in inside.items() if place > 3.0) < 0.1
