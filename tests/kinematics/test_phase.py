@@ -195,6 +195,17 @@ def test_a_turned_frame_and_shifted_points_raise_no_phase_warning():
         assert not codes & {"phase_convention", "label_swap", "body_sign"}
 
 
+@pytest.mark.parametrize("body", [0, 1])
+def test_ten_lines_show_one_body_in_rms(body):
+    few = np.geomspace(400.0, 5000.0, 10)
+    right = [moved(seed, ("y", "x"), 0.1, freq=few, noise=0.003) for seed in range(12)]
+    assert [told(motion) for motion in right] == [[]] * 12
+    slipped = [changed(motion, body, lambda q: q / np.sqrt(2.0)) for motion in right]
+    named = [[code for code, _ in told(motion)] for motion in slipped]
+    assert named.count(["unit_slip"]) >= 9
+    assert {code for codes in named for code in codes} == {"unit_slip"}
+
+
 def test_too_few_lines_are_not_judged():
     assert ligament_test(moved(15, freq=np.linspace(400.0, 900.0, 8)), "stapes", "base") is None
 
