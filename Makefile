@@ -138,7 +138,7 @@ lock:
 
 audit: $(READY)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --group lock
-	$(BIN)/python -m pip_audit --require-hashes --disable-pip -r locks/dev.txt
+	$(BIN)/python -m pip_audit --strict --require-hashes --disable-pip -r locks/dev.txt
 
 clean:
 	rm -rf .venv demo site

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,4 +107,5 @@ def mass_of(
     options: MassOptions, progress: Tell = silent, found: Callable[[Bodies], None] | None = None
 ) -> MassResult:
     """Measure the mass properties of a stapes; see `ct_inertia.ct2mass.ct2mass`."""
-    return extended(MassResult, ct2mass(options, progress, found))
+    measured = ct2mass(options, progress, found)
+    return extended(MassResult, replace(measured, options=measured.options.anchored()))

@@ -89,7 +89,7 @@ def dof2kd(
     mass_file = files.get("mass")
     chain = check_chain(moved, motion_name, known, mass_file if isinstance(mass_file, Path) else None, force)
     provenance = record(files, chosen.parameters(), ["stapeskit.dof2kd"])
-    read = tuple(path for path in files.values() if isinstance(path, Path))
+    read = tuple(path.absolute() for path in files.values() if isinstance(path, Path))
     return kd_of(moved, matrix, chosen, known, provenance, read, chain)
 
 

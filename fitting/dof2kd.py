@@ -78,7 +78,7 @@ def dof2kd(
     StapeskitError
         An output is an input, or a file of another origin stands at its name.
     """
-    out = _json_name(out)
+    out = json_name(out)
     motion_path, mass_path = Path(motion_path), Path(mass_path)
     beside = motion_path.with_suffix(".h5") if motion_path.suffix else None
     outputs = _outputs(out, [motion_path, beside, mass_path, config], force, export)
@@ -116,7 +116,7 @@ def plan2kd(
     StapeskitError
         An output is an input, or a file of another origin stands at its name.
     """
-    out = _json_name(out)
+    out = json_name(out)
     plan, mass_file = read_plan(path)
     outputs = _outputs(out, [Path(path), mass_file, config], force)
     outputs.check()
@@ -136,7 +136,7 @@ def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequ
     return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)
 
 
-def _json_name(out: Path) -> Path:
+def json_name(out: Path) -> Path:
     """Refuse a result file that is not named .json."""
     out = Path(out)
     if out.suffix.lower() != ".json":

@@ -123,8 +123,10 @@ class KDResult(Result, KDFit):
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
+        from fitting.dof2kd import json_name
         from stapeskit.own_files import OutputSet
 
+        json_name(Path(name))
         html = Path(name).with_suffix(".html").name
         more = tuple(file_name(Path(name).stem, kind) for kind in export)
         outputs = OutputSet("dof2kd", Path(folder), (name, html, *more), self.files, force)

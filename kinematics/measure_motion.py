@@ -180,7 +180,7 @@ def motion_of(
     )
     result = points2dof(read.measurement, placement, options, record, provenance)
     read_files = (*inputs.by_role.values(), None if mass is None else mass.file)
-    files = tuple(path for path in read_files if path is not None)
+    files = tuple(Path(path).absolute() for path in read_files if path is not None)
     return extended(MotionResult, result, mass=record, surfaces=surfaces, files=files)
 
 

@@ -107,10 +107,12 @@ class StudyResult(Result):
 
     def write(self, folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
         """Copy the results of the study into another folder."""
+        from pipeline.stages import inputs_of
         from stapeskit.own_files import OutputSet
 
         names = tuple(path.relative_to(self.out).as_posix() for path in self.files)
-        outputs = OutputSet("scan2kd", Path(folder), names, self.files, force)
+        read = (*self.files, *inputs_of(self.study))
+        outputs = OutputSet("scan2kd", Path(folder), names, read, force)
         outputs.check()
         with outputs.staged() as stage:
             for name in names:

@@ -77,7 +77,7 @@ def run_study(path: Path, out: Path, force: bool = False, progress: Progress | N
     notices = unique(
         (*(notice for report in reports.values() for notice in report.notices), *outputs.kept_notices(names))
     )
-    return StudyResult(study, name, out, mass, kd, tuple(runs), shown, notices)
+    return StudyResult(study.anchored(), name, out, mass, kd, tuple(runs), shown, notices)
 
 
 def _records(out: Path) -> dict[str, StageRecord]:

@@ -61,6 +61,11 @@ class Study:
     ldv: LdvOptions
     fit: KDOptions
 
+    def anchored(self) -> Study:
+        """Return the same study with absolute paths of its files."""
+        tables = (self.study, self.scan, self.ldv, self.fit)
+        return Study(*(table.anchored() for table in tables))
+
 
 TABLES: dict[str, type[OptionTable]] = {
     "study": About,

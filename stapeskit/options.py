@@ -266,6 +266,17 @@ class OptionTable:
             if not entry.kind.is_file
         }
 
+    def anchored(self) -> Self:
+        """Return the same options with absolute paths of files: they hold when the working folder changes."""
+        paths: dict[str, Any] = {}
+        for entry in declared(type(self)):
+            value = getattr(self, entry.field)
+            if entry.kind.is_file and isinstance(value, Path):
+                paths[entry.field] = value.absolute()
+            elif entry.kind.is_file and isinstance(value, tuple):
+                paths[entry.field] = tuple(Path(path).absolute() for path in value)
+        return dataclasses.replace(self, **paths)
+
     def input_files(self) -> dict[str, Path | None]:
         """Return the files that are read, by the name of their option."""
         return {

@@ -132,6 +132,10 @@ class OutputSet:
             faults.append(Fault(f"{records}", "the folder of records", "a file", "", "Move it away"))
         for name in names:
             path = self.folder / name
+            if Path(name).is_absolute() or ".." in Path(name).parts:
+                expected = f"within the folder {self.folder}"
+                faults.append(Fault("the name of an output", expected, name, "", "Give a name alone"))
+                continue
             if len(os.fsencode(path.name)) > _LONGEST_OUTPUT:
                 got = f"{len(os.fsencode(path.name))}: {name[:40]}...{name[-20:]}"
                 expected = f"of at most {_LONGEST_OUTPUT} bytes"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import stapeskit as api
 from ct_inertia.cli import work as ct2mass
 from ct_inertia.options import MassOptions
 from fitting.cli import work as dof2kd
@@ -367,3 +368,37 @@ def test_every_file_of_a_study_counts_as_read(table, key, inputs, tmp_path):
     study.write_text("\n".join(lines) + "\n", encoding="utf-8")
     outputs = output_set(study, read_study(study), tmp_path / "out")
     assert given | {study} <= set(outputs.inputs)
+
+
+def test_results_know_their_inputs_wherever_the_process_goes(inputs, tmp_path, monkeypatch):
+    laid_out(inputs, tmp_path, ())
+    monkeypatch.chdir(tmp_path)
+    shutil.copy("ldv.csv", "dof.csv")
+    shutil.copy("M.csv", "kd.json")
+    results = (
+        api.ct2mass("stapes.ply", density=1900),
+        api.points2dof("dof.csv", points="points.csv"),
+        api.dof2kd("motion.csv", mass="M.csv", estimator="pinv", bands=0),
+    )
+    (tmp_path / "elsewhere").mkdir()
+    before = contents(tmp_path)
+    monkeypatch.chdir("elsewhere")
+    for result in results[:2]:
+        with pytest.raises(StapeskitError, match="another file than the inputs"):
+            result.write("..", force=True)
+    for name in ("../kd.json", str(tmp_path / "kd.json"), "motion.csv", ""):
+        with pytest.raises(StapeskitError):
+            results[2].write("new", force=True, name=name)
+    assert {path: text for path, text in contents(tmp_path).items() if path in before} == before
+
+
+def test_a_study_is_not_written_over_what_it_was_made_from(inputs, tmp_path, monkeypatch):
+    laid_out(inputs, tmp_path, ())
+    monkeypatch.chdir(tmp_path)
+    result = api.scan2kd("study.toml")
+    before = contents(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    with pytest.raises(StapeskitError, match="another file than the inputs"):
+        result.write("..", force=True)
+    assert contents(tmp_path) == before
