@@ -63,8 +63,7 @@ class Study:
 
     def anchored(self) -> Study:
         """Return the same study with absolute paths of its files."""
-        tables = (self.study, self.scan, self.ldv, self.fit)
-        return Study(*(table.anchored() for table in tables))
+        return Study(self.study.anchored(), self.scan.anchored(), self.ldv.anchored(), self.fit.anchored())
 
 
 TABLES: dict[str, type[OptionTable]] = {

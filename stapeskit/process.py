@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 PATIENCE_S = 0.7
 """How long an interrupted command may take to leave by itself."""
 
+_STARVED = "not enough memory; crop the scan with --box or close other programs."
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -59,6 +60,9 @@ def run(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> N
     except KeyboardInterrupt as stop:
         code = 130
         _tell(f"{prog}: {stop if str(stop) else _farewell()}\n")
+    except (MemoryError, SystemError):  # what says so needs memory, too
+        code = 2
+        _tell(f"{prog}: {_STARVED}\n")
     _State.code = code
     with suppress(OSError, ImportError, ValueError):
         if "stapeskit.run_log" in sys.modules:
@@ -203,9 +207,13 @@ def _sentence(fault: Exception) -> str | None:
     if isinstance(fault, StapeskitError):
         return str(fault)
     text = str(fault)
-    starved = ("can't start new thread", "failed to map segment", "annot allocate memory", "bad_alloc")
+    # CPython says no more than the last where there is no room for the exception itself.
+    starved = (
+        *("can't start new thread", "failed to map segment", "annot allocate memory", "bad_alloc"),
+        "error return without exception set",
+    )
     if isinstance(fault, MemoryError) or any(words in text for words in starved):
-        return f"{_State.prog}: not enough memory; crop the scan with --box or close other programs."
+        return f"{_State.prog}: {_STARVED}"
     if isinstance(fault, OSError) and fault.errno is not None:
         from stapeskit.system_faults import system_fault
 

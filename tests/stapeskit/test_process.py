@@ -57,6 +57,13 @@ Later(__import__('time').sleep, 30)
 print('at work', flush=True)
 __import__('time').sleep(30)
 """
+STARVED = """
+import stapeskit.process
+def starved(_fault):
+    raise MemoryError
+stapeskit.process._sentence = starved
+raise MemoryError
+"""
 HASHED = """
 from pathlib import Path
 from stapeskit.faults import Fault, StapeskitError
@@ -193,6 +200,8 @@ def test_a_reader_that_leaves_is_no_fault(tmp_path):
         ("open('x' * 300, 'w')", "Choose a shorter name"),
         ("raise MemoryError", "not enough memory"),
         ('raise RuntimeError("can\'t start new thread")', "not enough memory"),
+        ("raise SystemError('error return without exception set')", "not enough memory"),
+        (STARVED, "not enough memory"),
     ],
 )
 def test_faults_of_the_system_are_no_bugs(body, words, tmp_path):
