@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stapeskit.page.layout import lay_out
 from stapeskit.page.numbers import plus_minus, printed
 from stapeskit.page.quantities import MASS, ShownUnit
 from stapeskit.process import is_command
@@ -284,7 +285,7 @@ def quantity_matrix(
 def figure(
     drawing: Figure, caption: str, alt: str, dpi: int = 130, vector: bool = True, palette: bool = False
 ) -> Markup:
-    """Embed a matplotlib figure and release it.
+    """Embed a matplotlib figure.
 
     Parameters
     ----------
@@ -297,7 +298,7 @@ def figure(
     palette : bool
         Keep 256 colours of a PNG, which makes coloured maps several times smaller.
     """
-    _laid_out(drawing)
+    lay_out(drawing)
     stream = io.BytesIO()
     if vector:
         drawing.savefig(stream, format="svg", dpi=dpi)
@@ -305,16 +306,7 @@ def figure(
     else:
         drawing.savefig(stream, format="png", dpi=dpi)
         data, kind = _few_colours(stream.getvalue()) if palette else stream.getvalue(), "png"
-    drawing.clear()
     return image(data, caption, alt, kind)
-
-
-def _laid_out(drawing: Figure) -> None:
-    """Lay a figure out once: with a layout engine, matplotlib draws all of it twice to save it."""
-    engine = drawing.get_layout_engine()
-    if engine is not None:
-        engine.execute(drawing)
-        drawing.set_layout_engine(None)
 
 
 def _few_colours(png: bytes) -> bytes:
