@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ct_inertia.bodies import OTHER_BONE, PLATE, STAPES, LabelledVolume
 from ct_inertia.report.colours import BODY_COLOURS, CUT
+from ct_inertia.volume.grids import used_box
 from stapeskit.arrays import Array
 from stapeskit.frames import RigidTransform
 
@@ -112,8 +113,14 @@ def _cut(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the voxels on both sides of the border where the stapes was cut off other bone."""
     from scipy.ndimage import binary_dilation
 
-    stapes, other = labels == STAPES, labels == OTHER_BONE
-    return np.asarray((stapes & binary_dilation(other)) | (other & binary_dilation(stapes)))
+    cut = np.zeros(labels.shape, dtype=bool)
+    around = used_box(labels == STAPES)
+    if around is None:
+        return cut
+    near = tuple(slice(max(part.start - 1, 0), part.stop + 1) for part in around)
+    stapes, other = labels[near] == STAPES, labels[near] == OTHER_BONE
+    cut[near] = (stapes & binary_dilation(other)) | (other & binary_dilation(stapes))
+    return cut
 
 
 def _largest_sections(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
