@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fitting.chain import check_chain
-from fitting.errors import FittingError
-from fitting.export_formats import file_name
+from fitting.export_formats import file_name, json_name
 from fitting.measure_kd import kd_of
 from fitting.model.mass_file import read_mass
 from fitting.options import KDOptions
@@ -134,12 +133,3 @@ def _outputs(out: Path, inputs: Sequence[Path | None], force: bool, export: Sequ
     """Return the result file, its page and exports, beside the files that are read."""
     names = (out.name, out.with_suffix(".html").name, *(file_name(out.stem, name) for name in export))
     return OutputSet("dof2kd", out.parent, names, tuple(path for path in inputs if path is not None), force)
-
-
-def json_name(out: Path) -> Path:
-    """Refuse a result file that is not named .json."""
-    out = Path(out)
-    if out.suffix.lower() != ".json":
-        step = f"Give {{out}} {out.with_suffix('.json').name}" if out.name else "Give {out} kd.json"
-        raise FittingError.of("{out}", "a file name that ends with .json", out.name or out, "", step)
-    return out

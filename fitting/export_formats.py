@@ -7,7 +7,10 @@ option, help and the contract test follow from it.
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any
+
+from fitting.errors import FittingError
 
 EXPORTS: dict[str, str] = {
     "mat": "K, D, M with covariance for MATLAB and Octave (X.mat)",
@@ -24,6 +27,21 @@ _ENDINGS = {"csv": ".entries.csv", "mjcf": ".xml", "joint": ".joint.json", "meth
 def file_name(stem: str, name: str) -> str:
     """Return the file of an export beside ``stem``.json."""
     return f"{stem}{_ENDINGS.get(name, f'.{name}')}"
+
+
+def json_name(out: Path) -> Path:
+    """Return the name of a result file.
+
+    Raises
+    ------
+    FittingError
+        It does not end with .json.
+    """
+    out = Path(out)
+    if out.suffix.lower() != ".json":
+        step = f"Give {{out}} {out.with_suffix('.json').name}" if out.name else "Give {out} kd.json"
+        raise FittingError.of("{out}", "a file name that ends with .json", out.name or out, "", step)
+    return out
 
 
 def exported(fit: Any, name: str) -> bytes:

@@ -123,7 +123,7 @@ class KDResult(Result, KDFit):
         self, folder: Path | str, *, force: bool = False, name: str = "kd.json", export: Sequence[str] = ()
     ) -> tuple[Path, ...]:
         """Write kd.json, kd.html and exports by their names (fitting.export_formats.EXPORTS)."""
-        from fitting.dof2kd import json_name
+        from fitting.export_formats import json_name
         from stapeskit.own_files import OutputSet
 
         json_name(Path(name))
