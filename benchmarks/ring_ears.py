@@ -199,6 +199,7 @@ LAWS = {
     "hysteretic": lambda omega: (np.full(len(omega), 1j), MIDDLE),
     "fractional": lambda omega: ((1j * omega) ** 0.5, MIDDLE**0.5),
     "relaxation": lambda omega: (relaxing(omega, 30.0), 1.0),
+    "two_relaxations": lambda omega: (relaxing(omega, 20.0, 200.0), 1.0),
 }
 """s(w), and what makes D damp alike at 2.2 kHz."""
 BRANCHES = {
@@ -208,7 +209,7 @@ BRANCHES = {
     )
     for first, second in ((10.0, 30.0), (10.0, 100.0), (30.0, 300.0))
 }
-"""Ligaments that relax with two times, which no law of the fit has."""
+"""Ligaments that relax with two times; the fit has a law whose times are in the ratio of 10."""
 ERRORS = {
     "delay": 1.0,
     "phase": 0.5,

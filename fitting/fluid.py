@@ -3,12 +3,13 @@ evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from fitting.causes.catalogue import title_of
-from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected
+from fitting.causes.diagnosis import Diagnosis, Refit, diagnose, with_corrected, with_refits
 from fitting.causes.model_error import off_by_law
 from fitting.errors import FittingError
 from fitting.laws import LawFit, start_of_law, with_ligament
@@ -52,7 +53,7 @@ class FluidChoice:
 
 
 def choose_fluid(
-    best: LawFit, plain: LawFit, both: Observation, options: KDOptions
+    best: LawFit, plain: LawFit, both: Observation, options: KDOptions, compared: Iterable[LawFit] = ()
 ) -> tuple[LawFit, Diagnosis, FluidChoice]:
     """Diagnose a joint fit and take a mass of fluid into it where the data call for one.
 
@@ -64,6 +65,8 @@ def choose_fluid(
         The same without it, from which it was extended.
     both : Observation
     options : KDOptions
+    compared : iterable of LawFit
+        Fits under all laws, where they were compared: their K and D differ by what the law is not known.
 
     Returns
     -------
@@ -72,6 +75,8 @@ def choose_fluid(
     assert best.ligament is not None  # noqa: S101
     laws = None if options.damping == COMPARE else lambda: _other_laws(best, plain, both, options)
     diagnosis = with_corrected(diagnose(best.problem, best.ligament, laws), best.ligament)
+    if options.damping == COMPARE:
+        diagnosis = with_refits(diagnosis, _compared(best, compared, both))
     if FLUID in best.ligament.terms:
         asked = FLUID in options.causes
         reason = (
@@ -114,7 +119,6 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
     """
     assert best.ligament is not None  # noqa: S101
     names = tuple(best.ligament.terms)
-    omega = 2.0 * np.pi * both.freq_hz
     refits = []
     for name in LAWS:
         if name == best.law.name:
@@ -126,18 +130,43 @@ def _other_laws(best: LawFit, plain: LawFit, both: Observation, options: KDOptio
             continue
         if other.ligament is None or not other.law.physical:
             continue
-        level = max(1.0, other.ligament.chi2 / other.ligament.n_dof)
-        fall = (best.ligament.chi2 - other.ligament.chi2) / level
-        change = join(
-            other.ligament.plane_stiffness - best.ligament.plane_stiffness,
-            np.full_like(best.ligament.plane_damping, np.nan),
-        )
-        size = other.law.exponent
-        left = other.ligament.p_value
-        unknowns = 1.0 + other.law.unknowns - best.law.unknowns
-        sd, off = other.exponent_sd or 0.0, off_by_law(best.ligament, other.ligament, omega)
-        refits.append(Refit(f"law_{name}", size, sd, fall, change, left, unknowns, off=off))
+        refits.append(_refit_of(best, other, both, 1.0))
     return refits
+
+
+def _compared(best: LawFit, laws: Iterable[LawFit], both: Observation) -> list[Refit]:
+    """Return the fits under the other laws of a comparison; the law of the best one was not named before."""
+    others = (law for law in laws if law.law.name != best.law.name)
+    return [
+        _refit_of(best, other, both, 0.0)
+        for other in others
+        if other.ligament is not None and other.law.physical
+    ]
+
+
+def _counted(fit: LawFit) -> int:
+    return fit.law.unknowns + fit.law.law.fixed
+
+
+def _refit_of(best: LawFit, other: LawFit, both: Observation, unknowns: float) -> Refit:
+    """Return a fit under another law as a refit whose law counts as ``unknowns`` beside its exponent."""
+    assert best.ligament is not None  # noqa: S101
+    assert other.ligament is not None  # noqa: S101
+    level = max(1.0, other.ligament.chi2 / other.ligament.n_dof)
+    change = join(
+        other.ligament.plane_stiffness - best.ligament.plane_stiffness,
+        np.full_like(best.ligament.plane_damping, np.nan),
+    )
+    return Refit(
+        f"law_{other.law.name}",
+        other.law.exponent,
+        other.exponent_sd or 0.0,
+        (best.ligament.chi2 - other.ligament.chi2) / level,
+        change,
+        other.ligament.p_value,
+        unknowns + _counted(other) - _counted(best),
+        off=off_by_law(best.ligament, other.ligament, 2.0 * np.pi * both.freq_hz),
+    )
 
 
 def _used(fit: LawFit, options: KDOptions, reason: str, asked: bool, also: str = "") -> FluidChoice:

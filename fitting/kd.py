@@ -116,7 +116,7 @@ def _fitted(
     if best.ligament is not None and both is not None:
         before = best
         start = next(fit for fit in plain if fit.law.name == best.law.name)
-        best, diagnosis, fluid = choose_fluid(best, start, both, options)
+        best, diagnosis, fluid = choose_fluid(best, start, both, options, laws)
         if best.ligament is not None:
             off = model_error(diagnosis, best.ligament)
             best = replace(best, ligament=best.ligament.with_model_error(off[12:]))

@@ -199,7 +199,7 @@ def _at(problem: Problem, law: DampingLaw, lower: Mapping[str, float], upper: Ma
 
 def _bic(fit: LawFit, spread: float) -> float:
     observation = fit.problem.observation
-    unknowns = len(fit.estimate.parameters) + fit.law.unknowns
+    unknowns = len(fit.estimate.parameters) + fit.law.unknowns + fit.law.law.fixed
     if fit.ligament is not None:
         unknowns += len(fit.ligament.terms)
     equations = 2 * fit.problem.n * len(observation.freq_hz)

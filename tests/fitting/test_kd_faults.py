@@ -24,7 +24,8 @@ from tests.fitting.cases import M, paper_motion, six_dof_mass, six_dof_motion
         ({"robust": "t4", "estimator": "pinv"}, "--robust must be none with this --estimator; got t4"),
         (
             {"damping": "dry"},
-            "--damping must be one of viscous, hysteretic, fractional, relaxation, compare; got dry",
+            "--damping must be one of viscous, hysteretic, fractional, relaxation, two_relaxations, compare; "
+            "got dry",
         ),
         ({"inplane": "yes"}, "--inplane must be one of auto, load, ignore; got yes"),
         ({"constraint": "no"}, "--constraint must be one of eigenvalues, psd; got no"),

@@ -41,6 +41,9 @@ class Law:
         it is pushed.
     polynomial : bool
         Whether s(lambda) = lambda, so that the eigenvalues are those of a state matrix.
+    fixed : int
+        Numbers that were chosen for the law where nature has them free; they count in a comparison as if they
+        had been estimated, so that the data must speak for the law.
     """
 
     factor: Callable[[Array, float], ComplexArray]
@@ -53,3 +56,4 @@ class Law:
     valid: tuple[float, float] = (0.0, 2.0)
     causal: bool = True
     polynomial: bool = False
+    fixed: int = 0

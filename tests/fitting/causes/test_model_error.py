@@ -84,3 +84,19 @@ def test_another_law_puts_k_off_by_what_it_changes() -> None:
     damps = right.damping[0, 0] / omega
     reach = 1.96 * fit.standard_deviation[1][0, 0]
     assert np.mean(np.abs(damps - fit.damping[0, 0]) < reach) > 0.9
+
+
+def test_laws_that_the_data_cannot_tell_apart_are_part_of_the_intervals() -> None:
+    """At 1 % noise two relaxation times are found; at 3 % one is chosen, and two are in the intervals."""
+    for noise, chosen in ((0.01, "two_relaxations"), (0.03, "relaxation")):
+        settings = EarSettings(0.1, noise, lines=60, law="two_relaxations")
+        case = ear(settings, np.random.default_rng([56, 9, 0]))
+        fit = fit_kd(case.motion, case.mass, KDOptions(bands=0, damping="compare"))
+        assert fit.law.name == chosen
+        assert np.all(inside(fit, case)[:6])
+        assert fit.diagnosis.named is None
+        other = next(one for one in fit.diagnosis.refits if "relaxation" in one.name)
+        share = 1.0 / (1.0 + np.exp(-0.5 * fit.diagnosis.evidence(other)))
+        assert (share > 0.05) == (chosen == "relaxation")
+        part = np.sqrt(np.diag(fit.budget.sources[MODEL_ERROR]))
+        assert np.all(part[:6] >= 0.9 * np.sqrt(share) * np.abs(other.off[:6, 0]))

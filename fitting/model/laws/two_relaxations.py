@@ -1,0 +1,44 @@
+"""Two Maxwell branches of equal damping beside the spring, their times T and 10 T, T estimated.
+
+Branches a decade apart follow a relaxation that no single time describes with one unknown more than viscous
+damping has (one branch a decade is the usual spacing of Prony series). Data of one decade of frequencies
+cannot determine two free times, nor, at 3 % noise, tell two branches from one: one is chosen then, and what
+two would change is part of the intervals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fitting.model.laws.law import ComplexArray, Law
+from stapeskit.arrays import Array
+
+# The second time over the first.
+_APART = 10.0
+# Of w T: from next to viscous, where a T below zero is the noise of none, to branches that are springs.
+_RANGE = (-0.05, 3.0)
+
+
+def _branch(omega: Array, time: float) -> ComplexArray:
+    return np.asarray(0.5j * omega / (1.0 + 1j * omega * time), dtype=complex)
+
+
+def _slope(omega: Array, time: float) -> ComplexArray:
+    return np.asarray(0.5 * (omega / (1.0 + 1j * omega * time)) ** 2, dtype=complex)
+
+
+def _continued(value: complex, time: float) -> complex:
+    return 0.5 * value / (1.0 + value * time)
+
+
+LAW = Law(
+    factor=lambda omega, time: _branch(omega, time) + _branch(omega, _APART * time),
+    continued=lambda value, time: _continued(value, time) + _continued(value, _APART * time),
+    formula=lambda time: f"K + i w D / 2 (1 / (1 + i w {time:.3g} s) + 1 / (1 + i w {_APART * time:.3g} s))",
+    exponent=0.0,
+    search=_RANGE,
+    slope=lambda omega, time: _slope(omega, time) + _APART * _slope(omega, _APART * time),
+    time_power=1.0,
+    valid=(-np.inf, np.inf),
+    fixed=1,
+)
