@@ -207,10 +207,10 @@ def _sentence(fault: Exception) -> str | None:
     if isinstance(fault, StapeskitError):
         return str(fault)
     text = str(fault)
-    # CPython says no more than the last where there is no room for the exception itself.
+    # CPython says no more than the last two where there is no room for the exception itself.
     starved = (
         *("can't start new thread", "failed to map segment", "annot allocate memory", "bad_alloc"),
-        "error return without exception set",
+        *("error return without exception set", "without setting an exception"),
     )
     if isinstance(fault, MemoryError) or any(words in text for words in starved):
         return f"{_State.prog}: {_STARVED}"

@@ -201,6 +201,7 @@ def test_a_reader_that_leaves_is_no_fault(tmp_path):
         ("raise MemoryError", "not enough memory"),
         ('raise RuntimeError("can\'t start new thread")', "not enough memory"),
         ("raise SystemError('error return without exception set')", "not enough memory"),
+        ("raise SystemError('<f> returned NULL without setting an exception')", "not enough memory"),
         (STARVED, "not enough memory"),
     ],
 )
