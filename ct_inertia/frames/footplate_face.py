@@ -227,7 +227,9 @@ def solve(
     values, vectors = np.linalg.eigh(moments)
     x_axis = vectors[0, 1] * helper + vectors[1, 1] * across
     axes = np.column_stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
-    return Solved(region, face, face.centroid, axes, float(np.sqrt(values[1] / values[0])))
+    # An outline that crosses itself may have no positive moment: no axis of it is long.
+    ratio = values[1] / values[0] if values[0] > 0.0 else 1.0
+    return Solved(region, face, face.centroid, axes, float(np.sqrt(ratio)))
 
 
 def _extrapolated(tried: list[tuple[Array, Array]]) -> Array:
