@@ -87,11 +87,11 @@ def fit_with_noise(
     else:
         whole = np.concatenate([start, np.zeros(equations.unknowns + lines.errors - len(start))])
         noise = 2.0 * expand(lines, equations, whole, np.empty(0)).value / free
-    noise, low, best, found = max(noise, 1.0), 1.0, None, 1.0
+    noise, low, best, best_noise = max(noise, 1.0), 1.0, None, 1.0
     for _ in range(rounds):
         fit = descent(replace(lines, covariance=noise * lines.covariance), start)
         if fit.converged and _probable(equations, fit.parameters):
-            best, start, found = fit, fit.parameters, noise
+            best, start, best_noise = fit, fit.parameters, noise
             left = 2.0 * expand(lines, equations, start, np.empty(0)).value / free
             if noise <= _CLOSE * low or left > _AGREES * noise:
                 break
@@ -101,12 +101,14 @@ def fit_with_noise(
         elif best is None:
             low, noise = noise, _GROWS * noise
         else:
-            low, noise = noise, float(np.sqrt(noise * found))
-            if found <= _CLOSE * low:
+            low, noise = noise, float(np.sqrt(noise * best_noise))
+            if best_noise <= _CLOSE * low:
                 break
-    best, found = (best, found) if best is not None else (fit, noise)
+    best, best_noise = (best, best_noise) if best is not None else (fit, noise)
     at = expand(lines, equations, best.parameters)
-    return JointFit(best.parameters, 2.0 * at.value, best.n_dof, best.converged, best.iterations, at, found)
+    return JointFit(
+        best.parameters, 2.0 * at.value, best.n_dof, best.converged, best.iterations, at, best_noise
+    )
 
 
 def _probable(equations: Equations, parameters: Array) -> bool:

@@ -83,21 +83,21 @@ class Kind:
 def _direction(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
     first, second = across(directions[channels[0]])
     turned = directions[channels] + p[0] * first + p[1] * second
-    made = directions.copy()
-    made[channels] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-    return arms, made
+    turned_beams = directions.copy()
+    turned_beams[channels] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return arms, turned_beams
 
 
 def _position(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
-    made = arms.copy()
-    made[channels] += p
-    return made, directions
+    moved = arms.copy()
+    moved[channels] += p
+    return moved, directions
 
 
 def _axes(arms: Array, directions: Array, channels: list[int], p: Array) -> Moved:
-    made = directions.copy()
-    made[channels] = directions[channels] @ rotation_from_vector(p).T
-    return arms, made
+    turned_beams = directions.copy()
+    turned_beams[channels] = directions[channels] @ rotation_from_vector(p).T
+    return arms, turned_beams
 
 
 # Directions that differ by less are written alike: rounding of six digits in a file.

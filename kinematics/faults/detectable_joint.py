@@ -122,17 +122,17 @@ def _pairs(
     from scipy.special import chdtri, chndtr
 
     places = np.array([body.positions_mm[body.points.index(name)] for name in points])
-    made = []
+    pairs = []
     for one, two in combinations(range(len(points)), 2):
         apart = (places[two] - places[one]) * 1e-3
         shift = np.zeros(len(seen))
         shift[3 * one : 3 * one + 3], shift[3 * two : 3 * two + 3] = apart, -apart
         excess = max(float(shift @ seen @ shift), 0.0)
-        found = 1.0 - float(chndtr(float(chdtri(3, alarm)), 3, excess)) if excess < 1e4 else 1.0
+        power = 1.0 - float(chndtr(float(chdtri(3, alarm)), 3, excess)) if excess < 1e4 else 1.0
         distance = 1e3 * float(np.linalg.norm(apart))
-        made.append((points[one], points[two], distance, found, excess))
-    closest = min(made, key=lambda pair: pair[2])
-    least = min(made, key=lambda pair: pair[4])
+        pairs.append((points[one], points[two], distance, power, excess))
+    closest = min(pairs, key=lambda pair: pair[2])
+    least = min(pairs, key=lambda pair: pair[4])
     return tuple(pair[:4] for pair in dict.fromkeys((closest, least)))
 
 
@@ -182,11 +182,11 @@ def invisible(q: ComplexArray, dof: tuple[str, ...], directions: Array) -> Invis
     size = np.maximum(np.sqrt(np.mean(np.abs(q[good]) ** 2, axis=0)), 1e-300)
 
     def worst(change: ComplexArray) -> Array:
-        made = []
+        largest = []
         for place in places:
             square = np.real(change[:, place].conj().T @ change[:, place]) / max(len(change), 1)
-            made.append(np.sqrt(max(float(np.linalg.eigvalsh(square)[-1]), 0.0)) / size[place])
-        return np.array(made)
+            largest.append(np.sqrt(max(float(np.linalg.eigvalsh(square)[-1]), 0.0)) / size[place])
+        return np.array(largest)
 
     tilt = np.full(len(places), np.nan)
     if np.linalg.svd(directions, compute_uv=False)[1:].max(initial=0.0) < PARALLEL * np.sqrt(len(directions)):

@@ -54,16 +54,16 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> tuple[Packed, Array]:
         return data, nothing
     data = data.louder(float(np.sqrt(level)))
     state = settled(data, nuisance)[0]
-    found = channel_noise(state)
-    if found.least < LEAST_SAMPLES or not found.level > 0.0:
+    noise = channel_noise(state)
+    if noise.least < LEAST_SAMPLES or not noise.level > 0.0:
         return data, nothing
     levelled = _course(data, state)
     if levelled is not data:
         data, state = levelled, settled(levelled, nuisance)[0]
-        found = channel_noise(state)
-        if not found.level > 0.0:
+        noise = channel_noise(state)
+        if not noise.level > 0.0:
             return data, nothing
-    value, precision = _variances(found, state)
+    value, precision = _variances(noise, state)
     live = np.array(data.live)
     groups = lasers_of(data.assumed.directions, data.live)
     if len(groups) < 2 or min(map(len, groups)) < 3:
@@ -74,11 +74,11 @@ def equalise_noise(data: Packed, nuisance: Nuisance) -> tuple[Packed, Array]:
     own[live] = spread
     size = np.where(size > 0.0, np.exp(size), np.maximum(1.0 + np.minimum(size, 0.0), _QUIETEST))
     factor = np.ones(len(own))
-    factor[live] = np.sqrt(size * found.level)
+    factor[live] = np.sqrt(size * noise.level)
     return data.under(replace(data.assumed, loud=data.assumed.loud * factor)), own
 
 
-def _variances(found: ChannelNoise, state: State) -> tuple[Array, Array]:
+def _variances(noise: ChannelNoise, state: State) -> tuple[Array, Array]:
     """Return the noise variance of each channel in use over the common one (n,), and its precision.
 
     Notes
@@ -90,14 +90,14 @@ def _variances(found: ChannelNoise, state: State) -> tuple[Array, Array]:
     and are taken one by one, as are those with gaps: their precision is a diagonal (n,), else (n, n).
     """
     live = np.array(state.data.live)
-    number = found.number[live]
+    number = noise.number[live]
     h = np.mean(state.leverage[:, live], axis=0)
-    if len(live) > _MOST_JOINTLY or not found.held.shape[1]:
+    if len(live) > _MOST_JOINTLY or not noise.held.shape[1]:
         left = np.maximum(1.0 - h, _QUIETEST)
-        value = np.maximum((found.ratios[live] / found.level - h) / left, _QUIETEST)
+        value = np.maximum((noise.ratios[live] / noise.level - h) / left, _QUIETEST)
         return value, number * left**2
     span = np.real(state.span[0][live])
-    covariance = np.real(found.held[live] @ found.held[live].conj().T) / number[0] / found.level
+    covariance = np.real(noise.held[live] @ noise.held[live].conj().T) / number[0] / noise.level
     size: Array = np.ones(len(live))
     ridge = _RIDGE * np.eye(len(live))
     first = ridge
@@ -150,11 +150,11 @@ def _shrunk(value: Array, precision: Array, one_of: Array) -> tuple[Array, Array
         kept = centre + between * whole @ (mean - centre)
     else:
         kept = np.full(len(mean), float(np.sum(inner @ mean) / np.sum(inner)))
-    made, own = one_of @ kept, one_of @ spread + scatter
+    shrunk, own = one_of @ kept, one_of @ spread + scatter
     if sure:
-        made[usual] += scatter * _times(held, x - group @ mean)
+        shrunk[usual] += scatter * _times(held, x - group @ mean)
         own[usual] -= scatter**2 * (held if held.ndim == 1 else np.diag(held))
-    return made, own
+    return shrunk, own
 
 
 def _among(precision: Array, some: NDArray[np.bool_]) -> Array:
@@ -219,5 +219,5 @@ def _course(data: Packed, state: State) -> Packed:
     if not sure:
         return data
     mean = float(np.sum(value / variance) / np.sum(1.0 / variance))
-    made = np.exp(scatter / (scatter + variance) * (value - mean))
-    return data.under(replace(data.assumed, level=np.sqrt(made / float(np.mean(made)))))
+    course = np.exp(scatter / (scatter + variance) * (value - mean))
+    return data.under(replace(data.assumed, level=np.sqrt(course / float(np.mean(course)))))

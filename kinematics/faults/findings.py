@@ -71,35 +71,35 @@ def can_lose(data: Packed, channels: list[int]) -> bool:
     return bool(values[-1] > 1e-3 * values[0])
 
 
-def adapted(data: Packed, found: Finding) -> Packed:
+def adapted(data: Packed, finding: Finding) -> Packed:
     """Return the data without a finding: its channels left out, weakened, or corrected."""
-    if found.kind == "noise":
-        return data.under(data.assumed.louder(found.channels, found.size))
-    if found.fit is None:
+    if finding.kind == "noise":
+        return data.under(data.assumed.louder(finding.channels, finding.size))
+    if finding.fit is None:
         return data
-    if found.owner in _CORRECTED or not can_lose(data, found.channels):
-        return data.under(found.fit.fault.undone(data.assumed, found.fit.parameters))
-    return data.under(data.assumed.without(found.channels))
+    if finding.owner in _CORRECTED or not can_lose(data, finding.channels):
+        return data.under(finding.fit.fault.undone(data.assumed, finding.fit.parameters))
+    return data.under(data.assumed.without(finding.channels))
 
 
 def corrected(data: Packed, findings: list[Finding]) -> Packed:
     """Return the data with every finding undone by its estimate, all channels kept."""
     assumed = data.assumed
-    for found in findings:
-        if found.kind == "noise":
-            assumed = assumed.louder(found.channels, found.size)
-        elif found.fit is not None:
-            assumed = found.fit.fault.undone(assumed, found.fit.parameters)
+    for finding in findings:
+        if finding.kind == "noise":
+            assumed = assumed.louder(finding.channels, finding.size)
+        elif finding.fit is not None:
+            assumed = finding.fit.fault.undone(assumed, finding.fit.parameters)
     return data.under(assumed)
 
 
-def joined(findings: list[Finding], found: Finding) -> list[Finding]:
+def joined(findings: list[Finding], finding: Finding) -> list[Finding]:
     """Return the findings with one more; noise of a channel found noisy before raises that one's."""
     for number, other in enumerate(findings):
-        if found.kind == other.kind == "noise" and found.channels == other.channels:
-            louder = replace(other, size=other.size * found.size)
+        if finding.kind == other.kind == "noise" and finding.channels == other.channels:
+            louder = replace(other, size=other.size * finding.size)
             return [*findings[:number], louder, *findings[number + 1 :]]
-    return [*findings, found]
+    return [*findings, finding]
 
 
 def differ(one: Finding, two: Finding) -> bool:

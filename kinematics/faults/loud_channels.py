@@ -60,7 +60,7 @@ def loud_channels(search: Tested, whole: bool, scale: float = 0.0) -> list[tuple
     """
     from scipy.special import chdtrc, fdtrc
 
-    made = []
+    loud = []
     energy, h = search.energy, 1.0 - search.kept
     limit, margin = (_NOISY_KNOWN, 1.0) if search.known else (NOISY, _ALIKE)
     for channel in sorted(search.live, key=lambda c: -energy[c])[:_LOUDEST]:
@@ -80,5 +80,5 @@ def loud_channels(search: Tested, whole: bool, scale: float = 0.0) -> list[tuple
         over = value / (scale or search.scale)
         score = count * (over - 1.0 - np.log(over)) - np.log(len(search.live)) - 0.5 * np.log(count)
         louder = float(np.sqrt((ratio - h[channel]) / left))
-        made.append((float(score), Finding("noise", [channel], p, None, louder)))
-    return made
+        loud.append((float(score), Finding("noise", [channel], p, None, louder)))
+    return loud

@@ -30,10 +30,10 @@ def masking_pairs(first: Search) -> list[tuple[int, int]]:
     outer = own[:, :, None] * own[:, None, :]
     det = outer - p**2
     taken = own[:, :, None] * seen[:, None, :] + seen[:, :, None] * own[:, None, :] - 2.0 * p * energy
-    made = np.sum(np.where(det > _UNSEEN * outer, taken / np.where(det > 0.0, det, 1.0), 0.0), axis=0)
+    gains = np.sum(np.where(det > _UNSEEN * outer, taken / np.where(det > 0.0, det, 1.0), 0.0), axis=0)
     names = np.array([first.data.points[c] for c in live])
-    made = np.where(names[:, None] == names, 0.0, np.triu(made, 1))
-    order = np.argsort(-made, axis=None)[:_TRIED]
+    gains = np.where(names[:, None] == names, 0.0, np.triu(gains, 1))
+    order = np.argsort(-gains, axis=None)[:_TRIED]
     least = _EXPLAINED * first.excess()
-    chosen = [np.unravel_index(k, made.shape) for k in order]
-    return [(int(live[i]), int(live[j])) for i, j in chosen if made[i, j] > least]
+    chosen = [np.unravel_index(k, gains.shape) for k in order]
+    return [(int(live[i]), int(live[j])) for i, j in chosen if gains[i, j] > least]

@@ -215,11 +215,11 @@ def common_level(data: Packed, nuisance: Nuisance) -> tuple[float, float]:
     plain = 2.0 * energy / number
     if not len(nuisance.sd):
         return plain, number
-    found = Marginal(state, nuisance)
+    marginal = Marginal(state, nuisance)
     sd = nuisance.sd
-    values, vectors = np.linalg.eigh(found.information * np.outer(sd, sd))
+    values, vectors = np.linalg.eigh(marginal.information * np.outer(sd, sd))
     seen = values > _UNSEEN * max(float(values[-1]), 1e-300)
-    values, along = values[seen], (vectors.T @ (sd * found.score))[seen] ** 2 / values[seen]
+    values, along = values[seen], (vectors.T @ (sd * marginal.score))[seen] ** 2 / values[seen]
     others = max(number - len(values), 1.0)
     left = max(energy - float(np.sum(along)), 1e-12 * energy)
     half = 0.5 * plain * np.geomspace(10.0**-_DECADES, 1.0, _DECADES * _STEPS + 1)[:, None]

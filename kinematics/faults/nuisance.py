@@ -181,12 +181,12 @@ class Marginal:
             for t in (self.tangents, self.turned)
         )
         own = np.real(one.conj() @ two.swapaxes(1, 2))
-        made = np.asarray(self.taken @ self.taken.T)
-        np.negative(made, out=made)
+        information = np.asarray(self.taken @ self.taken.T)
+        np.negative(information, out=information)
         row, column = np.broadcast_arrays(self.owner[:, :, None], self.owner[:, None, :])
         held = (row < count) & (column < count)
-        np.add.at(made, (row[held], column[held]), own[held])
-        return made
+        np.add.at(information, (row[held], column[held]), own[held])
+        return information
 
     @cached_property
     def root(self) -> Array:
@@ -224,7 +224,7 @@ class Marginal:
         number = len(self.nuisance.sd)
         if self.turn is not None:
             tangents, taken = self._in_columns(tangents, taken, self.turn)
-        made = np.zeros(sets * count * (number + 1))
+        sums = np.zeros(sets * count * (number + 1))
         at = np.arange(sets * count).reshape(sets, count, 1) * (number + 1)
         for member in range(groups.shape[1]):
             channels = groups[:, member]
@@ -232,8 +232,8 @@ class Marginal:
             two = self.turned[:, :, channels].transpose(2, 0, 1, 3).reshape(sets, len(self.turned), -1)
             own = np.real(one.conj() @ two.swapaxes(1, 2))
             index = at + self.owner[channels][:, None, :]
-            made += np.bincount(index.ravel(), own.ravel(), len(made))
-        return made.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
+            sums += np.bincount(index.ravel(), own.ravel(), len(sums))
+        return sums.reshape(sets, count, number + 1)[:, :, :number] - taken @ self.taken.T
 
     def _in_columns(
         self, tangents: ComplexArray, taken: Array, turn: ComplexArray
@@ -268,8 +268,8 @@ def settled(data: Packed, nuisance: Nuisance, rounds: int = 6) -> tuple[State, A
     state = State.of(data, base)
     value = state.energy
     for _ in range(rounds if len(x) else 0):
-        found = Marginal(state, nuisance)
-        step = found.solved(found.score - 0.5 * x / nuisance.sd**2)
+        marginal = Marginal(state, nuisance)
+        step = marginal.solved(marginal.score - 0.5 * x / nuisance.sd**2)
         for part in (1.0, 0.5, 0.25):
             trial = State.of(data, nuisance.applied(base, x + part * step, data))
             left = trial.energy + nuisance.penalty(x + part * step)

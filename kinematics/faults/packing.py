@@ -202,8 +202,8 @@ class Packed:
         beams = self.source.beams
         x, y, z = arms_m[..., 0], arms_m[..., 1], arms_m[..., 2]
         a, b, c = directions[..., 0], directions[..., 1], directions[..., 2]
-        made = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
-        return np.asarray(made[..., dof_indices(beams.dof)] @ beams.to_dof)
+        columns = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
+        return np.asarray(columns[..., dof_indices(beams.dof)] @ beams.to_dof)
 
     def under(self, assumed: Assumed) -> Packed:
         """Return the source packed anew under other assumptions."""
@@ -267,8 +267,8 @@ def packed(source: Source, assumed: Assumed, fine: bool = False) -> Packed:
         weight = (weight / np.sqrt(source.spread)).T
         y = whitened((weight * value.T)[:, :, None], whiten)
         return Packed(source, assumed, y, y[:, :, :0], weight, source.tau, source.ratio, whiten)
-    made = _gathered(source, assumed, loud, live, course, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
-    return replace(made, whiten=whiten)
+    gathered = _gathered(source, assumed, loud, live, course, whiten, _FINE_SEGMENTS if fine else _SEGMENTS)
+    return replace(gathered, whiten=whiten)
 
 
 def divide(value: ComplexArray, weight: Array, assumed: Assumed, tau: Array, ratio: Array) -> None:
@@ -367,22 +367,22 @@ def _sampled(
         chosen[pick, np.arange(samples)] = 1.0
         chosen = np.linalg.qr(chosen - turn @ turn[pick].conj().T)[0]
         return np.asarray(value @ (line[:, None] * chosen))
-    made = value[:, pick] * line[pick] - y @ turn[pick].conj().T
-    return np.asarray(made + (made @ vectors * (left**-0.5 - 1.0)) @ vectors.conj().T)
+    squared = value[:, pick] * line[pick] - y @ turn[pick].conj().T
+    return np.asarray(squared + (squared @ vectors * (left**-0.5 - 1.0)) @ vectors.conj().T)
 
 
 def whitening(correlation: Array, live: NDArray[np.bool_]) -> Array:
     """Return the inverse square root of the correlation of the channels in use; 1 for the others."""
     held = np.where(np.outer(live, live), correlation, 0.0)
     np.fill_diagonal(held, 1.0)
-    made, seen = np.eye(len(held)), np.zeros(len(held), dtype=bool)
+    whitener, seen = np.eye(len(held)), np.zeros(len(held), dtype=bool)
     for channel in np.flatnonzero(np.sum(held != 0.0, axis=1) > 1):
         if not seen[channel]:
             own = np.flatnonzero(held[channel])
             seen[own] = True
             values, vectors = np.linalg.eigh(held[np.ix_(own, own)])
-            made[np.ix_(own, own)] = (vectors / np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
-    return made
+            whitener[np.ix_(own, own)] = (vectors / np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
+    return whitener
 
 
 def solver(rows: NDArray[Any]) -> NDArray[Any]:

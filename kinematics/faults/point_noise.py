@@ -39,10 +39,10 @@ def with_point_noise(state: State, noise: ChannelNoise) -> Packed:
         return data
     if by_chance(state, noise.held, noise.least):
         return data
-    found = point_covariance(state, noise.held[None], noise.least)
-    if found is None:
+    covariance = point_covariance(state, noise.held[None], noise.least)
+    if covariance is None:
         return data
-    correlation = scaled(found, noise.least)[0]
+    correlation = scaled(covariance, noise.least)[0]
     return data.under(replace(data.assumed, correlation=correlation))
 
 
@@ -78,15 +78,15 @@ def point_covariance(state: State, residual: ComplexArray, samples: float) -> Ar
         wanted[np.ix_(channels, channels)] = True
     wanted[data.live, data.live] = True
     measured = np.where(wanted, _products(flat) / samples, 0.0)
-    found = measured.copy()
+    covariance = measured.copy()
     if len(flat) <= _MOST_CORRECTED:
         span = np.real(state.span[0])
         project = np.eye(len(span)) - span @ span.T
         if data.whiten is not None:
             project = state.back @ project @ data.whiten
         for _ in range(_CORRECTIONS):
-            found = found + np.where(wanted, measured - project @ found @ project.T, 0.0)
-    return found if np.all(np.diag(found)[data.live] > 0.0) else None
+            covariance = covariance + np.where(wanted, measured - project @ covariance @ project.T, 0.0)
+    return covariance if np.all(np.diag(covariance)[data.live] > 0.0) else None
 
 
 def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
@@ -96,9 +96,9 @@ def scaled(covariance: Array, samples: float = np.inf) -> tuple[Array, Array]:
     """
     size = np.diag(covariance)
     sd = np.sqrt(np.where(size > 0.0, size, 1.0))
-    made = covariance / np.outer(sd, sd) / (1.0 + _SHRINK / samples)
-    np.fill_diagonal(made, 1.0)
-    return made, sd
+    correlation = covariance / np.outer(sd, sd) / (1.0 + _SHRINK / samples)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation, sd
 
 
 def by_chance(state: State, residual: ComplexArray, samples: float) -> bool:

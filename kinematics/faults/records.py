@@ -42,10 +42,10 @@ def searched_body(
     variance shows one, and is named by the usual fit: the culprit is left out and the motion found anew.
     """
     basis = extended_beams(body, fit.beams.dof).basis
-    made = bound_record_noise(placed, run, body, basis)
-    if made is None or not known:
+    bound = bound_record_noise(placed, run, body, basis)
+    if bound is None or not known:
         return diagnosed(placed, body, fit, known), fit
-    usual = with_noise(placed, run, made[0], fit.beams, fit.robust)[0]
+    usual = with_noise(placed, run, bound[0], fit.beams, fit.robust)[0]
 
     def told(without: list[int], out: list[int]) -> Diagnosis:
         """Search without some channels, in a motion that may hold nothing of others."""

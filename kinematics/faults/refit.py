@@ -68,11 +68,11 @@ class FaultFit:
         ratio = freq_hz / self.source.middle_hz
         steps = _STEP * self.fault.scale(1.0)
         value = np.broadcast_to(factor(self.parameters, place, ratio), freq_hz.shape)
-        made = [value]
+        factors = [value]
         for k, step in enumerate(steps):
             more = factor(self.parameters + step * np.eye(len(steps))[k], place, ratio)
-            made.append((more - value) / step / value)
-        return np.stack(made)
+            factors.append((more - value) / step / value)
+        return np.stack(factors)
 
 
 @dataclass(frozen=True)
@@ -228,18 +228,18 @@ class Refit:
 
         def rows(p: Array) -> NDArray[Any]:
             model = fault.applied(base, p, data)
-            made = data.weight[:, channels, None] * data.rows(
+            weighted = data.weight[:, channels, None] * data.rows(
                 model.arms_m[channels], model.directions[channels]
             )
-            return made if model.factor is None else model.factor[:, channels, None] * made
+            return weighted if model.factor is None else model.factor[:, channels, None] * weighted
 
         here = rows(theta)
-        made = []
+        tangents = []
         for k in range(len(theta)):
             step = np.zeros(len(theta))
             step[k] = _STEP * scale[k]
-            made.append(((rows(theta + step) - here) / step[k]) @ z)
-        return np.stack(made) if made else np.zeros((0, *z[:, :1].shape), dtype=complex)
+            tangents.append(((rows(theta + step) - here) / step[k]) @ z)
+        return np.stack(tangents) if tangents else np.zeros((0, *z[:, :1].shape), dtype=complex)
 
     def _step(self, data: Packed, fault: Fault, now: _Trial) -> tuple[Array, Array]:
         """Return the step of all parameters, and the inverse of the information on those of the fault.

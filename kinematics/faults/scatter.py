@@ -18,7 +18,7 @@ def information_of(
     """Return score (n k,) and information (n k, n k) of the tangents ``which`` (k) at n places."""
     e, span = state.own_e, state.own_span.conj()
     scores, taken = [], []
-    made = np.zeros((len(places) * len(which),) * 2)
+    information = np.zeros((len(places) * len(which),) * 2)
     for number, own in enumerate(places):
         channels = np.array(own, dtype=np.intp)
         t = state.tangents(channels, which)
@@ -26,11 +26,11 @@ def information_of(
         scores.append(np.real(flat.conj() @ e[:, channels].ravel()))
         block = slice(number * len(which), (number + 1) * len(which))
         other = state.products(channels, t).reshape(len(which), -1)
-        made[block, block] = np.real(flat.conj() @ other.T)
+        information[block, block] = np.real(flat.conj() @ other.T)
         seen = (span[:, channels].swapaxes(1, 2)[None] @ t).reshape(len(which), -1)
         taken.append(np.concatenate([seen.real, seen.imag], axis=1))
     low = np.concatenate(taken)
-    return np.concatenate(scores), made - low @ low.T
+    return np.concatenate(scores), information - low @ low.T
 
 
 def likeliest_size(score: Array, information: Array, sizes: Array) -> tuple[float, float]:

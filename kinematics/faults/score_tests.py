@@ -53,7 +53,7 @@ def score_tests(
     settled : bool
         The nuisance parameters of the state are the most probable ones.
     """
-    made = []
+    tests = []
     varying = len(state.data.tau) >= _SEGMENTS
     for owner, places in owners.items():
         for same in _of_one_size(places, owner == "laser"):
@@ -72,8 +72,8 @@ def score_tests(
             for name in kinds:
                 at = [which.index(k) for k in KINDS[name].tangents]
                 statistic, freedom = _statistic(score[:, at], information[:, at][:, :, at])
-                made.append(Tested(name, owner, same, statistic, freedom))
-    return made
+                tests.append(Tested(name, owner, same, statistic, freedom))
+    return tests
 
 
 def _of_one_size(places: Sequence[Sequence[int]], alone: bool) -> list[NDArray[np.intp]]:

@@ -96,19 +96,19 @@ class Search:
 
     def _structure(self) -> Structure:
         """Look for patterns that several points share; noise within a point is none, however correlated."""
-        found = structure_of(self.state, self.scale)
-        if self.data.whiten is None or found.p_value == 1.0:
-            return found
+        structure = structure_of(self.state, self.scale)
+        if self.data.whiten is None or structure.p_value == 1.0:
+            return structure
         both = np.concatenate([self.state.e, self.state.rest], axis=2)
         within = point_covariance(self.state, both, float(both.shape[0] * both.shape[2]))
         if within is None:
-            return found
+            return structure
         correlation, sd = scaled(within)
         assumed = replace(self.data.assumed, correlation=correlation, loud=self.data.assumed.loud * sd)
         strict = structure_of(State.of(self.data.under(assumed)))
-        if strict.p_value <= found.p_value:
-            return found
-        return replace(found, ratio=strict.ratio, p_value=strict.p_value)
+        if strict.p_value <= structure.p_value:
+            return structure
+        return replace(structure, ratio=strict.ratio, p_value=strict.p_value)
 
     def _unsure(self, spread: Array | None) -> Array:
         """Return the relative variance (channel,) of the noise that each channel's residuals should have.
@@ -342,32 +342,32 @@ class Search:
 
     def _blame(self, sets: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
         """Return minus what leaving out each set of channels takes of the residual energy."""
-        made, every = dict[tuple[int, ...], float](), list(sets)
+        blame, every = dict[tuple[int, ...], float](), list(sets)
         # Faults of many channels are judged by all lines.
         whole = self.given.energy + float(np.sum(np.abs(self.given.rest) ** 2))
         for size in {len(own) for own in every}:
             same = [own for own in every if len(own) == size]
             if 2 * size < len(self.live):
                 fall = self.given.left_out(np.array(same, dtype=np.intp))
-                made |= dict(zip(same, (-fall).tolist(), strict=True))
+                blame |= dict(zip(same, (-fall).tolist(), strict=True))
             else:
-                made |= dict.fromkeys(same, -whole)
-        return made
+                blame |= dict.fromkeys(same, -whole)
+        return blame
 
     def _likely(self, faults: list[Fault], bends: bool) -> list[FaultFit]:
         """Fit faults, without those that cannot come near the best."""
         fall = self._blame(dict.fromkeys(tuple(fault.channels) for fault in faults))
         bounds = Bounds(self.refit, self.suspected, {own: -value for own, value in fall.items()})
         # Next to a body that bends, what explains less than half of that is no rival.
-        made, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
+        fits, best = [], (0.5 * self.structure.gain / self.scale + _NEAR if bends else 0.0)
         for fault in bounds.ordered(faults):
             if not bounds.reach(fault, (best - _NEAR) * self.scale):
                 continue
             fit = self.refit.fit(fault)
-            made.append(fit)
+            fits.append(fit)
             if self._credible(fit) and self._finding(fit).p_value < self.alarm:
                 best = max(best, self._evidence(fit))
-        return made
+        return fits
 
     def _exchanges(self) -> list[Fault]:
         """Return the exchanges of names and coordinates that are most likely at first sight."""
@@ -379,9 +379,9 @@ class Search:
                     stand[name] = max(stand[name], float(value))
         order = sorted(stand, key=lambda name: -stand[name])[:_SUSPECTS]
         layout = Layout(self.data, self.points, self._lasers(), *self.reported)
-        made = [fault for proposed in EXCHANGES for fault in proposed(layout, order)]
-        made.sort(key=self.refit.sight)
-        return made[:_EXCHANGED]
+        exchanges = [fault for proposed in EXCHANGES for fault in proposed(layout, order)]
+        exchanges.sort(key=self.refit.sight)
+        return exchanges[:_EXCHANGED]
 
     def _finding(self, fit: FaultFit) -> Finding:
         owner = _SORT.get(fit.fault.owner, fit.fault.owner)

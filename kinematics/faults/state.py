@@ -31,10 +31,10 @@ class Model(NamedTuple):
 
     def times(self, channels: Sequence[int], factor: NDArray[Any], groups: int) -> Model:
         """Multiply the readings of channels by a factor (group,)."""
-        made = np.ones((groups, len(self.arms_m)), dtype=complex)
-        made = made if self.factor is None else self.factor.copy()
-        made[:, channels] *= np.broadcast_to(factor, (groups,))[:, None]
-        return self._replace(factor=made)
+        product = np.ones((groups, len(self.arms_m)), dtype=complex)
+        product = product if self.factor is None else self.factor.copy()
+        product[:, channels] *= np.broadcast_to(factor, (groups,))[:, None]
+        return self._replace(factor=product)
 
 
 def model_of(data: Packed) -> Model:
@@ -170,7 +170,7 @@ class State:
         simple: dict[int, Any] = {REAL: 1.0, IMAGINARY: 1j, DELAY: -1j * ratio}
         simple |= {DRIFT: tau, DRIFT_IMAGINARY: 1j * tau}
         changed = [k for k in which if k >= TURNS[0]]
-        made = np.empty((len(which), *read.shape), dtype=complex)
+        tangents = np.empty((len(which), *read.shape), dtype=complex)
         if changed:
             arms, beams = model.arms_m[channels], model.directions[channels]
             weight = data.weight[:, channels]
@@ -179,8 +179,8 @@ class State:
             rows = np.stack([_turned(data, k, arms, beams, beam) for k in changed])
             moved = (rows[:, None] @ self.z[None]) * size[None, :, :, None]
         for place, k in enumerate(which):
-            made[place] = moved[changed.index(k)] if k in changed else read * simple[k]
-        return made
+            tangents[place] = moved[changed.index(k)] if k in changed else read * simple[k]
+        return tangents
 
     def products(self, channels: NDArray[np.intp], tangents: ComplexArray) -> ComplexArray:
         """Apply ``norm`` to tangents (p, group, n, column) of single channels or of whole points."""
@@ -238,11 +238,11 @@ class State:
 
     def left_out(self, groups: NDArray[np.intp]) -> Array:
         """Return by how much the energy falls (B,) when sets of channels (B, n) are left out."""
-        made = []
+        parts = []
         for part in self.chunks(groups, groups.shape[1]):
             span = self.own_span[:, part]
             if self.norm is None and part.shape[1] > span.shape[3]:
-                made.append(_left_out_of_many(span, self.own_e[:, part]))
+                parts.append(_left_out_of_many(span, self.own_e[:, part]))
                 continue
             norm = (
                 np.eye(part.shape[1]) if self.norm is None else self.norm[part[:, :, None], part[:, None, :]]
@@ -256,8 +256,8 @@ class State:
                 values = np.real(kept[..., 0])
             along = np.sum(np.abs(e) ** 2, axis=3)
             seen = values > 1e-6
-            made.append(np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=(0, 2)))
-        return np.concatenate(made) if made else np.zeros(0)
+            parts.append(np.sum(np.where(seen, along / np.where(seen, values, 1.0), 0.0), axis=(0, 2)))
+        return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _left_out_of_many(span: NDArray[Any], e: ComplexArray) -> Array:

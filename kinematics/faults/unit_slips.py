@@ -51,9 +51,9 @@ def unit_slips(measurement: Measurement) -> list[Notice]:
     measurement : Measurement
         Positions in mm, frequencies in Hz, displacements in m, as the headers say.
     """
-    made = [Notice("unit_slip", text) for check in SLIPS for text in check(measurement)]
+    slips = [Notice("unit_slip", text) for check in SLIPS for text in check(measurement)]
     # A wrong unit of frequencies, or of one body, makes velocities wrong too.
-    return made or [Notice("plausibility", text) for text in _velocities(measurement)]
+    return slips or [Notice("plausibility", text) for text in _velocities(measurement)]
 
 
 def _velocities(measurement: Measurement) -> Iterator[str]:

@@ -83,19 +83,19 @@ def channel_verdicts(
     """Return the verdict of every channel of a body in one run."""
     from scipy.special import chdtrc
 
-    found: dict[int, tuple[str, str, float, str]] = {}
+    verdicts: dict[int, tuple[str, str, float, str]] = {}
     for finding in diagnosis.findings:
         verdict, estimate = describe(finding, body)
         for channel in finding.channels:
-            found.setdefault(channel, (verdict, estimate, finding.p_value, finding.step))
-    made = []
+            verdicts.setdefault(channel, (verdict, estimate, finding.p_value, finding.step))
+    rows = []
     number = 2.0 * diagnosis.lines
     chances = np.where(number > 0.0, chdtrc(np.maximum(number, 1.0), number * diagnosis.energy), np.nan)
     for channel, point in enumerate(body.points):
-        verdict, estimate, p, step = found.get(channel, ("ok", "", float(chances[channel]), ""))
+        verdict, estimate, p, step = verdicts.get(channel, ("ok", "", float(chances[channel]), ""))
         if channel in unused:
             verdict, estimate, p, step = unused[channel], "", np.nan, ""
-        made.append(
+        rows.append(
             ChannelVerdict(
                 run,
                 body.body,
@@ -109,7 +109,7 @@ def channel_verdicts(
                 step,
             )
         )
-    return made
+    return rows
 
 
 def left_out_verdicts(runs: Sequence[str], left_out: Sequence[LeftOut]) -> list[ChannelVerdict]:

@@ -147,10 +147,10 @@ def _by_laser(fit: LineFit, directions: Array) -> LineFit:
     before, shares = fit, np.ones(len(laser))
     for _ in range(_ROUNDS):
         energy = _unexplained_energy(fit)
-        found = None if energy is None else noise_shares(laser, shares**2 * energy)
-        if found is None:
+        next_shares = None if energy is None else noise_shares(laser, shares**2 * energy)
+        if next_shares is None:
             return fit
-        shares = found
+        shares = next_shares
         noise = replace(before.noise, stated=shares[:, None] * before.noise.stated)
         fit = fit_noise(before.beams, before.value, noise)
     return fit

@@ -34,7 +34,7 @@ def told_across(
     if not any(diagnosis.findings for diagnosis in diagnoses.values()):
         return {}
     motions: dict[Key, Cleared] = {}
-    found: dict[Key, list[Finding]] = {}
+    findings_of: dict[Key, list[Finding]] = {}
     for key, fit in fits.items():
         if fit.is_rounding() or not np.any(fit.solution.good):
             continue
@@ -48,14 +48,14 @@ def told_across(
         for pair in loud_lines(fit):
             both = np.array(pair)
             single = {key: cleared(key, fit, body, beams, noise.at(both), both)}
-            found |= label_findings(single, placed.runs, placed.freq_hz)
-            if key in found:
+            findings_of |= label_findings(single, placed.runs, placed.freq_hz)
+            if key in findings_of:
                 break
-    found = {**found, **label_findings(motions, placed.runs, placed.freq_hz)}
-    made = {}
-    for key, findings in found.items():
+    findings_of = {**findings_of, **label_findings(motions, placed.runs, placed.freq_hz)}
+    told = {}
+    for key, findings in findings_of.items():
         out = [c for finding in findings for c in finding.channels]
         rest = diagnosed(placed, placed.bodies[key[1]], fits[key], known[key], out)
         kept = 0.0 if not rest.findings else rest.kept
-        made[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
-    return made
+        told[key] = replace(rest, findings=(*findings, *rest.findings), kept=kept)
+    return told

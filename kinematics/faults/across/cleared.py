@@ -177,20 +177,22 @@ class _Sums:
         gram, side = self._without(out)
         energy = np.sum(self.weight * np.abs(self.value) ** 2, axis=1)
         whole = float(np.sum(energy) - np.sum(energy[out]))
-        made = np.empty(len(groups))
+        energies = np.empty(len(groups))
         line = _common(self.weight)
         if line is not None:
             for size in {len(own) for own in groups}:
                 same = [k for k, own in enumerate(groups) if len(own) == size]
                 at = np.array([groups[k] for k in same])
-                made[same] = whole - np.sum(energy[at], axis=1) - self._taken_without(gram, side, at, line)
-            return made
+                energies[same] = (
+                    whole - np.sum(energy[at], axis=1) - self._taken_without(gram, side, at, line)
+                )
+            return energies
         for k, own in enumerate(groups):
             less, shorter = self._of(own, self.value)
             rest, into = gram - less, side - shorter
             taken = float(np.real(np.sum(into.conj() * _solved(rest, into))))
-            made[k] = whole - float(np.sum(energy[own])) - taken
-        return made
+            energies[k] = whole - float(np.sum(energy[own])) - taken
+        return energies
 
     def _taken_without(self, gram: Array, side: ComplexArray, at: NDArray[np.intp], line: Array) -> Array:
         """Return what the motion takes (group,) without each of some groups (group, n) of channels.

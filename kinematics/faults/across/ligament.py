@@ -188,11 +188,11 @@ def _misfit(s: ComplexArray, b: ComplexArray, sd: Array, freq_hz: Array) -> floa
     dq, s = dq.reshape(-1, size), s.reshape(-1, size)
     total = 0.0
     for row in range(size):
-        found = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
+        left = _left(by_mass, dq[:, row], of_dq[:, row] + (_MODEL * moved[row]) ** 2)
         # Noise would be explained by nothing as well: a base that hardly moves is no structure.
         if own[row] ** 2 > _SEEN * np.mean(of_s[:, row]):
-            found = min(found, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
-        total += found
+            left = min(left, _left(by_spring, s[:, row], of_s[:, row] + (_MODEL * own[row]) ** 2))
+        total += left
     freedom = dq.size - 1.5 * size * size
     return total / max(freedom, 1.0)
 
@@ -209,5 +209,5 @@ def _left(columns: Array, target: ComplexArray, variance: Array) -> float:
     """Return the squared misfit of a regression over the variance (n,) of its complex targets."""
     root = np.tile(1.0 / np.sqrt(variance), 2)
     value = np.concatenate([target.real, target.imag]) * root
-    found = np.linalg.lstsq(columns * root[:, None], value, rcond=1e-10)[0]
-    return float(np.sum((value - columns @ found * root) ** 2))
+    solution = np.linalg.lstsq(columns * root[:, None], value, rcond=1e-10)[0]
+    return float(np.sum((value - columns @ solution * root) ** 2))

@@ -49,14 +49,14 @@ def exchanged_lines(motion: RigidMotion) -> list[Notice]:
     Each line is compared with the cubic through its four neighbours, in units of its noise and of what this
     comparison gives at the lines around it.
     """
-    found: dict[tuple[int, int], list[str]] = {}
+    bodies_of: dict[tuple[int, int], list[str]] = {}
     for run, name in enumerate(motion.runs):
         for number, body in enumerate(motion.bodies):
             sd = standard_deviation(motion)[run, number]
             pair = exchanged_pair(motion.q[run, number], sd)
             if pair is not None:
                 where = f" in run {name}" if len(motion.runs) > 1 else ""
-                found.setdefault(pair, []).append(f"{body}{where}")
+                bodies_of.setdefault(pair, []).append(f"{body}{where}")
     return [
         Notice(
             "label_swap",
@@ -64,7 +64,7 @@ def exchanged_lines(motion: RigidMotion) -> list[Notice]:
             f"{motion.freq_hz[m]:.6g} Hz and is smooth when the rows of the two lines are exchanged: check "
             "their freq_hz.",
         )
-        for (k, m), bodies in found.items()
+        for (k, m), bodies in bodies_of.items()
     ]
 
 
@@ -97,10 +97,10 @@ def exchanged_pair(q: ComplexArray, sd: Array) -> tuple[int, int] | None:
 
 def _roughness(q: ComplexArray) -> Array:
     """Return |line - cubic of its neighbours|^2, (freq, m); zero at the ends."""
-    made = np.zeros(q.shape)
+    roughness = np.zeros(q.shape)
     between = sum(_BESIDE[j] * q[j : len(q) - 4 + j] for j in range(5))
-    made[2:-2] = np.abs(q[2:-2] - between) ** 2
-    return made
+    roughness[2:-2] = np.abs(q[2:-2] - between) ** 2
+    return roughness
 
 
 def _scale(rough: Array, sd: Array) -> Array:

@@ -28,7 +28,7 @@ CAUSES: tuple[Cause, ...] = (conjugated, mains, outliers, gains)
 
 
 def explained(
-    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool, found: Diagnosis
+    placed: Measurement, run: int, body: BodyChannels, fit: LineFit, known: bool, diagnosis: Diagnosis
 ) -> tuple[Diagnosis, LineFit] | None:
     """Return the diagnosis by a cause other than a body that bends, and the fit without that cause.
 
@@ -41,7 +41,7 @@ def explained(
         Of the degrees of freedom that are wanted.
     known : bool
         The noise is stated.
-    found : Diagnosis
+    diagnosis : Diagnosis
         By the faults of single channels, points and lasers.
 
     Returns
@@ -55,50 +55,52 @@ def explained(
     can pass for faults of channels: they are tried whenever there are any, and believed when fewer faults
     remain without them. No fault is accepted next to scattered gains, which are such faults themselves.
     """
-    bends = found.bends
-    if fit.is_rounding() or (known and not found.findings):
+    bends = diagnosis.bends
+    if fit.is_rounding() or (known and not diagnosis.findings):
         return None
     # Errors of positions within their stated sd are no outliers.
-    offsets = found.offsets_m if not found.findings and np.any(found.offsets_m) else None
+    offsets = diagnosis.offsets_m if not diagnosis.findings and np.any(diagnosis.offsets_m) else None
     suspect = Suspect(placed, run, body, fit.beams, known, offsets)
-    if not bends and not likely_outliers(suspect.plain, found.course):
+    if not bends and not likely_outliers(suspect.plain, diagnosis.course):
         return None
     suspect = with_far_values(suspect)
-    p_value = min((finding.p_value for finding in found.findings), default=_CERTAIN)
+    p_value = min((finding.p_value for finding in diagnosis.findings), default=_CERTAIN)
     for cause in CAUSES if bends else (outliers,):
-        for made in cause(suspect):
-            again, stated, _notices = with_noise(placed, run, made.remedied, fit.beams, "none")
-            left = diagnosed(placed, made.remedied, again, stated)
+        for explanation in cause(suspect):
+            again, stated, _notices = with_noise(placed, run, explanation.remedied, fit.beams, "none")
+            left = diagnosed(placed, explanation.remedied, again, stated)
             if left.bends:
                 continue
             if bends and len(left.findings) > _NEXT_TO_IT:
                 continue
             if left.findings and cause is gains:
                 continue
-            if made.alike:
-                return replace(found, findings=tuple(map(_or(made), found.findings))), fit
-            if not bends and found.findings and len(left.findings) >= len(found.findings):
+            if explanation.alike:
+                return replace(diagnosis, findings=tuple(map(_or(explanation), diagnosis.findings))), fit
+            if not bends and diagnosis.findings and len(left.findings) >= len(diagnosis.findings):
                 continue
-            finding = _finding(made, p_value, None if cause is gains else made.remedied.displacement[run])
+            finding = _finding(
+                explanation, p_value, None if cause is gains else explanation.remedied.displacement[run]
+            )
             return replace(left, findings=(*left.findings, finding), kept=1.0), again
     return None
 
 
-def _or(made: Explanation) -> Callable[[Finding], Finding]:
+def _or(explanation: Explanation) -> Callable[[Finding], Finding]:
     """Return what says of a body that bends that a cause would look alike."""
-    step = f"So few channels do not tell this from another cause: {made.text}. {made.step}"
+    step = f"So few channels do not tell this from another cause: {explanation.text}. {explanation.step}"
     return lambda finding: replace(finding, step=step) if finding.kind == "flexible" else finding
 
 
-def _finding(made: Explanation, p_value: float, remedied: NDArray[np.complex128] | None) -> Finding:
+def _finding(explanation: Explanation, p_value: float, remedied: NDArray[np.complex128] | None) -> Finding:
     return Finding(
-        made.verdict,
-        made.channels,
+        explanation.verdict,
+        explanation.channels,
         p_value,
         None,
-        made.size,
-        text=made.text,
-        code=made.code,
-        step=made.step,
+        explanation.size,
+        text=explanation.text,
+        code=explanation.code,
+        step=explanation.step,
         remedied=remedied,
     )
