@@ -106,7 +106,10 @@ class KDOptions(OptionTable):
     estimator: str = option(choice(*ESTIMATORS), summaries(ESTIMATORS), "ml", recommended=True)
     robust: str = option(choice(*ROBUST), summaries(ROBUST), "none")
     damping: str = option(
-        choice(*LAWS, COMPARE), f"damping law; {summaries(LAWS)}; compare: all of them", "viscous"
+        choice(*LAWS, COMPARE),
+        f"damping law; {summaries(LAWS)}; compare: all of them",
+        "viscous",
+        metavar="LAW",
     )
     inplane: str = option(choice(*INPLANE), f"measured motion outside {{dof}}; {summaries(INPLANE)}", "auto")
     fluid: str = option(
