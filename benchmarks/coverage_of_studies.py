@@ -25,7 +25,7 @@ ENTRIES = np.triu_indices(3)
 
 def one_study(seed: int) -> dict[str, Any]:
     """Make a study, run the chain on its files, compare with the truth."""
-    from ct_inertia.ct2mass import ct2mass
+    from ct_inertia.results import mass_of
     from fitting.kd import fit_kd
     from kinematics.fit_options import fit_options
     from kinematics.measure_motion import motion_inputs, motion_of, read_inputs
@@ -39,7 +39,7 @@ def one_study(seed: int) -> dict[str, Any]:
         truth = make_study(folder, Ear(pose_seed=seed, noise_seed=seed), Vibrometry(seed=seed), f"ear {seed}")
         study = read_study(folder / "study.toml")
         started = time.perf_counter()
-        measured = ct2mass(study.scan).measured_mass()
+        measured = mass_of(study.scan).measured_mass()
         mass, content = measured.record, measured.record.raw
         inputs = motion_inputs(study.ldv)
         motion = motion_of(inputs, read_inputs(inputs), fit_options(study.ldv), measured).motion
