@@ -62,7 +62,7 @@ def judged(
 
 
 def repeated(seed: int, body: str, runs: int, noise: float, **given: float) -> Reading:
-    """Draw a reading whose values are (run, channel, freq): one motion, noise of their own."""
+    """Simulate readings (run, channel, freq): one motion of the body, and independent noise in each value."""
     reading = draw(seed, body, noise=_QUIET, **given)
     rng = np.random.default_rng([seed, 3])
     sd = noise / _QUIET * reading.sd
@@ -98,7 +98,7 @@ def faults(arguments: argparse.Namespace) -> Iterator[str]:
             yield f"| {body} | {fault} | {detected / n:.2f} | {named / n:.2f} | {right / n:.2f} |"
 
 
-# Noise of a reading to which that of several runs is added.
+# Noise of a reading before that of several runs is added: negligible, but not zero, for the sd scale with it.
 _QUIET = 1e-9
 # Lines, standard deviation of the positions (um), share missing.
 CONDITIONS = (

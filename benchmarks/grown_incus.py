@@ -38,7 +38,7 @@ def drawn(seed: int, folder: Path) -> Ear:
 
 
 def measured(ear: Ear, folder: Path) -> tuple[float, bool]:
-    """Return the error of the volume, %, and whether a cut through bone was told."""
+    """Return the error of the volume in percent, and True if the warning of a cut through bone was given."""
     import stapeskit
     from sample_volumes.phantom import scene, truth, write_scan
 

@@ -27,7 +27,8 @@ from fitting.uncertainty.covariance import chi2, degrees
 from stapeskit.arrays import Array
 from stapeskit.page.quantities import MASS
 
-# Exponents or times at which a law is tried before a joint fit, which goes on from the best of them.
+# Exponents or times at which a law is tried before a joint fit; the fit goes on from the best of them. Chosen
+# by judgement.
 _STARTS = 6
 
 

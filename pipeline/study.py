@@ -15,7 +15,7 @@ from pipeline.errors import PipelineError
 from stapeskit.documents import parse_toml
 from stapeskit.faults import Fault, in_words, raise_all
 from stapeskit.option_kinds import COVARIATES, NUMBER, TEXT, choice, file
-from stapeskit.options import OptionTable, declared, option, read_table, vocabulary
+from stapeskit.options import OptionTable, declared, option, read_table
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,12 @@ def parse_study(text: str, folder: Path, name: str = "study.toml", check_files: 
 
 def words(table: str) -> Callable[[str], str]:
     """Return how a study file writes the name of an option of that table; others are looked for after it."""
-    return vocabulary(TABLES[table], *TABLES.values())
+    places: dict[str, str] = {}
+    for options in (TABLES[table], *TABLES.values()):
+        for entry in declared(options):
+            if entry.table:
+                places.setdefault(entry.name, entry.place)
+    return lambda name: places.get(name, name)
 
 
 def _unknown(key: str, name: str) -> Fault:

@@ -398,13 +398,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def vocabulary(*tables: type[OptionTable]) -> Callable[[str], str]:
-    """Return how a study file writes the name of an option, looking in the first table first."""
-    places: dict[str, str] = {}
-    for table in tables:
-        for entry in declared(table):
-            if entry.table:
-                places.setdefault(entry.name, entry.place)
-    return lambda name: places.get(name, name)

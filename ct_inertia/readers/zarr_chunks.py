@@ -27,6 +27,7 @@ from stapeskit.faults import Fault
 _MOST_VOXELS = 1 << 20
 _LONGEST_METADATA = 64 << 20
 _ABSENT = (1 << 64) - 1
+# Indices of shards kept between reads. A shard of a thousand chunks has an index of 16 kB.
 _KEPT_INDICES = 64
 # 4096^3 voxels in chunks of 16^3 have 17 million.
 _MOST_CHUNKS = 1 << 26

@@ -90,7 +90,7 @@ class ZarrFiles:
                     folders.append((Path(entry.path), at))
 
     def _numbers(self, name: str) -> list[int]:
-        """Return the numbers in the name of a file; -1 stands for what is none."""
+        """Return the numbers in the name of a file, -1 for each part of the name that is no number."""
         parts = name.split(self.separator)
         count = len(self.leading)
         return [_number(part) for part in parts[count:]] if tuple(parts[:count]) == self.leading else [-1]

@@ -43,6 +43,7 @@ _MOST_UNITED = 7
 _WHOLE = calibrated("parting.whole")
 _MOST_WALL_MM3 = calibrated("parting.most_wall_mm3")
 # More of a wall of the stapes lies within the hull of the rest than outside, of other bone less.
+# Half, by that meaning; not fitted.
 _WALL_WITHIN = 0.5
 _NECK_ODDNESS = calibrated("parting.neck_oddness")
 

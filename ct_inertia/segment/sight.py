@@ -94,7 +94,7 @@ class Sight:
 
     @property
     def at_neck(self) -> bool:
-        """Whether the pieces were parted by a plane at a neck."""
+        """True where a plane through a neck parted the pieces."""
         return self.neck is not None
 
 

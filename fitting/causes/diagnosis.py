@@ -31,7 +31,7 @@ from stapeskit.arrays import Array
 # Probability of a score below which a cause that may be far from first order is refitted to be sure: one
 # needless refit in twenty, which the evidence then judges. Chosen by judgement.
 _DOUBTFUL = 0.05
-# Standard deviations between a threshold and the mean of what passes it in 80 %.
+# Standard deviations between a threshold and the mean of what passes it in 80 %: a quantile of the normal.
 _POWER_80 = 0.8416
 # Steps of a refit, and of one beside a cause that explains the data.
 _MOST, _FEW = 60, 20

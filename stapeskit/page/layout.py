@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def lay_out(drawing: Figure) -> None:
-    """Place the axes of a figure as its layout engine does, which is then taken off.
+    """Place the axes of a figure as its layout engine does, then remove the engine.
 
     With the engine, matplotlib would draw all of the figure twice to save it. The engine itself measures what
     stands around the axes a second time when it has placed them; that is done only where other ticks may have
