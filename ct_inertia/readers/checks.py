@@ -269,7 +269,7 @@ def numbered_names(words: Sequence[str], path: Path, kind: str, most: int) -> li
     if len(rest) not in (2, 3, 4) or not all(re.fullmatch(r"\d{1,7}", word) for word in rest):
         raise header_fault(path, kind, f"data files {' '.join(words)}")
     step = int(rest[2]) if len(rest) > 2 else 1
-    directive = re.search(r"%0?(\d{0,2})d", pattern)
+    directive = re.search(r"%0?[0-9]{0,2}d", pattern)
     if step < 1 or directive is None or pattern.count("%") != 1:
         raise header_fault(path, kind, f"data files {' '.join(words)}")
     numbers = range(int(rest[0]), int(rest[1]) + 1, step)

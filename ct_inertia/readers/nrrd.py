@@ -262,7 +262,7 @@ def _files(
         return [(path, -1 if skip == -1 else start + max(skip, 0))]
     if named.upper().startswith("LIST"):
         names = fields.get("list", "").splitlines()
-    elif re.search(r"%\d*d", named):
+    elif re.search(r"%[0-9]*d", named):
         names = numbered_names(named.split(), path, "NRRD volume", max(_sizes(fields, path), default=0))
     else:
         names = [named]
