@@ -10,6 +10,10 @@ _ARENAS, _MAP_ABOVE, _TRIM_ABOVE = -8, -3, -1
 _LARGE = 16 << 20
 # Given back only beyond this: pages that go and come with every small array cost more than they save.
 _SPARE = 32 << 20
+# OpenBLAS maps 32 MB for its buffer (measured: 16 MB are too few, 40 MB enough), and some for its tables.
+_ALGEBRA_BUFFER = 48 << 20
+# Rows of a product that is too large for the ways that do without the buffer.
+_ALGEBRA_ROWS = 256
 # Bytes reported where the system does not say.
 _UNKNOWN = 1 << 50
 
@@ -42,6 +46,35 @@ def keep_algebra_to_one_thread() -> None:
     imported; a command calls this before.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def take_algebra_buffers() -> None:
+    """Let the linear algebra libraries take their buffers, where the address space is limited.
+
+    OpenBLAS takes its buffer at its first product, and where there is no room it ends the process with its
+    own message, waits for ever or reads address 0 (github.com/OpenMathLib/OpenBLAS/issues/295 and 5289). A
+    command calls this first, while a lack of room can still be said; later products use the same buffer.
+    numpy and scipy bring one library each.
+
+    Raises
+    ------
+    MemoryError
+        No room for the buffers.
+    """
+    if _address_space() == _UNKNOWN:
+        return
+    import mmap
+
+    import numpy as np
+    from scipy.linalg.blas import dgemm
+
+    factor = np.zeros((_ALGEBRA_ROWS, _ALGEBRA_ROWS))
+    for product in (np.matmul, lambda one, other: dgemm(1.0, one, other)):
+        try:
+            mmap.mmap(-1, _ALGEBRA_BUFFER).close()
+        except OSError as fault:
+            raise MemoryError from fault
+        product(factor, factor)
 
 
 def available_memory() -> int:

@@ -169,6 +169,7 @@ def _farewell() -> str:
 def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) -> int:
     """Return the exit code; what went wrong is on standard error."""
     try:
+        _take_buffers()
         done = work(sys.argv[1:])
     except BrokenPipeError:
         _drop_output()
@@ -198,6 +199,12 @@ def _end_of(prog: str, work: Callable[[list[str]], tuple[Any, Outcome] | None]) 
         _tell(f"{prog}: standard output must be writable; got {fault.strerror}. The outputs are written.\n")
         return 2
     return 0
+
+
+def _take_buffers() -> None:
+    from stapeskit.memory import take_algebra_buffers
+
+    take_algebra_buffers()
 
 
 def _sentence(fault: Exception) -> str | None:

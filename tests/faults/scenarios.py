@@ -227,7 +227,7 @@ def memory(bench: Bench) -> Found:
     """Limit the memory to little more than what is taken already."""
     with open("/proc/self/statm") as stream:
         base = int(stream.read().split()[0]) * os.sysconf("SC_PAGESIZE")
-    yield from _limited(bench, resource.RLIMIT_AS, [base + (1 << shift) for shift in range(16, 29, 2)])
+    yield from _limited(bench, resource.RLIMIT_AS, [base + (1 << shift) for shift in range(16, 30)])
 
 
 def full_disk(bench: Bench) -> Found:
