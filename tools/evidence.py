@@ -1,20 +1,27 @@
 """Make the tables of the documentation anew that stand between marks, each by the command in its mark.
 
-    python tools/evidence.py [WORD ...]      commands that hold one of the words; all of them without words
+    python tools/evidence.py [WORD ...]      run the commands that hold one of the words; all without words
+    python tools/evidence.py --pages         only write the pages, from the results of the last runs
 
-A block begins with ``<!-- python benchmarks/NAME.py -->`` and ends with ``<!-- end -->``; what the command
-prints takes the place of the lines between.
+A block begins with ``<!-- python benchmarks/NAME.py -->`` and ends with ``<!-- end -->``. What its command
+prints is kept in ``benchmarks/results`` with the date and the processor time; the lines of the block are made
+from that file, so that no figure is typed.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
 BLOCK = re.compile(r"<!-- python (benchmarks/\w+\.py[^\n]*?) -->\n(.*?)<!-- end -->", re.DOTALL)
 
 
@@ -23,21 +30,64 @@ def commands(text: str) -> list[str]:
     return [match[1] for match in BLOCK.finditer(text)]
 
 
-def made_anew(text: str, words: list[str]) -> str:
-    """Return a page with the blocks made anew whose commands hold one of the words."""
+def result_file(command: str) -> Path:
+    """Return the file that holds what a command printed."""
+    return RESULTS / (re.sub(r"\W+", "_", command.replace("benchmarks/", "").replace(".py", "")) + ".json")
 
-    def one(match: re.Match[str]) -> str:
-        if words and not any(word in match[1] for word in words):
-            return match[0]
-        done = subprocess.run(
-            [sys.executable, *shlex.split(match[1])], cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        return f"<!-- python {match[1]} -->\n{done.stdout.strip()}\n<!-- end -->"
 
-    return BLOCK.sub(one, text)
+def measure(command: str) -> None:
+    """Run the command of a block and keep what it prints, the date and the processor time.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If the command fails. Its earlier result stays.
+
+    """
+    before = _processor_s()
+    words = [sys.executable, *shlex.split(command)]
+    done = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    result = {
+        "command": f"python {command}",
+        "date": datetime.now(UTC).date().isoformat(),
+        "processor_s": round(_processor_s() - before),
+        "printed": done.stdout.strip().splitlines(),
+    }
+    RESULTS.mkdir(exist_ok=True)
+    text = json.dumps(result, indent=1, ensure_ascii=False)
+    result_file(command).write_text(text + "\n", encoding="utf-8")
+
+
+def block(command: str) -> str:
+    """Return the block of a command with its last result."""
+    result = json.loads(result_file(command).read_text(encoding="utf-8"))
+    printed = "\n".join(result["printed"])
+    return f"<!-- python {command} -->\n{printed}\n\n{_measured(result)}\n<!-- end -->"
+
+
+def with_results(text: str) -> str:
+    """Return a page whose blocks hold the last results of their commands."""
+    return BLOCK.sub(lambda match: block(match[1]), text)
+
+
+def _measured(result: dict[str, Any]) -> str:
+    text = f"`{result['command']}`, {result['date']}"
+    if seconds := result["processor_s"]:
+        spent = f"{seconds} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
+        text += f", {spent} of processor time"
+    return f"*{text}*"
+
+
+def _processor_s() -> float:
+    used = os.times()  # of the commands that have ended
+    return used.children_user + used.children_system
 
 
 if __name__ == "__main__":
+    wanted = sys.argv[1:]
     for page in sorted((ROOT / "docs").glob("*.md")):
         before = page.read_text(encoding="utf-8")
-        page.write_text(made_anew(before, sys.argv[1:]), encoding="utf-8")
+        for command in commands(before):
+            if wanted != ["--pages"] and (not wanted or any(word in command for word in wanted)):
+                measure(command)
+        page.write_text(with_results(before), encoding="utf-8")

@@ -1,0 +1,26 @@
+"""The tables of the evidence are those that the scripts printed, and every kept result is on a page."""
+
+import re
+
+import pytest
+
+from tests.test_doc_tables import PAGES
+from tools.evidence import BLOCK, RESULTS, commands, result_file, with_results
+
+
+@pytest.mark.parametrize("page", [name for name, text in PAGES.items() if BLOCK.search(text)])
+def test_the_blocks_of_a_page_are_the_kept_results(page):
+    assert with_results(PAGES[page]) == PAGES[page], "run python tools/evidence.py --pages"
+
+
+def test_every_kept_result_is_on_one_page():
+    shown = [result_file(command) for text in PAGES.values() for command in commands(text)]
+    assert sorted(shown) == sorted(RESULTS.glob("*.json"))
+
+
+def test_the_lines_of_a_block_follow_from_its_result_alone():
+    page = next(text for text in PAGES.values() if BLOCK.search(text))
+    edited = BLOCK.sub(lambda match: match[0].replace("| ", "| 9", 1), page)
+    assert edited != page
+    assert with_results(edited) == with_results(page)
+    assert re.search(r"\*`python benchmarks/[^`]+`, \d{4}-\d\d-\d\d", page)
