@@ -1,13 +1,15 @@
-function worst = redraw_responses(folder, picture)
+function worst = redraw_responses(folder, picture, matrices)
 % Redraw measured and fitted responses from the files of scan2kd or dof2kd (Octave 7 or newer, MATLAB).
 %
-%   redraw_responses('results', 'responses.svg')
+%   redraw_responses('results', 'responses.svg');
+%   redraw_responses('results', 'responses.svg', 'models/kd.mat');
 %
-% Reads the motion from dof.h5 (MATLAB) or dof.csv (Octave has no h5read); K, D and M from kd.mat
-% (dof2kd --export mat), or from kd.json and mass.json. All about the footplate centre in footplate axes, SI,
+% Reads the motion from dof.h5 (MATLAB) or dof.csv (Octave has no h5read); K, D and M from kd.json and
+% mass.json, or from the file of dof2kd --export mat. All about the footplate centre in footplate axes, SI,
 % peak amplitudes, e^{+iwt}. Computes q_s = H q_b with H = (-w^2 M + i w D + K)^-1 (K + i w D).
 % Returns the root mean square difference of the piston motion y, relative to its root mean square.
-  [K, D, M, dof] = matrices_of(folder);
+  if nargin < 3, matrices = ''; end
+  [K, D, M, dof] = matrices_of(folder, matrices);
   if exist('h5read', 'file')
     [freq, stapes, base] = motion_of_h5(fullfile(folder, 'dof.h5'), dof);
   else
@@ -23,7 +25,7 @@ function worst = redraw_responses(folder, picture)
   y = find(strcmp(dof, 'y'));
   worst = sqrt(mean(abs(stapes(:, y) - fitted(:, y)).^2) / mean(abs(stapes(:, y)).^2));
   fprintf('y: measured and fitted differ by %.2f %%\n', 100 * worst);
-  if nargin < 2, return; end
+  if nargin < 2 || isempty(picture), return; end
   figure('visible', 'off');
   for k = 1:numel(dof)
     subplot(1, numel(dof), k);
@@ -34,11 +36,10 @@ function worst = redraw_responses(folder, picture)
   print(picture, ['-d', kind(2:end)]);
 end
 
-function [K, D, M, dof] = matrices_of(folder)
+function [K, D, M, dof] = matrices_of(folder, matrices)
 % Stiffness, damping and mass matrix of the degrees of freedom of the fit.
-  file = fullfile(folder, 'kd.mat');
-  if exist(file, 'file')
-    fit = load(file);
+  if ~isempty(matrices)
+    fit = load(matrices);
     K = fit.K; D = fit.D; M = fit.M; dof = cellstr(fit.dof(:).');
     return
   end

@@ -4,7 +4,9 @@ A symmetric positive definite matrix X of y, alpha and gamma is that of four equ
 y, two on each of its principal axes: at +-a with 2 (X11 / 4) a^2 = the rocking stiffness across that axis.
 A rigid body of ten inertial parameters is six equal point masses on the principal axes of inertia through its
 centre of mass, at +-sqrt(3 P_i / m) with the principal second moments P_i = (J_j + J_k - J_i) / 2. A rigid
-body ties them to the footplate; springs 1e4 times stiffer hold x, z and beta.
+body ties them to the footplate; springs 1e4 times stiffer hold x, z and beta. CalculiX looks for more vectors
+than the six freedoms of the body have when it is asked for three modes (ARPACK): masses on springs of their
+own, tied to nothing, fill them up far above in frequency.
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ from stapeskit.spatial import parameters_from_matrix
 _GROUND_M = 1e-3
 # In-plane over piston and rocking stiffness: changes the natural frequencies by less than 1e-3.
 _RIGID = 1e4
+# Oscillators beside the stapes: their mass over its mass, and their number, for 4 vectors to each mode.
+_SMALL = 1e-6
+_OTHERS = 20
 
 
 def spring_points(matrix: Array) -> Array:
@@ -52,8 +57,24 @@ def mass_points(parameters: Array) -> Array:
     return np.concatenate([centre + axes.T * arms[:, None], centre - axes.T * arms[:, None]])
 
 
+def _others(node: int, element: int, stiffness: float, mass: float) -> list[str]:
+    """Return oscillators along x, 3000 times higher in frequency than the stapes on its ligament."""
+    nodes = range(node, node + _OTHERS)
+    return [
+        "** Far above in frequency and tied to nothing: with them CalculiX finds three modes.",
+        *("*NODE, NSET=far", *(f"{place}, {_GROUND_M:g}, 0., 0." for place in nodes)),
+        "*ELEMENT, TYPE=MASS, ELSET=far_mass",
+        *(f"{element + k}, {place}" for k, place in enumerate(nodes)),
+        f"*MASS, ELSET=far_mass\n{_SMALL * mass:.10e}",
+        "*ELEMENT, TYPE=SPRING1, ELSET=far_spring",
+        *(f"{element + _OTHERS + k}, {place}" for k, place in enumerate(nodes)),
+        f"*SPRING, ELSET=far_spring\n1\n{1e7 * _SMALL * stiffness:.10e}",
+        "*BOUNDARY\nfar, 2, 3",
+    ]
+
+
 def content(fit: KDFit) -> bytes:
-    """Return an input deck in m, N, kg, s with a step that finds the first natural frequency.
+    """Return an input deck in m, N, kg, s with a step that finds the three natural frequencies.
 
     Raises
     ------
@@ -128,6 +149,7 @@ def content(fit: KDFit) -> bytes:
         "bone, 1, 3",
     ]
     if fit.problem.inertia.complete:
-        lines += ["** CalculiX looks for four times as many vectors as modes: one mode of six freedoms."]
-        lines += ["*STEP", "*FREQUENCY", "1", "*NODE FILE", "U", "*END STEP"]
+        mass = float(fit.problem.inertia.matrix[0, 0])
+        lines += _others(len(nodes) + 1, count + 1, float(fit.stiffness[0, 0]), mass)
+        lines += ["*STEP", "*FREQUENCY", "3", "*NODE FILE", "U", "*END STEP"]
     return ("\n".join(lines) + "\n").encode()

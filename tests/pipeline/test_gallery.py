@@ -6,6 +6,9 @@ import io
 import json
 import re
 import runpy
+import shlex
+import shutil
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -13,10 +16,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import SimpleITK as sitk
 import yaml
 from scipy.io import loadmat
 
 from ct_inertia.options import MassOptions
+from fitting.cli import work as dof2kd
 from fitting.export_formats import exported
 from fitting.kd import fit_kd
 from fitting.options import KDOptions
@@ -78,6 +83,26 @@ def test_the_octave_script_reads_names_that_exist(results):
     assert {"freq_hz", "body", "y_re_m", "y_im_m", "alpha_re_rad"} <= set(header)
 
 
+def test_the_page_of_other_programs_runs_as_it_is_printed(results, tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "other_programs.md").read_text(encoding="utf-8")
+    lines = "".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)).splitlines()
+    shutil.copytree(results, tmp_path / "results")
+    if not (tmp_path / "results" / "labels.nrrd").is_file():  # a study of a surface has none
+        sitk.WriteImage(sitk.Image([4, 4, 4], sitk.sitkUInt8), str(tmp_path / "results" / "labels.nrrd"))
+    monkeypatch.chdir(tmp_path)
+    (fit,) = (shlex.split(line) for line in lines if line.startswith("dof2kd "))
+    dof2kd(fit[1:])
+    for source in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(source, "other_programs.md", "exec"), {})
+    assert (tmp_path / "labels.nii.gz").is_file()
+    (octave,) = (shlex.split(line) for line in lines if line.startswith("octave-cli "))
+    if shutil.which(octave[0]):
+        call = f"{octave[-1]} assert(redraw_responses('results', '', 'models/kd.mat') < 0.1);"
+        octave[2:] = [str(EXAMPLES / "octave"), "--eval", call]
+        subprocess.run(octave, check=True, capture_output=True, timeout=60)
+        assert (tmp_path / "responses.svg").is_file()
+
+
 def test_the_description_for_slicer_names_options_that_exist():
     tree = ElementTree.parse(EXAMPLES / "slicer" / "ct2mass.xml")
     known = {one.name for one in declared(MassOptions)} | {"out"}
@@ -88,7 +113,9 @@ def test_the_napari_reader_lays_labels_on_the_surface(results, monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES / "napari"))
     from stapeskit_napari import get_reader
 
-    manifest = yaml.safe_load((EXAMPLES / "napari" / "napari.yaml").read_text(encoding="utf-8"))
+    manifest = yaml.safe_load(
+        (EXAMPLES / "napari" / "stapeskit_napari" / "napari.yaml").read_text(encoding="utf-8")
+    )
     assert manifest["contributions"]["commands"][0]["python_name"] == "stapeskit_napari:get_reader"
     assert get_reader("scan.tif") is None
     path = str(results / "mass.json")

@@ -1,7 +1,7 @@
 """A napari reader of mass.json: labels of the scan and the surfaces of stapes and plate, in scan coordinates.
 
-napari finds it by the manifest napari.yaml (npe2): install both as a small package, or run
-``viewer.add_layer`` on what `read_mass` returns.
+napari finds it by the manifest napari.yaml (npe2) once this folder is installed: ``pip install
+./examples/napari``, then ``napari results/mass.json``.
 """
 
 from __future__ import annotations
