@@ -8,7 +8,7 @@ import numpy as np
 
 from fitting.examples import paper
 from fitting.model.model import simulate
-from fitting.report.figures import MEASURED, SIMULATED, SYMBOLS
+from fitting.report.figures import MEASURED, SIMULATED
 from stapeskit.page.page import new_figure
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def simulated_figure() -> Figure:
             upper.legend(frameon=False, fontsize=9)
         upper.plot(freq, np.abs(motion[:, place]) * factor, color=SIMULATED, lw=1.6)
         upper.set_ylim(bottom=0.0)
-        upper.set_title(f"{SYMBOLS.get(name, name)} of the stapes", fontsize=11)
+        upper.set_title(f"{name} of the stapes", fontsize=11)
         upper.set_ylabel(f"amplitude ({unit})")
         lower.plot(freq, np.degrees(np.unwrap(np.angle(motion[:, place]))), color=SIMULATED, lw=1.6)
         lower.set_xlabel("frequency (Hz)")

@@ -25,7 +25,6 @@ BASE = "#b7c0ca"
 ACCENT = "#c2571a"
 # A response is clear of its noise when it is so many standard deviations.
 _CLEAR = 3.0
-SYMBOLS = {"alpha": "α", "beta": "β", "gamma": "γ"}
 
 
 def response_figure(responses: Responses, run: int, body: str = "stapes") -> Figure:
@@ -42,7 +41,7 @@ def response_figure(responses: Responses, run: int, body: str = "stapes") -> Fig
         scale, unit = _unit(name, responses.measured[chosen, place])
         upper, lower = axes[2 * block, column], axes[2 * block + 1, column]
         _amplitude(upper, freq, responses, chosen, place, scale)
-        upper.set_title(f"{SYMBOLS.get(name, name)} of the {body}", fontsize=11)
+        upper.set_title(f"{name} of the {body}", fontsize=11)
         upper.set_ylabel(f"amplitude ({unit})")
         _phase(lower, freq, responses, chosen, place)
         lower.set_xlabel("frequency (Hz)")

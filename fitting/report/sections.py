@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -230,6 +230,7 @@ def _matrices(fit: KDFit) -> Section:
             damping_sd,
         ),
         page.quantity_matrix(fit.mass, matrix_units("M", fit.dof), fit.dof, f"M as used, {place}."),
+        page.text(_numbering(fit.dof)),
         page.figure(
             correlation_figure(fit.covariance, fit.parameters),
             "Correlations of the errors of K and D, all sources, in percent: entries that are strongly "
@@ -310,6 +311,12 @@ def _axes(fit: KDFit, outline_mm: Array | None, gap_mm: WithSd | None) -> Sectio
     )
 
 
+def _numbering(dof: Sequence[str]) -> str:
+    """Say what the names of entries in tables, figures and kd.json mean."""
+    numbered = ", ".join(f"{place} {name}" for place, name in enumerate(dof, 1))
+    return f"Entries are numbered below and in kd.json, {numbered}: K11 is K({dof[0]})."
+
+
 def _budget(fit: KDFit) -> Section:
     shares = fit.budget.shares()
     sd = np.sqrt(np.diag(fit.covariance))
@@ -322,8 +329,7 @@ def _budget(fit: KDFit) -> Section:
     for part in (slice(0, half), slice(half, None)):
         names = fit.parameters[part]
         section.add(page.table(["share of the variance", *names], [[row[0], *row[1:][part]] for row in rows]))
-    numbered = ", ".join(f"{place + 1} {name}" for place, name in enumerate(fit.dof))
-    section.add(page.text(f"{' '.join(_leading(fit, shares))} Rows and columns of K and D: {numbered}."))
+    section.add(page.text(" ".join(_leading(fit, shares))))
     if fit.budget.widened > 1.0:
         section.add(
             page.text(

@@ -173,10 +173,10 @@ def size_of(value: float, unit: str) -> str:
     An angle is that of a small tilt, sin(angle) = angle; for large ones the result is given as a bound.
     """
     if unit == "°" and value > _MOST_DEG:
-        return f"> {_MOST_DEG:g} °"
+        return f"> {_MOST_DEG:g}°"
     if unit == "µm" and value >= 999.5:
         value, unit = 1e-3 * value, "mm"
-    return f"{float(f'{value:.3g}'):g} {unit}"
+    return f"{float(f'{value:.3g}'):g}{'' if unit == '°' else ' '}{unit}"
 
 
 def _typical_and_worst(values: Array, unit: str, body: BodyChannels) -> tuple[str, str, str]:

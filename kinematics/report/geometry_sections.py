@@ -91,7 +91,7 @@ def registration_section(result: Points2Dof) -> Section:
     for body in result.measurement.bodies:
         worst = float(np.max(error(body.positions_mm)))
         rows.append((f"largest target error at a point of {body.body}, rms", f"{worst:.3g} µm"))
-    rows.append(("sd of the rotation about x, y, z", ", ".join(f"{value:.2g}" for value in turn) + " °"))
+    rows.append(("sd of the rotation about x, y, z", ", ".join(f"{value:.2g}" for value in turn) + "°"))
     if np.isnan(fit.flat_mm):
         rows = [row for row in rows if row[0] != "largest distance from one plane"]
     section.add(page.table((f"registration by {fit.kind}", f"to {fit.transform.to}"), rows))

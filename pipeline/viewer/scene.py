@@ -90,7 +90,7 @@ def _lines(
         origin = _mapped_back(scan_from_footplate, plate[:3, 3])
         for name, axis in zip("xyz", plate[:3, :3].T, strict=True):
             end = origin + _AXIS_MM * (scan_from_footplate[:3, :3].T @ axis)
-            lines.append(_line(f"{name}p", origin, end, name, "plate"))
+            lines.append(_line(f"plate {name}", origin, end, name, "plate"))
     axes = kd.get("principal_axes")
     if axes:
         origin = np.array([axes["origin_x_mm"], 0.0, axes["origin_z_mm"]])

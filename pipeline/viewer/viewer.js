@@ -42,9 +42,12 @@ document.addEventListener("DOMContentLoaded", function () {
   });
   const strokes = D.lines.map((line) => ({ kind: line.kind, colour: COLOUR[line.colour], body: "", data: buffer(gl.ARRAY_BUFFER, new Float32Array([...line.from, ...line.to])), count: 2, mode: gl.LINES }));
   if (D.outline.length) strokes.push({ kind: "principal", colour: COLOUR.outline, body: "stapes", data: buffer(gl.ARRAY_BUFFER, new Float32Array(D.outline.flat())), count: D.outline.length, mode: gl.LINE_LOOP });
+  const pointsLabel = box.querySelector('[data-show="points"]').parentElement;
   (M ? M.bodies : []).forEach((body, number) => {
     const colour = [1, 3, 5].map((k) => parseInt(body.colour.slice(k, k + 2), 16) / 255);
     strokes.push({ kind: "points", colour, body: number, data: buffer(gl.ARRAY_BUFFER, new Float32Array(body.points.flat())), count: body.points.length, mode: gl.POINTS });
+    const mark = pointsLabel.appendChild(document.createElement("span")); mark.textContent = " ■"; mark.style.color = body.colour;
+    pointsLabel.append(` ${body.name}`);
     const rays = (body.beams || []).flatMap(([point, x, y, z]) => { const p = body.points[point]; return [...p, p[0] + 2.2 * x, p[1] + 2.2 * y, p[2] + 2.2 * z]; });
     if (rays.length) strokes.push({ kind: "beams", colour: COLOUR.beam, body: number, data: buffer(gl.ARRAY_BUFFER, new Float32Array(rays)), count: rays.length / 3, mode: gl.LINES });
   });

@@ -9,6 +9,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PLUS_MINUS = re.compile(r" \+- (?=[\d.])")
 # um and urad behind a number, a blank or a bracket; us, which is a word too, behind a number or alone.
 _MICRO = re.compile(r"(?<=[\d (])u(?=(?:m|rad)\b)|(?<=\d )u(?=s\b)|^u(?=s$)")
+_POWER = re.compile(r"(?:(?<=\bmm)|(?<=\bkg/m)|(?<=\bkg m)|(?<=\bm/s))[23]\b")
 
 
 def plus_minus(value: float, sd: float | None) -> str:
@@ -36,11 +37,12 @@ def plus_minus(value: float, sd: float | None) -> str:
 
 
 def printed(text: str) -> str:
-    """Return a message of the terminal with the letters that a page has: ± and µ.
+    """Return a message of the terminal with the letters that a page has: ±, µ and powers of units.
 
     Examples
     --------
-    >>> printed("factor 1.08 +- 0.01, 0.2 urad per nm, 3 us, rms (um); density RHO+-SD")
-    'factor 1.08 ± 0.01, 0.2 µrad per nm, 3 µs, rms (µm); density RHO+-SD'
+    >>> printed("factor 1.08 +- 0.01, 0.2 urad per nm, 3 us, 2.3 mm3 (um); density RHO+-SD")
+    'factor 1.08 ± 0.01, 0.2 µrad per nm, 3 µs, 2.3 mm³ (µm); density RHO+-SD'
     """
-    return _MICRO.sub("µ", _PLUS_MINUS.sub(" ± ", text))
+    text = _MICRO.sub("µ", _PLUS_MINUS.sub(" ± ", text))
+    return _POWER.sub(lambda match: match[0].translate(_RAISED), text)

@@ -199,7 +199,7 @@ def table(
     listed = list(rows)
     return _render(
         '<div class="scroll{% if few %} few{% endif %}"><table{% if words %} class="text"{% elif two %} class="two"{% endif %}><thead><tr>{% for h in header %}'
-        '<th scope="col">{{ h }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
+        '{% if h %}<th scope="col">{{ h }}</th>{% else %}<td></td>{% endif %}{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}'
         "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table></div>",
         header=[printed(name) for name in header],
         rows=[[_whole(cell) if words else _printed(cell) for cell in row] for row in listed],

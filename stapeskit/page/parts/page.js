@@ -43,7 +43,7 @@
     }));
   });
   all(".scroll").forEach((box) => {
-    if (box.scrollWidth > box.clientWidth + 1) { box.tabIndex = 0; box.setAttribute("role", "region"); box.setAttribute("aria-label", "table, scrolls sideways"); }
+    if (box.scrollWidth > box.clientWidth + 1) { box.tabIndex = 0; box.setAttribute("role", "group"); box.setAttribute("aria-label", "table, scrolls sideways"); }
   });
   all("figure").forEach((box) => {
     if (box.scrollWidth <= box.clientWidth + 1) return;
