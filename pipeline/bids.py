@@ -30,6 +30,7 @@ from stapeskit.option_values import toml
 from stapeskit.options import declared
 from stapeskit.outputs import staged
 
+# Files of other tables, such as the true values of a simulated ear, stay beside the study.
 _FOLDERS = {"scan": "uct", "ldv": "ldv"}
 _STUDY = "_study.toml"
 _VERSION = "1.10.0"
@@ -170,7 +171,8 @@ def _plain(text: object) -> str:
 def _copied(path: Path, target: Path, stem: str, copies: dict[Path, Path]) -> str:
     """Note what must be copied for a study, and return the text of its study file at the new place."""
     tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    for table, folder in _FOLDERS.items():
+    for table in TABLES:
+        folder = _FOLDERS.get(table, "")
         files = {option.key for option in declared(TABLES[table]) if option.kind.is_file}
         for key in files & set(tables.get(table, {})):
             value = tables[table][key]

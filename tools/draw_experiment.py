@@ -44,9 +44,10 @@ def sample(drawing: Drawing) -> None:
     drawing.text(169, 380, "bone", anchor="middle")
     drawing.line((122, 318, 200, 348), BLUE, 1)
     drawing.text(14, 292, "annular ligament:\nstiffness K,\ndamping D", BLUE)
-    drawing.text(14, 214, "stapes:\nmass matrix M", EDGE)
+    drawing.text(14, 214, "stapes:\nmass matrix M")
     drawing.line((124, 219, 216, 240), EDGE, 1)
-    drawing.text(346, 104, "incus\nremoved", SOFT)
+    drawing.text(446, 112, "incus\nremoved", SOFT)
+    drawing.line((441, 110, 335, 104), SOFT, 1)
     drawing.path(
         "M252 128C246 96 270 74 300 82C322 66 344 92 330 116", "none", SOFT, 1.4, 'stroke-dasharray="5 4"'
     )

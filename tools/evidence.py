@@ -21,6 +21,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from stapeskit.page.numbers import printed  # noqa: E402
+
 RESULTS = ROOT / "benchmarks" / "results"
 BLOCK = re.compile(r"<!-- python (benchmarks/\w+\.py[^\n]*?) -->\n(.*?)<!-- end -->", re.DOTALL)
 
@@ -61,8 +65,8 @@ def measure(command: str) -> None:
 def block(command: str) -> str:
     """Return the block of a command with its last result."""
     result = json.loads(result_file(command).read_text(encoding="utf-8"))
-    printed = "\n".join(result["printed"])
-    return f"<!-- python {command} -->\n{printed}\n\n{_measured(result)}\n<!-- end -->"
+    lines = "\n".join(printed(line) for line in result["printed"])
+    return f"<!-- python {command} -->\n{lines}\n\n{_measured(result)}\n<!-- end -->"
 
 
 def with_results(text: str) -> str:

@@ -37,10 +37,13 @@ def law_sections(cohort: CohortLaws) -> list[Section]:
     )
     as_paths = len(cohort.ears) <= MOST_AS_PATHS
     adjusted = ", ".join(cohort.table.covariates.names)
+    dof = max((tuple(ear.kd["dof"]) for ear in cohort.ears), key=len)
+    numbered = ", ".join(f"{place} {name}" for place, name in enumerate(dof, 1))
     words = (
         "Laws ln y = a + b ln x with errors of measurement in both and scatter of the ears about the law "
         "(restricted maximum likelihood; 95 % intervals by the profile). Planned laws come first; the "
-        "others are exploratory: their q is the share of false findings among those with a q as small."
+        "others are exploratory: their q is the share of false findings among those with a q as small. "
+        f"Entries are numbered, {numbered}: K11 is K({dof[0]})."
     )
     blocks = [page.text(words), *notices]
     if adjusted:

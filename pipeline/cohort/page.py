@@ -129,7 +129,7 @@ def _groups(rows: Sequence[Quantity]) -> list[tuple[str, list[Quantity]]]:
 def _title(quantity: Quantity) -> str:
     letter, *dof = quantity.name.split("_")
     if letter in "KD":
-        return f"{letter}({', '.join(dof)})"
+        return f"{letter}({', '.join(dict.fromkeys(dof))})"
     return quantity.name.replace("_", " ").replace("mode", "mode ")
 
 
