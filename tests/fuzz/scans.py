@@ -12,11 +12,14 @@ import tempfile
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
+from ct_inertia.readers.formats import format_of
+from tests.ct_inertia.readers import writers as w
+from tests.ct_inertia.readers.contract import CASES
 from tests.fuzz.case import Case
 from tests.fuzz.mutations import (
     INTEGERS,
@@ -30,7 +33,7 @@ from tests.fuzz.mutations import (
 
 Files = dict[str, bytes]
 _BOMB = 64 << 20
-_TEXT_HEADERS = ("nrrd", "nhdr", "mha", "mhd", "vgi", "am", "log")
+_TEXT_HEADERS = (".nrrd", ".nhdr", ".mha", ".mhd", ".vgi", ".am")
 
 
 def cases(rng: random.Random) -> Iterator[Case]:
@@ -46,19 +49,25 @@ def prepare() -> None:
 
 
 @cache
-def _whole() -> tuple[tuple[str, Files], ...]:
-    """Return a scan of every format: the name to open, and the files."""
-    from tests.ct_inertia.readers import writers as w
-
-    made: list[tuple[str, Files]] = []
+def _whole() -> dict[str, list[tuple[str, Files]]]:
+    """Return scans by format: the name to open, and the files."""
+    made: dict[str, list[tuple[str, Files]]] = {}
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for number, write in enumerate(_writers(w)):
+        for number, (name, write) in enumerate(_writers()):
             folder = Path(place, str(number))
             folder.mkdir()
-            name = write(folder).name
-            made.append((name, _files(folder)))
-    return tuple(made)
+            path = write(folder / name)
+            made.setdefault(format_of(path).module, []).append((path.name, _files(folder)))
+    return made
+
+
+def _any(
+    rng: random.Random, wanted: Callable[[str, Files], bool] = lambda _name, _files: True
+) -> tuple[str, Files]:
+    """Return a scan: formats with many variants come no more often than others."""
+    kinds = [[scan for scan in scans if wanted(*scan)] for scans in _whole().values()]
+    return rng.choice(rng.choice([scans for scans in kinds if scans]))
 
 
 def _files(folder: Path) -> Files:
@@ -69,51 +78,20 @@ def _files(folder: Path) -> Files:
     }
 
 
-def _writers(w) -> list[Callable[[Path], Path]]:
-    grey, small, signed, real = (w.picture(kind) for kind in (np.uint16, np.uint8, np.int16, np.float32))
-    tiffs = [
-        lambda f: w.plain(f / "a.tif", grey),
-        lambda f: w.plain(f / "a.tif", real),
-        lambda f: w.plain(f / "a.tif", grey, compression="zlib"),
-        lambda f: w.plain(f / "a.tif", grey, compression="zstd"),
-        lambda f: w.plain(f / "a.tif", small, compression="lzw"),
-        lambda f: w.plain(f / "a.tif", small, compression="packbits"),
-        lambda f: w.plain(f / "a.tif", grey, bigtiff=True),
-        lambda f: w.plain(f / "a.tif", np.pad(grey, 16), tile=(16, 16), compression="zlib"),
-        lambda f: w.pages(f / "a.tif", grey),
-        lambda f: w.pages(f / "a.tif", grey, byteorder=">"),
-        lambda f: w.imagej(f / "a.tif", grey),
-        lambda f: w.ome(f / "a.ome.tif", grey),
-    ]
-    grids = [
-        lambda f: w.nrrd(f / "a.nrrd", grey),
-        lambda f: w.itk(f / "a.nrrd", grey, packed=True),
-        lambda f: _detached_nrrd(f, grey),
-        lambda f: _segmentation(f, small),
-        lambda f: w.meta(f / "a.mha", grey),
-        lambda f: w.itk(f / "a.mha", grey, packed=True),
-        lambda f: _detached_meta(w, f, grey),
-        lambda f: w.nifti(f / "a.nii", grey, slope=2.0, inter=1.0),
-        lambda f: w.itk(f / "a.nii.gz", grey),
-        lambda f: w.isq(f / "a.isq", signed),
-        lambda f: w.aim(f / "a.aim", signed),
-        lambda f: w.aim30(f / "a.aim", signed),
-        lambda f: w.vgi(f / "a.vgi", grey, parts=2),
-        lambda f: w.amira(f / "a.am", grey),
-    ]
-    folders = [
-        lambda f: w.slices(f / "a", grey),
-        lambda f: w.slices(f / "a", grey, compression="zlib"),
-        lambda f: w.slices(f / "a", small, ending="png"),
-        lambda f: w.skyscan(f / "a", small),
-        lambda f: w.dicom(f / "a", grey),
-        lambda f: w.frames(f / "a.dcm", grey),
-        lambda f: w.ome_zarr(f / "a", grey),
-        lambda f: w.ome_zarr(f / "a", grey, version="0.5"),
-        lambda f: w.ome_zarr(f / "a", grey, version="0.5", shards=True),
-        *(lambda f, codec=codec: w.ome_zarr(f / "a", grey, compressors=codec) for codec in _codecs()),
-    ]
-    return [*tiffs, *grids, *folders]
+def _writers() -> Iterator[tuple[str, Callable[[Path], Path]]]:
+    """Yield name and writer of every scan of the contract of readers, and of a few more."""
+    for name, case in CASES.items():
+        # bare voxels have no header that could be damaged
+        if case.raw is None:
+            yield name, partial(case.write, array=w.picture(case.types[0]), **case.options)
+    grey, small = w.picture(np.uint16), w.picture(np.uint8)
+    yield "a.nhdr", partial(_detached_nrrd, array=grey)
+    yield "a.mhd", partial(_detached_meta, array=grey)
+    yield "a.seg.nrrd", partial(_segmentation, array=small)
+    yield "a.nii", partial(w.nifti, array=grey, slope=2.0, inter=1.0)
+    yield "skyscan", partial(w.skyscan, array=small)
+    for codec in _codecs():
+        yield "packed.zarr", partial(w.ome_zarr, array=grey, compressors=codec)
 
 
 def _codecs():
@@ -134,25 +112,25 @@ def _codecs():
     ]
 
 
-def _detached_nrrd(folder: Path, array) -> Path:
+def _detached_nrrd(path: Path, array) -> Path:
     header = (
         "NRRD0004\ntype: uint16\ndimension: 3\nsizes: 5 6 7\nencoding: raw\nendian: little\n"
         "space: left-posterior-superior\nspace directions: (0.02,0,0) (0,0.02,0) (0,0,0.02)\n"
         "space origin: (0,0,0)\nbyte skip: 0\ndata file: s%03d.raw 0 6 1\n"
     )
     for number, plane in enumerate(array):
-        (folder / f"s{number:03}.raw").write_bytes(plane.tobytes())
-    (folder / "a.nhdr").write_text(header)
-    return folder / "a.nhdr"
+        path.with_name(f"s{number:03}.raw").write_bytes(plane.tobytes())
+    path.write_text(header)
+    return path
 
 
-def _detached_meta(w, folder: Path, array) -> Path:
+def _detached_meta(path: Path, array) -> Path:
     for number, plane in enumerate(array):
-        (folder / f"s{number:03}.raw").write_bytes(plane.tobytes())
-    return w.meta(folder / "a.mhd", array, data="s%03d.raw 0 6 1")
+        path.with_name(f"s{number:03}.raw").write_bytes(plane.tobytes())
+    return w.meta(path, array, data="s%03d.raw 0 6 1")
 
 
-def _segmentation(folder: Path, array) -> Path:
+def _segmentation(path: Path, array) -> Path:
     keys = "".join(
         f"Segment{n}_ID:=s{n}\nSegment{n}_Name:={name}\nSegment{n}_LabelValue:={n + 1}\nSegment{n}_Layer:=0\n"
         for n, name in enumerate(("stapes", "plate"))
@@ -164,8 +142,8 @@ def _segmentation(folder: Path, array) -> Path:
         f"space origin: (0,0,0)\n{keys}\n"
     )
     packed = gzip.compress(np.repeat(array[..., None], 2, axis=-1).tobytes())
-    (folder / "a.seg.nrrd").write_bytes(header.encode() + packed)
-    return folder / "a.seg.nrrd"
+    path.write_bytes(header.encode() + packed)
+    return path
 
 
 def _case(rng: random.Random, what: str, name: str, files: Files, declared: int = 0) -> Case:
@@ -175,7 +153,7 @@ def _case(rng: random.Random, what: str, name: str, files: Files, declared: int 
 
 def _damaged_bytes(rng: random.Random) -> Case:
     """Damage one of the files of a scan, most often where its header is."""
-    name, files = rng.choice(_whole())
+    name, files = _any(rng)
     chosen = rng.choice(sorted(files))
     changed = mutate_bytes(rng, files[chosen], head=600)
     return _case(rng, f"bytes of {chosen}", name, {**files, chosen: changed})
@@ -183,8 +161,7 @@ def _damaged_bytes(rng: random.Random) -> Case:
 
 def _damaged_header(rng: random.Random) -> Case:
     """Change fields of a header in text."""
-    entries = [(n, f) for n, f in _whole() if n.rsplit(".", 1)[-1] in _TEXT_HEADERS]
-    name, files = rng.choice(entries)
+    name, files = _any(rng, lambda n, _: n.endswith(_TEXT_HEADERS))
     data = files[name]
     end = (
         data.find(b"\n\n") if name.endswith("nrrd") else data.find(b"LOCAL\n") if name.endswith("mha") else -1
@@ -224,7 +201,7 @@ def _damaged_header(rng: random.Random) -> Case:
 
 def _damaged_tiff(rng: random.Random) -> Case:
     """Change tags and offsets of the directories of a TIFF."""
-    name, files = rng.choice([(n, f) for n, f in _whole() if n.endswith(".tif")])
+    name, files = _any(rng, lambda n, _: n.endswith((".tif", ".btf")))
     data = bytearray(files[name])
     order = "<" if data[:2] == b"II" else ">"
     big = struct.unpack_from(order + "H", data, 2)[0] == 43
@@ -264,18 +241,24 @@ def _damaged_tiff(rng: random.Random) -> Case:
 
 def _damaged_zarr(rng: random.Random) -> Case:
     """Change the metadata of a Zarr image."""
-    name, files = rng.choice([(n, f) for n, f in _whole() if any("zarr" in k or ".zattrs" in k for k in f)])
+    name, files = _any(rng, lambda n, _: n.endswith(".zarr"))
     chosen = rng.choice([k for k in files if k.endswith((".zarray", ".zattrs", ".zgroup", "zarr.json"))])
     changed = json_bytes(rng, mutate_tree(rng, json.loads(files[chosen])))
     return _case(rng, f"metadata {chosen}", name, {**files, chosen: changed})
 
 
+def _has_chunks(name: str, files: Files) -> bool:
+    return f"{name}/0/.zarray" in files
+
+
+def _chunks(name: str, files: Files) -> list[str]:
+    return [k for k in files if k.startswith(f"{name}/0/") and not k.endswith(".zarray")]
+
+
 def _damaged_chunk(rng: random.Random) -> Case:
     """Change the header of a packed chunk, or its blocks."""
-    name, files = rng.choice([(n, f) for n, f in _whole() if any(".zarray" in k for k in f)])
-    chosen = rng.choice(
-        [k for k in files if k.startswith("a/0/") and not k.endswith("zarray")] or sorted(files)
-    )
+    name, files = _any(rng, _has_chunks)
+    chosen = rng.choice(_chunks(name, files) or sorted(files))
     data = bytearray(files[chosen])
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(min(len(data), rng.choice((16, 40, len(data)))))
@@ -288,7 +271,7 @@ def _damaged_chunk(rng: random.Random) -> Case:
 
 def _damaged_dicom(rng: random.Random) -> Case:
     """Change lengths of elements of a DICOM file."""
-    name, files = rng.choice([(n, f) for n, f in _whole() if any(k.endswith(".dcm") for k in f)])
+    name, files = _any(rng, lambda _, files: any(k.endswith(".dcm") for k in files))
     chosen = rng.choice([k for k in files if k.endswith(".dcm")])
     data = bytearray(files[chosen])
     for _ in range(rng.randint(1, 3)):
@@ -326,8 +309,6 @@ def _bombs() -> dict[str, bytes]:
 
 def _bomb(rng: random.Random) -> Case:
     """Pack 64 MB where the header declares less than a kilobyte."""
-    from tests.ct_inertia.readers import writers as w
-
     bombs = _bombs()
     if rng.random() < 0.3:
         with tempfile.TemporaryDirectory() as place:
@@ -335,11 +316,11 @@ def _bomb(rng: random.Random) -> Case:
         packed = gzip.compress(head) + bombs["gzip"]
         return Case("gzip bomb", {"a.nii.gz": packed}, ("read_scan", "a.nii.gz"))
     codec = rng.choice(sorted(bombs))
-    name, files = next((n, f) for n, f in _whole() if any(".zarray" in k for k in f))
-    meta = json.loads(files["a/0/.zarray"])
+    name, files = _any(rng, _has_chunks)
+    meta = json.loads(files[f"{name}/0/.zarray"])
     meta["compressor"] = {"id": codec}
-    chunks = {k: bombs[codec] for k in files if k.startswith("a/0/") and not k.endswith(".zarray")}
-    changed = {**files, **dict.fromkeys(chunks, bombs[codec]), "a/0/.zarray": json.dumps(meta).encode()}
+    packed = dict.fromkeys(_chunks(name, files), bombs[codec])
+    changed = {**files, **packed, f"{name}/0/.zarray": json.dumps(meta).encode()}
     return Case(f"{codec} bomb in chunks", changed, ("read_scan", name))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from ct_inertia.errors import CtInertiaError
 from ct_inertia.read import read_volume
-from tests.ct_inertia.readers.test_read import CASES
+from tests.ct_inertia.readers.contract import CASES
 from tests.ct_inertia.readers.writers import picture
 
 # One scan of each ending and way to hold the voxels; raw voxels have no structure to damage.

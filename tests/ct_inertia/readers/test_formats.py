@@ -14,7 +14,7 @@ from ct_inertia.readers.companions import data_files, with_data_files
 from ct_inertia.readers.formats import FORMATS, RAW, Format, ReadOptions, format_of
 from ct_inertia.readers.raw_layout import RawLayout
 from tests.ct_inertia.readers import writers as f
-from tests.ct_inertia.readers.test_read import CASES
+from tests.ct_inertia.readers.contract import CASES
 from tests.ct_inertia.readers.writers import SPACING, check_corners, picture
 
 EVERY = pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.module)
