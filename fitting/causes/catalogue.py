@@ -1,7 +1,7 @@
 """The catalogue of causes: each changes motion, mass matrix or ligament by one unknown of a joint fit.
 
-A cause is one entry of CAUSES. Scores, refits, naming, the effect on K and D, ``--correct``, page and
-kd.json follow.
+A cause is one entry of CAUSES. Scores, refits, naming, the effect on K and D, page and kd.json follow.
+``--correct`` takes those of `fitting.options.CORRECT`.
 """
 
 from __future__ import annotations
@@ -69,8 +69,6 @@ class Cause:
         SI over that unit.
     term : callable
         Setting -> apply(value in the unit, lines, equations).
-    correctable : bool
-        Whether ``--correct`` takes it.
     scored : bool
         Whether data can show it; others are sensitivities only.
     example : float
@@ -95,7 +93,6 @@ class Cause:
     unit: str
     per_unit: float
     term: Callable[[Setting], Apply]
-    correctable: bool = False
     scored: bool = True
     example: float = 1.0
     starts: tuple[float, ...] = (0.0,)
@@ -318,26 +315,24 @@ def _gained(value: float, omega: Array) -> ComplexArray:
 def _elsewhere(axis: str) -> Cause:
     title, apply = f"a centre of mass elsewhere along {axis}", _mass(_centre("xyz".index(axis)))
     usual = calibrated("causes.usual_centre_mm")
-    return Cause(title, "mm", 1e-3, apply, True, example=0.1, usual=usual)
+    return Cause(title, "mm", 1e-3, apply, example=0.1, usual=usual)
 
 
 CAUSES: dict[str, Cause] = {
-    "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delayed), True),
+    "delay": Cause("a delay of the stapes against the base", "us", 1e-6, _between_bodies(_delayed)),
     "phase": Cause(
         "a phase between stapes and base",
         "degrees",
         np.pi / 180.0,
         _between_bodies(_turned),
-        True,
         example=0.5,
     ),
-    "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gained), True),
+    "gain": Cause("a gain between stapes and base", "%", 0.01, _between_bodies(_gained)),
     "fluid": Cause(
         "a mass of fluid that moves with the piston deflection",
         MASS.symbol,
         MASS.si(1.0),
         _fluid((0,)),
-        True,
         starts=(0.0, MASS.of(3e-6)),
         positive=True,
     ),
@@ -346,7 +341,6 @@ CAUSES: dict[str, Cause] = {
         MASS.symbol,
         MASS.si(1.0),
         _head_mass,
-        True,
         example=MASS.of(1e-7),
         starts=(0.0, MASS.of(4e-6)),
         nuisances=(HEAD_PLACE,) * 3,
@@ -360,7 +354,6 @@ CAUSES: dict[str, Cause] = {
         "%",
         0.01,
         _mass(_part(slice(4, 10))),
-        True,
         example=5.0,
         usual=calibrated("causes.usual_inertia"),
     ),

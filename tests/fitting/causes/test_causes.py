@@ -189,8 +189,8 @@ def test_page_and_record_say_what_was_looked_for(clean: KDFit) -> None:
     assert "causes" in [section.key for section in kd_page(clean, {}).sections]
 
 
-def test_the_option_knows_every_cause_that_can_be_corrected() -> None:
-    assert set(CORRECT) == {name for name, cause in CAUSES.items() if cause.correctable}
+def test_every_cause_that_can_be_corrected_can_be_found_and_refitted() -> None:
+    assert all(CAUSES[name].scored and CAUSES[name].refitted for name in CORRECT)
 
 
 def test_causes_need_names_that_are_known_and_the_joint_model() -> None:
