@@ -46,7 +46,9 @@ def picture_data(crop: Crop) -> dict[str, Any]:
     grey = np.clip((_block(crop.grey, step, "mean") - low) / max(high - low, 1e-9), 0.0, 1.0)
     labels = crop.labels[::step, ::step, ::step].copy()
     labels[_block(crop.mask(CUT), step, "any")] = 4
-    packed = (np.round(grey * _GREY_LEVELS).astype(np.uint8) << 3) | labels
+    values = (np.round(grey * _GREY_LEVELS).astype(np.uint8) << 3) | labels
+    # level 9 takes 20 times as long, 0.5 to 1 s, for 6 % fewer bytes
+    packed = zlib.compress(values.tobytes(), 6)
     volume = crop.volume
     first = volume.scan_points(np.asarray(crop.low, dtype=float)[None])[0]
     steps = [
@@ -54,8 +56,8 @@ def picture_data(crop: Crop) -> dict[str, Any]:
         for axis in range(3)
     ]
     return {
-        "voxels": base64.b64encode(zlib.compress(packed.tobytes(), 9)).decode(),
-        "size": list(packed.shape[::-1]),
+        "voxels": base64.b64encode(packed).decode(),
+        "size": list(values.shape[::-1]),
         "step": step,
         "spacing_mm": (volume.spacing_mm * step).tolist(),
         "first_index": [int(index) for index in crop.low],
