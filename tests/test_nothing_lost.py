@@ -32,12 +32,9 @@ from stapeskit.options import declared
 from stapeskit.own_files import RECORDS, OutputSet
 from stapeskit.page import page
 from stapeskit.records.motion_files import write_motion
-from tests.conftest import leave_drawing
 from tests.fitting.cases import M, paper_motion
-from tests.pipeline.conftest import settle
+from tests.pipeline.conftest import undraw
 from tests.pipeline.ears import make_ear
-
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @dataclass(frozen=True)
@@ -165,10 +162,8 @@ def laid_out(inputs: Path, folder: Path, words: tuple[str, ...]) -> None:
 @pytest.fixture(autouse=True)
 def undrawn(monkeypatch):
     """Leave the drawing away; what is written stays as it is otherwise."""
-    settle(monkeypatch)
-    leave_drawing(monkeypatch)
+    undraw(monkeypatch)
     monkeypatch.setattr("pipeline.several.runner_of", lambda _address: in_this_process)
-    monkeypatch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 
 def contents(folder: Path) -> dict[Path, bytes]:

@@ -13,17 +13,13 @@ from ct_inertia.cli import work as ct2mass
 from fitting.cli import work as dof2kd
 from kinematics.cli import work as points2dof
 from pipeline.cli import work as scan2kd
-from tests.conftest import leave_drawing
-from tests.pipeline.conftest import settle
+from tests.pipeline.conftest import undraw
 from tests.pipeline.ears import make_ear
 
 SAMPLE_SCAN = Path(__file__).resolve().parents[1] / "sample_volumes" / "scan.tif"
 CT = ["stapes.ply", "--density", "1900+-60", "--anterior", "1,0,0", "--no-report"]
 RUNS = {
-    "ct2mass": (
-        ct2mass,
-        ["stapes.ply", "--density", "1900+-60", "--anterior", "1,0,0", "--no-report", "--out", "out"],
-    ),
+    "ct2mass": (ct2mass, [*CT, "--out", "out"]),
     "points2dof": (points2dof, ["ldv.csv", "--points", "points.csv", "--out", "out/dof.csv"]),
     "dof2kd": (dof2kd, ["dof.csv", "--mass", "mass.json", "--bands", "0", "--out", "out/kd.json"]),
     "scan2kd": (scan2kd, ["study.toml", "--quiet", "--out", "out"]),
@@ -37,21 +33,13 @@ def inputs(tmp_path_factory):
         undraw(patch)
         patch.chdir(folder)
         make_ear(folder)
-        ct2mass(
-            ["stapes.ply", "--density", "1900+-60", "--anterior", "1,0,0", "--no-report", "--out", "made"]
-        )
+        ct2mass([*CT, "--out", "made"])
         tied = ["--fiducials", "fiducials.csv", "--mass", "made/mass.json", "--out", "made/dof.csv"]
         points2dof(["ldv.csv", "--points", "points.csv", *tied])
         for name in ("mass.json", "dof.csv", "dof.h5"):
             shutil.move(folder / "made" / name, folder / name)
         shutil.rmtree(folder / "made")
     return folder
-
-
-def undraw(patch):
-    settle(patch)
-    leave_drawing(patch)
-    patch.setattr("kinematics.report.sections.write_report", lambda path, *_: path.write_text("page"))
 
 
 DATED = ("date", "command", "seconds")
