@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,15 @@ class Nuisance:
         """Rows of ``owner`` that hold parameters."""
         return [k for k in range(6) if np.any(self.owner[k] >= 0)] if len(self.sd) else []
 
+    @cached_property
+    def gather(self) -> Any:
+        """Sparse matrix (V, channel * q) that sums the tangents of all channels for each parameter."""
+        from scipy.sparse import csr_array
+
+        owner = self.owner[self.which].T.ravel()
+        held = np.flatnonzero(owner >= 0)
+        return csr_array((np.ones(len(held)), (owner[held], held)), shape=(len(self.sd), len(owner)))
+
     def penalty(self, x: Array) -> float:
         """Return half of the sum of (x / sd)^2."""
         return 0.5 * float(np.sum((x / self.sd) ** 2)) if len(self.sd) else 0.0
@@ -155,22 +165,16 @@ class Marginal:
     @cached_property
     def taken(self) -> Array:
         """Projections (V, D) of the tangents on the motion."""
-        from scipy.sparse import csr_array
-
         span = self.merged.own_span.conj().transpose(1, 0, 2)[:, None, :, :, None]
         seen = span * self.tangents.transpose(2, 0, 1, 3)[:, :, :, None]
         flat = seen.reshape(self.owner.size, -1)
-        at = self.owner.ravel()
-        count = len(self.nuisance.sd)
-        chosen = csr_array((np.ones(at.size), (at, np.arange(at.size))), shape=(count + 1, at.size))
-        return np.asarray((chosen @ np.concatenate([flat.real, flat.imag], axis=1))[:count])
+        return np.asarray(self.nuisance.gather @ np.concatenate([flat.real, flat.imag], axis=1))
 
     @cached_property
     def score(self) -> Array:
         """Score (V,) of the residual, without the priors."""
         own = np.real(np.sum(self.tangents.conj() * self.merged.own_e[None], axis=(1, 3))).T
-        count = len(self.nuisance.sd)
-        return np.asarray(np.bincount(self.owner.ravel(), own.ravel(), count + 1)[:count], dtype=float)
+        return np.asarray(self.nuisance.gather @ own.ravel())
 
     @cached_property
     def information(self) -> Array:

@@ -22,7 +22,7 @@ from kinematics.fit.line_noise import LineNoise
 from kinematics.fit.noise_spectrum import noise_course
 from kinematics.fit.rigid_fit import LineFit
 from kinematics.measurement import BodyChannels
-from stapeskit.spatial import dof_indices, point_rows
+from stapeskit.spatial import point_rows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -199,11 +199,14 @@ class Packed:
 
     def rows(self, arms_m: Array, directions: Array) -> Array:
         """Return rows (..., m) in the orthonormal basis for positions and directions (..., 3)."""
-        beams = self.source.beams
         x, y, z = arms_m[..., 0], arms_m[..., 1], arms_m[..., 2]
         a, b, c = directions[..., 0], directions[..., 1], directions[..., 2]
-        columns = np.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
-        return np.asarray(columns[..., dof_indices(beams.dof)] @ beams.to_dof)
+        columns = np.empty((*np.broadcast_shapes(arms_m.shape, directions.shape)[:-1], 6))
+        columns[..., :3] = directions
+        columns[..., 3] = y * c - z * b
+        columns[..., 4] = z * a - x * c
+        columns[..., 5] = x * b - y * a
+        return np.asarray(columns @ self.source.beams.to_six)
 
     def under(self, assumed: Assumed) -> Packed:
         """Return the source packed anew under other assumptions."""
@@ -301,7 +304,7 @@ def _gathered(
     columns = min(size, shortest)
     samples = max(min(_REST // parts, _HELD // len(live) // parts, shortest - columns), 0)
     beams = source.beams
-    basis = point_rows(assumed.arms_m, assumed.directions)[:, dof_indices(beams.dof)] @ beams.to_dof
+    basis = point_rows(assumed.arms_m, assumed.directions) @ beams.to_six
     made_y, made_rest, weights, tau, ratio = [], [], [], [], []
     whole = number == source.value.shape[1]
     for start, stop in pairwise(edges):

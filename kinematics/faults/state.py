@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinematics.faults.packing import RIDGE, Packed, whitened
+from stapeskit.frames import cross_matrix
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -18,6 +19,8 @@ ComplexArray = NDArray[np.complex128]
 # lines, two turns of the beam, three shifts of the point, three turns of all beams.
 REAL, IMAGINARY, DELAY, DRIFT, DRIFT_IMAGINARY = range(5)
 TURNS, SHIFTS, AXES = (5, 6), (7, 8, 9), (10, 11, 12)
+# Beams (n, 3) times these are the products of the unit vectors along x, y, z with them.
+_ABOUT = tuple(cross_matrix(axis).T for axis in np.eye(3))
 # Numbers that are held at once.
 _HELD = 4_000_000
 
@@ -176,7 +179,7 @@ class State:
             weight = data.weight[:, channels]
             factor = None if model.factor is None else model.factor[:, channels]
             size = weight if factor is None else weight * factor
-            rows = np.stack([_turned(data, k, arms, beams, beam) for k in changed])
+            rows = _turned(data, changed, arms, beams, beam)
             moved = (rows[:, None] @ self.z[None]) * size[None, :, :, None]
         for place, k in enumerate(which):
             tangents[place] = moved[changed.index(k)] if k in changed else read * simple[k]
@@ -284,12 +287,14 @@ def _root(gram: NDArray[Any]) -> NDArray[Any]:
     raise np.linalg.LinAlgError("normal matrices of no definite sign")
 
 
-def _turned(data: Packed, tangent: int, arms: Array, beams: Array, beam: Array | None) -> Array:
-    """Return derivatives (n, m) of rows by a turn of beams or a shift of points."""
-    if tangent in TURNS:
-        beside = across(beams if beam is None else np.broadcast_to(beam, beams.shape))
-        return data.rows(arms, beside[:, tangent - TURNS[0]])
-    if tangent in AXES:
-        return data.rows(arms, np.cross(np.eye(3)[tangent - AXES[0]], beams))
-    shift = np.broadcast_to(np.eye(3)[tangent - SHIFTS[0]], arms.shape)
-    return data.rows(arms + shift, beams) - data.rows(arms, beams)
+def _turned(data: Packed, which: Sequence[int], arms: Array, beams: Array, beam: Array | None) -> Array:
+    """Return derivatives (p, n, m) of rows by turns of beams and shifts of points."""
+    turns = dict(zip((*SHIFTS, *AXES), 2 * [beams @ turn for turn in _ABOUT], strict=True))
+    if set(TURNS) & set(which):
+        square = across(beams if beam is None else np.broadcast_to(beam, beams.shape))
+        turns |= zip(TURNS, square.swapaxes(0, 1), strict=True)
+    rows = data.rows(arms, np.stack([turns[k] for k in which]))
+    for place, k in enumerate(which):
+        if k in SHIFTS:  # the product of arm and beam changes, the beam does not
+            rows[place] = turns[k] @ data.source.beams.to_six[3:]
+    return rows

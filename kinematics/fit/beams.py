@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,13 @@ class BeamSet:
     lever_m: float
     strength: Array
     weak: str = ""
+
+    @cached_property
+    def to_six(self) -> Array:
+        """``to_dof`` (6, m) with rows of zeros for degrees of freedom that are not fitted."""
+        six = np.zeros((6, len(self.dof)))
+        six[dof_indices(self.dof)] = self.to_dof
+        return six
 
     @property
     def condition(self) -> float:
