@@ -1,5 +1,6 @@
 """What tests of several rooms share."""
 
+import gc
 import inspect
 import pkgutil
 from functools import cache
@@ -15,6 +16,12 @@ HERE = Path(__file__).parent
 def pytest_collection_modifyitems(items):
     """Begin with the tests of the whole chain: begun last, the longest would keep one processor waiting."""
     items.sort(key=lambda item: item.path.parent != HERE)
+
+
+def pytest_collection_finish():
+    """Leave modules and tests out of the search for garbage, which would look at all of them each time."""
+    gc.collect()
+    gc.freeze()
 
 
 @cache

@@ -150,14 +150,16 @@ def displaced(mass, rng):
 
 @pytest.mark.parametrize("command", ["ct2mass", "points2dof", "dof2kd", "scan2kd"])
 def test_help_appears_at_once(command, tmp_path):
-    seconds = []
-    for _ in range(5):
+    least = np.inf
+    for _ in range(5):  # the machine may be at other work
         started = time.perf_counter()
         done = run(command, "--help", cwd=tmp_path)
-        seconds.append(time.perf_counter() - started)
-    assert done.returncode == 0
-    assert "usage" in done.stdout
-    assert min(seconds) < 0.3
+        least = min(least, time.perf_counter() - started)
+        assert done.returncode == 0
+        assert "usage" in done.stdout
+        if least < 0.3:
+            break
+    assert least < 0.3
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def lab(tmp_path_factory):
     return folder, truth
 
 
-def test_the_commands_of_the_pages_run_as_they_are_printed(lab, monkeypatch, undrawn):
+def test_commands_and_notebook_of_the_pages_run_as_they_are_printed(lab, monkeypatch, undrawn, capsys):
     """The whole chain runs as a process and draws; the three steps, which would draw the same, run here."""
     folder, truth = lab[0] / "ear", lab[1]
     monkeypatch.chdir(folder)
@@ -103,6 +103,29 @@ def test_the_commands_of_the_pages_run_as_they_are_printed(lab, monkeypatch, und
         stiffness = json.loads(kd.read_text(encoding="utf-8"))["stiffness_si"][0][0]
         assert stiffness == pytest.approx(truth["stiffness_si"][0][0], rel=0.05)
     assert (folder / "my_study.toml").is_file()
+    notebook(lab, monkeypatch, capsys)
+
+
+def notebook(lab, monkeypatch, capsys):
+    """From scan to stiffness in memory, with the numbers of the commands."""
+    folder, truth = lab
+    monkeypatch.chdir(folder)
+    names: dict[str, object] = {}
+    (source,) = blocks("README", "python")
+    assert len(source.strip().splitlines()) <= 10
+    capsys.readouterr()
+    exec(compile(source, "README.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) < 40
+    assert len(printed) < 4000
+    assert names["mass"].matrix.matrix[0, 0] == pytest.approx(truth["volume_m3"] * 1394.4, rel=5e-3)
+    assert (folder / "results_kd" / "kd.html").is_file()
+    kd = json.loads((folder / "ear" / "kd.json").read_text(encoding="utf-8"))
+    for key in ("stiffness_si", "damping_si", "stiffness_sd_si", "damping_sd_si", "covariance_si"):
+        np.testing.assert_allclose(names["fit"].content()[key], kd[key], rtol=1e-12, err_msg=key)
+    for name in ("mass", "motion", "fit"):
+        assert "<table" in names[name]._repr_html_()
+        assert np.all(np.isfinite(np.linalg.eigvalsh(names["mass"].matrix.matrix)))
 
 
 def test_the_plan_of_the_page_runs(lab):
@@ -124,24 +147,6 @@ def test_the_sample_is_copied_whole(tmp_path):
     included = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
     packed = included["targets"]["wheel"]["force-include"]
     assert sorted(packed.values()) == sorted(f"pipeline/sample_study/{name}" for name in FILES)
-
-
-def test_the_notebook_of_the_page_goes_from_scan_to_stiffness(lab, monkeypatch, capsys):
-    folder, truth = lab
-    monkeypatch.chdir(folder)
-    names: dict[str, object] = {}
-    (source,) = blocks("README", "python")
-    assert len(source.strip().splitlines()) <= 10
-    exec(compile(source, "README.md", "exec"), names)
-    assert names["mass"].matrix.matrix[0, 0] == pytest.approx(truth["volume_m3"] * 1394.4, rel=5e-3)
-    assert names["fit"].stiffness[0, 0] == pytest.approx(truth["stiffness_si"][0][0], rel=0.05)
-    assert (folder / "results_kd" / "kd.html").is_file()
-    printed = capsys.readouterr().out
-    assert len(printed.splitlines()) < 40
-    assert len(printed) < 4000
-    for name in ("mass", "motion", "fit"):
-        assert "<table" in names[name]._repr_html_()
-        assert np.all(np.isfinite(np.linalg.eigvalsh(names["mass"].matrix.matrix)))
 
 
 def test_the_front_page_is_short():

@@ -34,6 +34,12 @@ def sample():
     return replace(placed, bodies=bodies, freq_hz=read.freq_hz[::4])
 
 
+@pytest.fixture(autouse=True)
+def without_detectable(monkeypatch):
+    """Leave out how large an error would have to be to show, which takes a tenth of the time."""
+    monkeypatch.setattr("kinematics.report.fault_sections.detectable_blocks", lambda *_: [])
+
+
 def spoiled(channels, channel, kind):
     value = channels.displacement.copy()
     if kind == "noise":

@@ -2,14 +2,12 @@
 
 import json
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-import stapeskit as sk
 from pipeline.scan2kd import run_study
 from tests.conftest import leave_drawing
 
@@ -77,17 +75,6 @@ def test_a_simulated_study_says_so_at_the_top(sample):
     )
     assert {path.name for path in sample[0].files} >= {"labels.nrrd", "plate.ply", "stapes.ply"}
     assert "Segmentation" in text
-
-
-def test_five_lines_in_memory_give_the_numbers_of_the_study(sample):
-    table = tomllib.loads((SAMPLE / "study.toml").read_text(encoding="utf-8"))["scan"]
-    density, anterior = table["density_kg_m3"], table["anterior"]
-    mass = sk.ct2mass(SAMPLE / "scan.tif", density=density, side=table["side"], anterior=anterior)
-    points, fiducials = SAMPLE / "points.csv", SAMPLE / "fiducials.csv"
-    motion = sk.points2dof(SAMPLE / "ldv.csv", points=points, fiducials=fiducials, mass=mass)
-    fit = sk.dof2kd(motion, mass=mass)
-    for key in ("stiffness_si", "damping_si", "stiffness_sd_si", "damping_sd_si", "covariance_si"):
-        np.testing.assert_allclose(fit.content()[key], sample[0].kd[key], rtol=1e-12, err_msg=key)
 
 
 def test_warnings_of_a_study_name_options_as_its_file_does(sample):

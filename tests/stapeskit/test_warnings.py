@@ -13,13 +13,27 @@ PACKAGES = ("stapeskit", "kinematics", "ct_inertia", "fitting", "pipeline")
 ITSELF = ROOT / "stapeskit" / "warnings.py"
 
 
-def parsed():
-    """Yield (room, path, tree) of every file of the packages."""
+def sources():
+    """Yield (room, path) of every file that makes a notice."""
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
-            yield package, path, ast.parse(path.read_text(encoding="utf-8"))
+            if path != ITSELF and "Notice(" in path.read_text(encoding="utf-8"):
+                yield package, path
 
 
+@cache
+def tree_of(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def module_of(name):
+    """Return the tree of a module of the packages; an empty one for others."""
+    path = ROOT.joinpath(*name.split("."))
+    files = (path.with_suffix(".py"), path / "__init__.py") if name.split(".")[0] in PACKAGES else ()
+    return next((tree_of(file) for file in files if file.is_file()), ast.Module([], []))
+
+
+@cache
 def constants(tree):
     """Return the texts of each module-level name: a string, or the values of a dict of strings."""
     found = {}
@@ -36,24 +50,20 @@ def constants(tree):
 @cache
 def codes():
     """Return {code: rooms that give it} of all sources; fail where a code cannot be read off the source."""
-    files = list(parsed())
-    of_module = {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): constants(tree)
-        for _, path, tree in files
-    }
     found = {}
-    for room, path, tree in files:
+    for room, path in sources():
+        tree = tree_of(path)
         names = dict(constants(tree))
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom):
                 for alias in node.names:
-                    texts = of_module.get(node.module or "", {}).get(alias.name)
+                    texts = constants(module_of(node.module or "")).get(alias.name)
                     if texts is not None:
                         names[alias.asname or alias.name] = texts
         for node in ast.walk(tree):
-            if path == ITSELF or not isinstance(node, ast.Call):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
                 continue
-            if not isinstance(node.func, ast.Name) or node.func.id != "Notice":
+            if node.func.id != "Notice":
                 continue
             first = node.args[0] if node.args else node.keywords[0].value
             if isinstance(first, ast.Constant):
