@@ -14,7 +14,7 @@ help:
 	@echo "make test-shared  also the tests on data that may not be copied into the repository"
 	@echo "make check        lint, types, import rules, compiler warnings of the kernels"
 	@echo "make bench        the slower evidence, with its tables"
-	@echo "make evidence     tables of docs/ by the commands above them: ARGS=fitting_beam"
+	@echo "make evidence     tables of docs/ by the commands below them: ARGS=fitting_beam; all of them take hours"
 	@echo "make golden       every number of the commands on many scenes against what was recorded"
 	@echo "make faults       kills, full disks, limits, unreadable and changing inputs, two runs at once"
 	@echo "make sanitize     the kernels under the address, undefined behaviour and thread sanitizers"

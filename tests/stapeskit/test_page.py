@@ -78,6 +78,17 @@ def test_messages_have_the_letters_of_a_page():
     assert "1.08 ± 0.01" in page.notices([Notice("channel_gain", text)])
 
 
+def test_units_have_one_notation():
+    text = "2.3 mm3 of 1900 kg/m3, 5 mg mm2, 1e-12 kg m2, 9.8 m/s2; m2, mode 3, mm30"
+    assert printed(text) == "2.3 mm³ of 1900 kg/m³, 5 mg mm², 1e-12 kg m², 9.8 m/s²; m2, mode 3, mm30"
+
+
+def test_a_column_without_a_name_has_no_empty_heading():
+    html = page.table(["", "x"], [["a", "1"]])
+    assert "<thead><tr><td></td>" in html
+    assert re.findall(r"<th .*?>(.*?)</th>", html) == ["x"]
+
+
 def test_sections_are_linked_by_their_keys():
     made = Page("t")
     made.section("one")
